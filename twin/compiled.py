@@ -47,14 +47,14 @@ def _compiled(function: Callable[P, R], *, forceinline: bool = False) -> Callabl
     compile_it: Any = partial(numba.njit, nogil=True, error_model="numpy", forceinline=forceinline)
     # numba reads CACHE_DIR while it decorates; what is decorated elsewhere keeps its own place.
     config: Any = numba.config
-    here, config.CACHE_DIR = config.CACHE_DIR, cache_folder()
+    default_dir, config.CACHE_DIR = config.CACHE_DIR, cache_folder()
     try:
         return cast(Callable[P, R], compile_it(cache=True)(function))
     except RuntimeError:
         # A read-only installation (a container's) without a home directory has no place for numba's cache.
         return cast(Callable[P, R], compile_it()(function))
     finally:
-        config.CACHE_DIR = here
+        config.CACHE_DIR = default_dir
 
 
 def sources_hash(package: Path) -> str:
@@ -77,10 +77,10 @@ def sources_hash(package: Path) -> str:
 def cache_folder() -> str:
     """Where the machine code of these very sources belongs."""
     package = Path(__file__).parent
-    wanted = os.environ.get("NUMBA_CACHE_DIR")
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     name = f"kernels-{sources_hash(package)}"
-    for parent in (Path(wanted),) if wanted else (package / "__pycache__", Path(home) / "board51"):
+    for parent in (Path(chosen),) if chosen else (package / "__pycache__", Path(home) / "board51"):
         try:
             (parent / name).mkdir(parents=True, exist_ok=True)
         except OSError:

@@ -141,7 +141,7 @@ def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np
 def discrete(model: Model, x_m: float, sample_time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(15) at rest at `x_m`, the delays of the model as states behind those of `linearise`."""
     if model.causes:
-        return linear.late(*linear.linearise(model, x_m), linear.delay_s(model), sample_time_s)
+        return linear.discretised(*linear.linearise(model, x_m), linear.delay_s(model), sample_time_s)
     return c2d(*linearise(model, x_m), sample_time_s)
 
 

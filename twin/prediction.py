@@ -19,7 +19,7 @@ from twin.estimation.rollout import SETTLE_S, within_reach
 from twin.estimation.rollout_periodic import has_phase
 from twin.estimation.rollout_periodic import predict as predict_readings
 from twin.estimation.structures import AT_THE_ENDS
-from twin.model.causes.catalogue import found_by
+from twin.model.causes.catalogue import cause_of_detector
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
@@ -71,50 +71,52 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
             remedy="Give a longer recording, or a smaller --horizon",
         )
     source = source_of(replace(record, captures=()), model)
-    told = source.acting
+    recording = source.acting
     p, c = base(model), vector(model.causes)
     stops = (
         float(position_reading(p, c, 0.0, 0.0)),
         float(position_reading(p, c, p.travel_m, 0.0)),
     )
-    evidence = gather([told], model.plant, stops)
+    evidence = gather([recording], model.plant, stops)
     s = evidence.series
     tick_s = record.interval_s
     system = system_of(model, record)._replace(c=c, closed_form=False)  # the closed form has no lost samples
     x_hat = within_reach(predict_readings(system, evidence.samples, ahead), p, c, AT_THE_ENDS)
     sampled = s.flags & LOST == 0  # the series has a row for a lost sample, the recording has none
     flags, x_hat = s.flags[sampled], x_hat[sampled]
-    there = np.isfinite(x_hat)
+    predicted = np.isfinite(x_hat)
     notes = list(evidence.notes)
     if has_phase(c):
-        notes.append(f"the phase of {found_by('spectral-line').name} is taken from the readings before each prediction")
-    if source.late:
-        notes.append(f"u_c acts {source.late} samples later than recorded, as where the model was identified")
-    if source.unknown_late:
-        notes.append(f"u_c acts {source.unknown_late} samples later than recorded, which the model does not know")
+        notes.append(
+            f"the phase of {cause_of_detector('spectral-line').name} is taken from the readings before each prediction"
+        )
+    if source.delay:
+        notes.append(f"u_c acts {source.delay} samples later than recorded, as where the model was identified")
+    if source.unknown_delay:
+        notes.append(f"u_c acts {source.unknown_delay} samples later than recorded, which the model does not know")
     return Prediction(
         ahead=ahead,
         interval_s=tick_s,
-        t=record.t[there],
-        x=record.x[there],
-        x_hat=x_hat[there],
+        t=record.t[predicted],
+        x=record.x[predicted],
+        x_hat=x_hat[predicted],
         samples=len(record.t),
-        left_out=_left_out(flags, there, record, tick_s),
+        left_out=_left_out(flags, predicted, record, tick_s),
         notes=tuple(notes),
     )
 
 
 def _left_out(
     flags: np.ndarray[tuple[int, ...], np.dtype[np.uint16]],
-    there: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+    predicted: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     record: Record,
     tick_s: float,
 ) -> tuple[tuple[str, int], ...]:
     """Number of samples without a prediction, by the first reason that applies."""
     flies, reads = flags & FLIES != 0, flags & USE_X != 0
     contact = ~flies
-    unread = flies & ~reads & ~there
-    begun = ~(there | contact | unread)
+    unread = flies & ~reads & ~predicted
+    begun = ~(predicted | contact | unread)
     gaps = int(np.count_nonzero(flags[1:] & FOLLOWS == 0))
     return tuple(
         (why, count)

@@ -19,7 +19,7 @@ from twin.model.parameters import Model
 if TYPE_CHECKING:
     from twin.design.board import Converters
 
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 SHARE = 0.2  # smallest part of the deviance above the noise floor that a cause must explain
 SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
 
@@ -28,13 +28,13 @@ def _silent(_: str) -> None:
     return
 
 
-def identify(campaign: Campaign | Path | str, *, data: Path | None = None, say: Say = _silent) -> Identified:
+def identify(campaign: Campaign | Path | str, *, data: Path | None = None, progress: Progress = _silent) -> Identified:
     """Identify K_A, T_A, K_c and b, and the noise levels, from the recordings with use = "fit".
 
     Args:
         campaign: campaign.toml, its folder, or the result of `Campaign.load`.
         data: folder of the recordings, if it is not that of the campaign.
-        say: is called with lines of progress.
+        progress: is called with lines of progress.
 
     Returns:
         The model in SI units, with warnings.
@@ -45,12 +45,16 @@ def identify(campaign: Campaign | Path | str, *, data: Path | None = None, say: 
     """
     from twin.identify import pipeline
 
-    found = pipeline.identify(_campaign(campaign), data=data, say=say)
-    return Identified(model=found.model, usable=found.usable, warnings=found.warnings, details=found)
+    result = pipeline.identify(_campaign(campaign), data=data, progress=progress)
+    return Identified(model=result.model, usable=result.usable, warnings=result.warnings, details=result)
 
 
 def validate(
-    campaign: Campaign | Path | str, model: Model | Path | str, *, data: Path | None = None, say: Say = _silent
+    campaign: Campaign | Path | str,
+    model: Model | Path | str,
+    *,
+    data: Path | None = None,
+    progress: Progress = _silent,
 ) -> Validated:
     """Validate a model on the recordings with use = "judge".
 
@@ -58,7 +62,7 @@ def validate(
         campaign: campaign.toml, its folder, or the result of `Campaign.load`.
         model: a model, a model file, or the name of a shipped model.
         data: folder of the recordings, if it is not that of the campaign.
-        say: is called with lines of progress.
+        progress: is called with lines of progress.
 
     Returns:
         The verdict, and the prediction errors over the horizon as arrays of shape (n,), m.
@@ -71,16 +75,16 @@ def validate(
 
     from twin.validate import verdict
 
-    found = verdict.validate(_campaign(campaign), _model(model), data=data, say=say)
+    result = verdict.validate(_campaign(campaign), _model(model), data=data, progress=progress)
     return Validated(
-        passed=found.passed,
-        answer=found.answer(),
-        failures=tuple(found.failures()),
-        notes=found.notes,
-        horizon_s=np.array([row.horizon_s for row in found.ahead], dtype=np.float64),
-        rmse_m=np.array([row.rmse_m for row in found.ahead], dtype=np.float64),
-        floor_m=np.array([row.floor_m for row in found.ahead], dtype=np.float64),
-        details=found,
+        passed=result.passed,
+        answer=result.answer(),
+        failures=tuple(result.failures()),
+        notes=result.notes,
+        horizon_s=np.array([row.horizon_s for row in result.ahead], dtype=np.float64),
+        rmse_m=np.array([row.rmse_m for row in result.ahead], dtype=np.float64),
+        floor_m=np.array([row.floor_m for row in result.ahead], dtype=np.float64),
+        details=result,
     )
 
 
@@ -96,7 +100,7 @@ def diagnose(
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
-    say: Say = _silent,
+    progress: Progress = _silent,
 ) -> Diagnosed:
     """Name the physical causes of a model's errors, and extend the model by them.
 
@@ -113,7 +117,7 @@ def diagnose(
         seed: of the random generator for the bootstrap.
         workers: threads; the result does not depend on it.
         budget: largest amount of computation, millions of filter steps; the answer is the same on any machine.
-        say: is called with lines of progress.
+        progress: is called with lines of progress.
 
     Returns:
         Verdict, causes, extended model (SI units), and residuals as arrays.
@@ -136,8 +140,8 @@ def diagnose(
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
     campaign, reference = _campaign(campaign), None if model is None else _model(model)
     if is_static(campaign):
-        return _diagnosed_at_rest(campaign, reference, data, where, say)
-    found = pipeline.diagnose(
+        return _diagnosed_at_rest(campaign, reference, data, where, progress)
+    result = pipeline.diagnose(
         campaign,
         data=data,
         model=reference,
@@ -148,28 +152,28 @@ def diagnose(
         seed=seed,
         workers=workers,
         budget=None if budget is None else budget * MILLION,
-        say=say,
+        say=progress,
     )
-    say("what it gets wrong, before and after")
+    progress("what it gets wrong, before and after")
     return Diagnosed(
-        verdict=found.verdict,
-        sentence=found.sentence,
-        causes=tuple(cause.name for cause in found.causes),
-        extended=found.extended,
-        warnings=found.warnings,
-        details=found,
-        residuals=summarise(found, campaign.controller, quick=quick, seed=seed),
+        verdict=result.verdict,
+        sentence=result.sentence,
+        causes=tuple(cause.name for cause in result.causes),
+        extended=result.extended,
+        warnings=result.warnings,
+        details=result,
+        residuals=summarise(result, campaign.controller, quick=quick, seed=seed),
         where=where,
     )
 
 
 def _diagnosed_at_rest(
-    campaign: Campaign, reference: Model | None, data: Path | None, where: str, say: Say
+    campaign: Campaign, reference: Model | None, data: Path | None, where: str, progress: Progress
 ) -> Diagnosed:
     from twin.diagnose.equilibria.run import diagnose_static
     from twin.diagnose.equilibria.to_json import sentence_of
 
-    rest = diagnose_static(campaign, data=data, model=reference, say=say)
+    rest = diagnose_static(campaign, data=data, model=reference, say=progress)
     return Diagnosed(
         verdict=rest.verdict,
         sentence=sentence_of(rest),
@@ -222,28 +226,28 @@ def predict(
     record = read_recording(path, entry)
     if campaign is None:
         record = replace(record, kind="free")  # whether the loop was closed is unknown
-    found = prediction.predict(known, record, horizon_samples)
+    result = prediction.predict(known, record, horizon_samples)
     return Predicted(
         recording=entry.file,
-        horizon_samples=found.ahead,
-        horizon_s=found.ahead * found.interval_s,
-        t_s=found.t,
-        x_m=found.x,
-        x_hat_m=found.x_hat,
-        rmse_m=found.rmse_m,
-        details=found,
+        horizon_samples=result.ahead,
+        horizon_s=result.ahead * result.interval_s,
+        t_s=result.t,
+        x_m=result.x,
+        x_hat_m=result.x_hat,
+        rmse_m=result.rmse_m,
+        details=result,
     )
 
 
-def _listed(campaign: Campaign, wanted: Path, data: Path | None) -> tuple[Recording, Path]:
+def _listed(campaign: Campaign, recording: Path, data: Path | None) -> tuple[Recording, Path]:
     """(the campaign's entry of this file, the path of the file).  Raises DataError."""
-    exact = [r for r in campaign.recordings if wanted in (Path(r.file), campaign.folder / r.file)]
-    found = exact or [r for r in campaign.recordings if Path(r.file).name == wanted.name]
-    if len(found) != 1:
+    exact = [r for r in campaign.recordings if recording in (Path(r.file), campaign.folder / r.file)]
+    result = exact or [r for r in campaign.recordings if Path(r.file).name == recording.name]
+    if len(result) != 1:
         listed = ", ".join(r.file for r in campaign.recordings) or "none"
-        problem = "is there twice" if found else "is not one of its recordings"
-        raise DataError(f"{campaign.where}: {str(wanted)!r} {problem}", remedy=f"Name one of: {listed}")
-    return found[0], wanted if wanted.is_file() else campaign.path_of(found[0], data=data)
+        problem = "is there twice" if result else "is not one of its recordings"
+        raise DataError(f"{campaign.where}: {str(recording)!r} {problem}", remedy=f"Name one of: {listed}")
+    return result[0], recording if recording.is_file() else campaign.path_of(result[0], data=data)
 
 
 def design(
@@ -304,7 +308,7 @@ def design(
     known = _model(model)
     work.require_known(known)
     chosen = bryson(known, operating_point(known, x_m, u_max_v=u_max_v), settling_time_s=settling_time_s)
-    found = work.design(
+    result = work.design(
         known,
         x_m=x_m,
         sample_time_s=sample_time_s,
@@ -316,11 +320,11 @@ def design(
         seed=seed,
     )
     return Designed(
-        gains=np.array(found.gains, dtype=np.float64),
-        poles=found.board.poles,
-        stable=found.board.stable,
-        warnings=found.warnings,
-        details=found,
+        gains=np.array(result.gains, dtype=np.float64),
+        poles=result.board.poles,
+        stable=result.board.stable,
+        warnings=result.warnings,
+        details=result,
     )
 
 

@@ -87,20 +87,20 @@ class Validated:
         """The paper's figures 7, 8, 11 and 12, prediction errors and residuals; those without data are left out."""
         from twin.validate import figures as draw
 
-        found, travel_m = self.details, self.details.model.plant.travel_m
+        result, travel_m = self.details, self.details.model.plant.travel_m
         drawn: dict[str, Figure] = {}
-        if not isinstance(found.amplifier, str):
-            drawn["amplifier"] = draw.amplifier_figure(found.amplifier, found.model.T_A)
-        if not isinstance(found.windows, str):
-            drawn["ball"] = draw.ball_figure(found.windows, travel_m)
-        if found.ahead:
-            drawn["prediction"] = draw.ahead_figure(found.ahead)
-        if not isinstance(found.channels, str):
-            drawn["residuals"] = draw.residual_figure(found.channels)
-        if not isinstance(found.loop, str):
-            drawn |= {f"closed loop {run.name}": draw.loop_figure(run, travel_m) for run in found.loop.runs}
-            if found.loop.responses:
-                drawn["steps"] = draw.step_figure(found.loop.responses)
+        if not isinstance(result.amplifier, str):
+            drawn["amplifier"] = draw.amplifier_figure(result.amplifier, result.model.T_A)
+        if not isinstance(result.windows, str):
+            drawn["ball"] = draw.ball_figure(result.windows, travel_m)
+        if result.ahead:
+            drawn["prediction"] = draw.ahead_figure(result.ahead)
+        if not isinstance(result.channels, str):
+            drawn["residuals"] = draw.residual_figure(result.channels)
+        if not isinstance(result.loop, str):
+            drawn |= {f"closed loop {run.name}": draw.loop_figure(run, travel_m) for run in result.loop.runs}
+            if result.loop.responses:
+                drawn["steps"] = draw.step_figure(result.loop.responses)
         return drawn
 
     def save(self, folder: Path | str, *, title: str = "") -> None:
@@ -168,9 +168,10 @@ class Diagnosed:
         if show.piece is not None:
             drawn["trace"] = draw.piece_figure(show.piece)
             drawn["error"] = draw.error_figure(show.piece, show.floor_m)
-        drawn |= {f"error by {one.title}": draw.regime_figure(one, show.floor_m) for one in show.regimes}
+        drawn |= {f"error by {entry.title}": draw.regime_figure(entry, show.floor_m) for entry in show.regimes}
         drawn |= {
-            f"{one.residual_unit} over {one.title}": draw.curve_figure(one) for one in (*show.force, *show.current)
+            f"{entry.residual_unit} over {entry.title}": draw.curve_figure(entry)
+            for entry in (*show.force, *show.current)
         }
         if show.spectrum is not None:
             drawn["spectrum"] = draw.spectrum_figure(show.spectrum)
@@ -184,20 +185,20 @@ class Diagnosed:
         if self.residuals is not None:
             from twin.diagnose.report.sentences import percent, sizes
 
-            found = self._flown
-            for cause in found.causes:
-                others = ", ".join(member.name for member in cause.indistinguishable_from)
+            result = self._flown
+            for cause in result.causes:
+                equals = ", ".join(member.name for member in cause.indistinguishable_from)
                 lines.append(
-                    f"  {'' if found.holds(cause) else 'candidate '}{cause.name}: confidence {cause.confidence:.2f},"
+                    f"  {'' if result.holds(cause) else 'candidate '}{cause.name}: confidence {cause.confidence:.2f},"
                     f" explains {percent(cause.share_of_excess_explained)}"
-                    + (f"; these data cannot tell it from {others}" if others else "")
+                    + (f"; these data cannot tell it from {equals}" if equals else "")
                 )
-            for one in found.minor_effects:
-                lines.append(f"  seen, too small to be named: {one.name} ({sizes(one.name, one.parameters)})")
+            for entry in result.minor_effects:
+                lines.append(f"  seen, too small to be named: {entry.name} ({sizes(entry.name, entry.parameters)})")
         lines += [f"  ! {warning}" for warning in self.warnings]
         if saved_in is not None:
-            about = "" if self.offered else f" ({self.extended.provenance.get('about', 'the reference')})"
-            lines += [f"report   {saved_in / 'report.html'}", f"model    {saved_in / 'extended_model.json'}{about}"]
+            source = "" if self.offered else f" ({self.extended.provenance.get('about', 'the reference')})"
+            lines += [f"report   {saved_in / 'report.html'}", f"model    {saved_in / 'extended_model.json'}{source}"]
         return "\n".join(lines)
 
     def save(self, folder: Path | str) -> None:
@@ -245,16 +246,16 @@ class Predicted:
 
     def to_json(self) -> dict[str, Any]:
         """The summary that the command prints."""
-        found = self.details
+        result = self.details
         return {
             "recording": self.recording,
             "horizon_samples": self.horizon_samples,
             "horizon_s": self.horizon_s,
             "rmse_m": self.rmse_m,
             "count": len(self.x_m),
-            "samples": found.samples,
-            "left_out": dict(found.left_out),
-            "notes": list(found.notes),
+            "samples": result.samples,
+            "left_out": dict(result.left_out),
+            "notes": list(result.notes),
         }
 
     def to_csv(self) -> str:
@@ -264,12 +265,12 @@ class Predicted:
 
     def table(self) -> str:
         """For people."""
-        found = self.details
+        result = self.details
         horizon = f"{self.horizon_samples} samples ({1e3 * self.horizon_s:.3g} ms) ahead"
-        lines = [f"{self.recording}: {len(self.x_m)} of {found.samples} samples predicted {horizon}"]
+        lines = [f"{self.recording}: {len(self.x_m)} of {result.samples} samples predicted {horizon}"]
         if self.rmse_m is not None:
             lines.append(f"rmse of x  {self.rmse_m:.6g} m")
-        return "\n".join([*lines, *(f"left out   {count:>7}  {why}" for why, count in found.left_out)])
+        return "\n".join([*lines, *(f"left out   {count:>7}  {why}" for why, count in result.left_out)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

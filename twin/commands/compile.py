@@ -32,28 +32,28 @@ def run(args: argparse.Namespace) -> int:
 
     began = time.monotonic()
 
-    def say(line: str) -> None:
+    def print_progress(line: str) -> None:
         if not args.quiet:
             print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
 
     if not compiled.cache_folder():
-        say("board51 compile: no folder for compiled code can be written; set NUMBA_CACHE_DIR to one")
+        print_progress("board51 compile: no folder for compiled code can be written; set NUMBA_CACHE_DIR to one")
         return 0
     model = nominal()
     with tempfile.TemporaryDirectory() as folder:
-        say("a short campaign, simulated")
+        print_progress("a short campaign, simulated")
         campaign = _campaign(Path(folder))
-        say("the twin")
+        print_progress("the twin")
         compile_kernels(model)
-        say("identify, validate, predict")
+        print_progress("identify, validate, predict")
         api.identify(campaign)
         api.validate(campaign, model)
         api.predict(model, Path(folder) / "judge.csv", campaign=campaign)
-        say("diagnose")
+        print_progress("diagnose")
         api.diagnose(campaign, quick=True, free_form=True, experiments=True)
-        say("design")
+        print_progress("design")
         api.design(model)
-    say("compiled")
+    print_progress("compiled")
     return 0
 
 

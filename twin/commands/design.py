@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
             "--observer with --send", remedy="The board cannot run an observer: leave out the one or other"
         )
     lsb = {"i_lsb_a": args.i_lsb, "x_lsb_m": args.x_lsb, "u_lsb_v": args.u_lsb}
-    found = design(
+    result = design(
         args.model,
         x_m=args.operating_point,
         law=args.law,
@@ -96,20 +96,20 @@ def run(args: argparse.Namespace) -> int:
         with_observer=args.observer,
         seed=args.seed,
     )
-    print(as_text(found.report()) if args.json else found.table())
+    print(as_text(result.report()) if args.json else result.table())
     if args.json:
-        for warning in found.warnings:
+        for warning in result.warnings:
             print(f"! {warning}", file=sys.stderr)
-    if not found.stable:
+    if not result.stable:
         return 1
     if args.out is not None:
-        write_text(args.out, as_text(found.to_json()) + "\n")
+        write_text(args.out, as_text(result.to_json()) + "\n")
     if args.send is not None:
         from twin.design.send import send
 
         print(
             send(
-                found.details,
+                result.details,
                 site=args.site,
                 board=args.send,
                 endpoint=args.connect,

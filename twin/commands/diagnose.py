@@ -77,15 +77,15 @@ def run(args: argparse.Namespace) -> int:
 
     began = time.monotonic()
 
-    def say(line: str) -> None:
+    def progress(line: str) -> None:
         if not args.quiet:
             print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
 
     check_options(args)
     board = ""
     if args.live is not None:
-        args.campaign, board = record_live(args, say)
-    found = diagnose(
+        args.campaign, board = record_live(args, progress)
+    result = diagnose(
         args.campaign,
         data=args.data,
         model=args.model,
@@ -96,16 +96,16 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         workers=args.workers,
         budget=args.budget,
-        say=say,
+        progress=progress,
     )
     if args.out is not None:
-        found.save(args.out)
-    print(as_text(found.to_json()) if args.json else found.summary(args.out))
-    if args.hand_over and found.offered:
+        result.save(args.out)
+    print(as_text(result.to_json()) if args.json else result.summary(args.out))
+    if args.hand_over and result.offered:
         # To stderr beside --json: what is parsed stays one object.
-        taken = give_to_twin(args, args.out / "extended_model.json", board, say if args.json else print)
-        if not taken:
+        accepted = give_to_twin(args, args.out / "extended_model.json", board, progress if args.json else print)
+        if not accepted:
             return 1
     elif args.hand_over:
-        say("no model of this diagnosis surely predicts better than the reference: the twin keeps its model")
-    return 1 if found.verdict in ("unknown-cause", "unfinished") else 0
+        progress("no model of this diagnosis surely predicts better than the reference: the twin keeps its model")
+    return 1 if result.verdict in ("unknown-cause", "unfinished") else 0

@@ -41,17 +41,17 @@ def run(args: argparse.Namespace) -> int:
         raise DataError(f"{args.out} cannot be written", remedy="Give a file in a writable folder")
     began = time.monotonic()
 
-    def say(line: str) -> None:
+    def progress(line: str) -> None:
         if not args.quiet:
             print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
 
-    found = identify(args.campaign, data=args.data, say=say)
+    result = identify(args.campaign, data=args.data, progress=progress)
     if args.out is not None:
-        found.model.save(args.out)
-    print(as_text(found.to_json()) if args.json else found.table())
+        result.model.save(args.out)
+    print(as_text(result.to_json()) if args.json else result.table())
     if args.json:
-        for warning in found.warnings:
-            say(f"! {warning}")
-    if not found.usable:
-        say("no usable model: the best so far" + (f" is in {args.out}" if args.out else ""))
-    return 0 if found.usable else 1
+        for warning in result.warnings:
+            progress(f"! {warning}")
+    if not result.usable:
+        progress("no usable model: the best so far" + (f" is in {args.out}" if args.out else ""))
+    return 0 if result.usable else 1

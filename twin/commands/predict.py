@@ -46,23 +46,23 @@ def run(args: argparse.Namespace) -> int:
     campaign = None if args.campaign is None else Campaign.load(args.campaign)
     if campaign is not None:
         _same_plant(campaign, model)
-    found = predict(
+    result = predict(
         model, args.recording, horizon_samples=args.horizon, campaign=campaign, data=args.data, board=args.board
     )
     if args.out is not None:
-        write_text(args.out, found.to_csv())
-    print(as_text(found.to_json()) if args.json else found.table())
-    for note in found.details.notes:
+        write_text(args.out, result.to_csv())
+    print(as_text(result.to_json()) if args.json else result.table())
+    for note in result.details.notes:
         print(f"! {note}", file=sys.stderr)
-    return 0 if len(found.x_m) else 1
+    return 0 if len(result.x_m) else 1
 
 
 def _same_plant(campaign: Campaign, model: Model) -> None:
     """Warn if the model is of a rig with other constants."""
     for key in ("mass_kg", "travel_m", "x_max_m", "gravity_m_s2"):
-        ours, theirs = getattr(model.plant, key), getattr(campaign.plant, key)
-        if abs(ours - theirs) > 1e-6 * abs(theirs):
+        in_model, in_campaign = getattr(model.plant, key), getattr(campaign.plant, key)
+        if abs(in_model - in_campaign) > 1e-6 * abs(in_campaign):
             print(
-                f"! {key} is {ours:g} in the model and {theirs:g} in {campaign.where}: the model's is used",
+                f"! {key} is {in_model:g} in the model and {in_campaign:g} in {campaign.where}: the model's is used",
                 file=sys.stderr,
             )

@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
         return _over_log(args, chosen_model(args), chosen_settings(args))
     if args.out or args.fail_on_alarm or (args.json and args.hand_over is None):
         raise UsageError("--out, --json and --fail-on-alarm are for a log", remedy="Add --log LOG.mcap")
-    endpoints = tuple(check_endpoint(one, where="--connect") for one in args.connect or [DEFAULT_ENDPOINT])
+    endpoints = tuple(check_endpoint(answer, where="--connect") for answer in args.connect or [DEFAULT_ENDPOINT])
     if args.hand_over is not None:
         return _hand_over(args, endpoints)
     return _live(args, chosen_model(args), chosen_settings(args), endpoints)
@@ -156,23 +156,23 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
     if args.json:
         rows = [
             {
-                "board": one.board,
-                "accepted": one.reply.accepted,
-                "reason": one.reply.reason,
-                "text": one.reply.text,
-                "from_tick": one.reply.tick if one.reply.accepted else None,
+                "board": answer.board,
+                "accepted": answer.reply.accepted,
+                "reason": answer.reply.reason,
+                "text": answer.reply.text,
+                "from_tick": answer.reply.tick if answer.reply.accepted else None,
             }
-            for one in answers
+            for answer in answers
         ]
         print(json.dumps({"model": belief.model.plant.name, "sha256": belief.sha256, "twins": rows}, indent=2))
     else:
-        for one in answers:
-            reply, where = one.reply, f"{args.site}/{one.board}"
+        for answer in answers:
+            reply, where = answer.reply, f"{args.site}/{answer.board}"
             since = f", from tick {reply.tick}" if reply.tick else ""
             print(
                 f"{where}: {reply.text}{since}" if reply.accepted else f"{where}: refused: {reply.reason}: {reply.text}"
             )
-    return 0 if all(one.reply.accepted for one in answers) else 1
+    return 0 if all(answer.reply.accepted for answer in answers) else 1
 
 
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:
@@ -194,11 +194,11 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
         for line in left_out(model):
             log.info("%s", line)
         counted: dict[str, int] = {}
-        told = time.monotonic()
+        reported_s = time.monotonic()
         while not stop.wait(0.2) and time.monotonic() < deadline and service.failure is None:
-            if time.monotonic() - told < REPORT_S:
+            if time.monotonic() - reported_s < REPORT_S:
                 continue
-            told = time.monotonic()
+            reported_s = time.monotonic()
             for name, watched in list(service.boards.items()):
                 new = watched.samples - counted.get(name, 0)
                 counted[name] = watched.samples
@@ -253,7 +253,7 @@ def _over_log(args: argparse.Namespace, model: Model, settings: Settings) -> int
 
 
 def _print(summary: dict[str, Any]) -> None:
-    def shown(value: float | None, scale: float, unit: str) -> str:
+    def formatted(value: float | None, scale: float, unit: str) -> str:
         return "-" if value is None else f"{value * scale:.4g} {unit}"
 
     print(
@@ -274,13 +274,13 @@ def _print(summary: dict[str, Any]) -> None:
     rmse, bias = summary["rmse"], summary["bias"]
     for name, (scale, unit) in {"x_m": (1e6, "um"), "i_c_a": (1e3, "mA"), "u_c_v": (1e3, "mV")}.items():
         if rmse[name] is not None:
-            spread, mean = shown(rmse[name], scale, unit), shown(bias[name], scale, unit)
+            spread, mean = formatted(rmse[name], scale, unit), formatted(bias[name], scale, unit)
             print(f"  measured - twin {name:6}: rms {spread}, mean {mean}")
     if summary["innovations"]:
         innovation = summary["innovation_rmse"]
         print(
-            f"  one-step innovation: x {shown(innovation['x_m'], 1e6, 'um')}, "
-            f"i_c {shown(innovation['i_c_a'], 1e3, 'mA')}, "
+            f"  one-step innovation: x {formatted(innovation['x_m'], 1e6, 'um')}, "
+            f"i_c {formatted(innovation['i_c_a'], 1e3, 'mA')}, "
             f"NIS mean {summary['nis_mean']:.3g} (a right model: 2), {summary['innovations']} samples"
         )
     for alarm in summary["alarms"]:

@@ -39,7 +39,7 @@ from twin.model.simulate import left_out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
+class LoopAnalysis:
     """Analysis of one controller on the model."""
 
     name: str
@@ -67,7 +67,7 @@ class Design:
     gains: tuple[float, float, float, float]  # as designed, in the order of the law (rule 9)
     quantised: tuple[QuantisedGain, ...]
     converters: Converters
-    loops: tuple[Judged, ...]  # ideal, the board's law, the board's law with rounded gains, observer if requested
+    loops: tuple[LoopAnalysis, ...]  # ideal, the board's law, the board's law with rounded gains, observer if requested
     observer_gain: NDArray[np.float64] | None  # L, shape (3, 2)
     robustness: Robustness  # of the board's loop
     observer_robustness: Robustness | None
@@ -76,7 +76,7 @@ class Design:
     causes: tuple[str, ...] = ()  # sentences on the model's causes and their effect on the design
 
     @property
-    def board(self) -> Judged:
+    def board(self) -> LoopAnalysis:
         """The loop that the board runs."""
         return self.loops[2]
 
@@ -155,17 +155,17 @@ def _changes(
         plain, OperatingPoint(i_a=i, x_m=point.x_m, u_v=u), weights, sample_time_s=sample_time_s, law=law
     )
     plant = plant_at(model, point.x_m, sample_time_s)
-    said = sentences(model) + left_out(model)
-    said.append(f"without them: i_c = {i:.4f} A and u_c = {u:.4f} V would hold the ball there")
-    said.append(
+    messages = sentences(model) + left_out(model)
+    messages.append(f"without them: i_c = {i:.4f} A and u_c = {u:.4f} V would hold the ball there")
+    messages.append(
         "gains without them: "
         + ", ".join(f"{gain:.6g}" for gain in in_order_of(law, without))
         + f"; on this model their largest |pole| is {radius(plant, backward(without, sample_time_s)):.4f},"
         + f" that of the design {radius(plant, backward(K, sample_time_s)):.4f}"
     )
     if any(cause.name in with_trait("sticks") for cause in model.causes):
-        said.append("dry friction is left out of the linear design: at rest it holds the ball, in motion it brakes")
-    return tuple(said)
+        messages.append("dry friction is left out of the linear design: at rest it holds the ball, in motion it brakes")
+    return tuple(messages)
 
 
 def require_known(model: Model) -> None:
@@ -199,16 +199,16 @@ def _noise(model: Model, sample_time_s: float, converters: Converters | None) ->
 
 def _judge(
     model: Model, point: OperatingPoint, name: str, controller: Controller, noise: Noise, sample_time_s: float
-) -> Judged:
+) -> LoopAnalysis:
     plant = plant_at(model, point.x_m, sample_time_s)
     poles = np.linalg.eigvals(closed_loop(plant, controller)).astype(np.complex128)
-    own_delay_s = delay_s(model) if model.causes else 0.0
+    model_delay_s = delay_s(model) if model.causes else 0.0
     x, u = noise_rms(plant, controller, noise)
     x_analog, u_analog = noise_rms(plant, controller, _noise(model, sample_time_s, None))
-    return Judged(
+    return LoopAnalysis(
         name=name,
         poles=poles[np.argsort(-np.abs(poles), kind="stable")],
-        margins=margins(*linearise(model, point.x_m), controller, sample_time_s, own_delay_s=own_delay_s),
+        margins=margins(*linearise(model, point.x_m), controller, sample_time_s, model_delay_s=model_delay_s),
         x_rms_m=x,
         u_rms_v=u,
         x_rms_analog_m=x_analog,
@@ -217,8 +217,8 @@ def _judge(
 
 
 def _unsure(model: Model) -> tuple[str, ...]:
-    said = [assumption_warning(model.plant)] if model.plant.assumed else []
-    said += [
+    messages = [assumption_warning(model.plant)] if model.plant.assumed else []
+    messages += [
         f"{name} = {p.value:.4g} {p.unit} is {p.verdict}: {p.method}"
         for name, p in model.parameters.items()
         if p.verdict in ("weak", "not-identifiable")
@@ -229,32 +229,36 @@ def _unsure(model: Model) -> tuple[str, ...]:
         if isinstance(usage, dict) and usage.get("input_delay")
     ]
     if delays:
-        said.append(
+        messages.append(
             f"in {len(delays)} recordings u_c acted {max(delays)} sample(s) late; the design has no delay: "
             "compare it with the delay margin"
         )
-    return tuple(said)
+    return tuple(messages)
 
 
-def _warnings(board: Judged, box: Robustness, point: OperatingPoint, u_max_v: float) -> tuple[str, ...]:
-    said = []
+def _warnings(board: LoopAnalysis, box: Robustness, point: OperatingPoint, u_max_v: float) -> tuple[str, ...]:
+    messages = []
     if not board.stable:
-        said.append(
+        messages.append(
             f"the loop on the board is UNSTABLE, largest pole {abs(board.poles[0]):.4f}; increase R, or --settling-time"
         )
     elif box.unstable_share > 0.0:
         where = ", ".join(f"{name} = {value:.4g}" for name, value in box.worst_at.items())
-        said.append(
+        messages.append(
             f"the model's uncertainty could destabilise the loop: {100 * box.unstable_share:.1f} % of {box.loops} "
             f"loops within the 95 % intervals are unstable, worst pole {box.worst_pole:.4f} at {where}"
         )
     if not box.varied:
-        said.append("no parameter of this model has an interval: robustness was not checked; identify the rig first")
+        messages.append(
+            "no parameter of this model has an interval: robustness was not checked. Identify the rig first"
+        )
     elif box.fixed:
-        said.append(f"without an interval, hence not varied: {', '.join(box.fixed)}")
+        messages.append(f"without an interval, hence not varied: {', '.join(box.fixed)}")
     if board.margins is not None and board.margins.delay_s < 0.5e-3:
-        said.append(f"only {board.margins.delay_s * 1e3:.2f} ms of additional delay make it unstable")
+        messages.append(f"only {board.margins.delay_s * 1e3:.2f} ms of additional delay make it unstable")
     room = min(point.u_v, u_max_v - point.u_v)
     if board.stable and 3.0 * board.u_rms_v > room:
-        said.append(f"noise alone moves u_c by {board.u_rms_v:.2g} V rms, and only {room:.2g} V are left to its limit")
-    return tuple(said)
+        messages.append(
+            f"noise alone moves u_c by {board.u_rms_v:.2g} V rms, and only {room:.2g} V are left to its limit"
+        )
+    return tuple(messages)

@@ -191,17 +191,17 @@ def refined(
             return 1e6 * pole
         to_u = np.hstack([law.D, np.zeros((1, n - 3)), law.C])
         spent = np.zeros((n + 2, n + 2))
-        for place, weight in zip((0, 1, 2, n + 1), weights.Q, strict=True):
-            spent[place, place] = weight
+        for index, weight in zip((0, 1, 2, n + 1), weights.Q, strict=True):
+            spent[index, index] = weight
         P = discrete_lyapunov(F.T, spent + weights.R * to_u.T @ to_u)
         # x_prev, the state after those of the plant, gets the same deviation as x, so the initial speed is 0.
         moved = np.zeros((n + 2, 2))
         moved[[1, n], 0], moved[2, 1] = x, speed
         return float(np.trace(moved.T @ P @ moved))
 
-    found = minimize(cost, np.zeros(int(free.sum())), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4})
+    optimum = minimize(cost, np.zeros(int(free.sum())), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4})
     gains = start.copy()
-    gains[free] *= np.exp(np.clip(found.x, -3.0, 3.0))
+    gains[free] *= np.exp(np.clip(optimum.x, -3.0, 3.0))
     return float(gains[0]), float(gains[1]), float(gains[2]), float(gains[3])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.design.loop import Controller, Plant, radius, seeing
-from twin.model.linear import late
+from twin.model.linear import discretised
 
 GAIN_MAX = 1000.0
 DELAY_MAX_TICKS = 25
@@ -37,7 +37,7 @@ def margins(
     controller: Controller,
     sample_time_s: float,
     *,
-    own_delay_s: float = 0.0,
+    model_delay_s: float = 0.0,
 ) -> Margins | None:
     """Margins of `controller` on the continuous plant (14) `A`, `B`; None if the loop is unstable.
 
@@ -46,9 +46,9 @@ def margins(
         B: shape (n, 1).
         controller: on the first three states.
         sample_time_s: T_s, s.
-        own_delay_s: delay of the model, s; the delay margin is in addition to it.
+        model_delay_s: delay of the model, s; the delay margin is in addition to it.
     """
-    plant = delayed_plant(A, B, own_delay_s, sample_time_s)
+    plant = delayed_plant(A, B, model_delay_s, sample_time_s)
     if radius(plant, controller) >= 1.0:
         return None
 
@@ -57,7 +57,7 @@ def margins(
         return radius(plant, scaled) < 1.0
 
     def with_delay(delay_s: float) -> bool:
-        return radius(delayed_plant(A, B, own_delay_s + delay_s, sample_time_s), controller) < 1.0
+        return radius(delayed_plant(A, B, model_delay_s + delay_s, sample_time_s), controller) < 1.0
 
     factors = np.geomspace(1.0, GAIN_MAX, 150)[1:].tolist()
     low = _first_loss(lambda inverse: with_gain(1.0 / inverse), 1.0, factors)
@@ -75,21 +75,21 @@ def delayed_plant(A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float
 
     The states are [i_c, x, x', .., u(k-1), u(k-2), ..]; the controller uses the first three.
     """
-    return Plant(*late(A, B, delay_s, sample_time_s))
+    return Plant(*discretised(A, B, delay_s, sample_time_s))
 
 
 def _first_loss(holds: Callable[[float], bool], start: float, values: Iterable[float]) -> float:
     """Value at which `holds`, true at `start`, becomes false along the rising `values`; inf: at none of them."""
-    inside = start
+    stable = start
     for value in values:
         if holds(value):
-            inside = value
+            stable = value
             continue
-        outside = value
-        while outside - inside > 1e-6 * outside:
-            middle = 0.5 * (inside + outside)
-            inside, outside = (middle, outside) if holds(middle) else (inside, middle)
-        return inside
+        unstable = value
+        while unstable - stable > 1e-6 * unstable:
+            middle = 0.5 * (stable + unstable)
+            stable, unstable = (middle, unstable) if holds(middle) else (stable, middle)
+        return stable
     return math.inf
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from twin.design.design import Design, Judged
+from twin.design.design import Design, LoopAnalysis
 from twin.design.margins import Margins
 from twin.design.robust import Robustness
 
@@ -59,7 +59,7 @@ def table(design: Design) -> str:
         if name != "-":
             lines.append(f"{name:<8}{gain:>12.6g}{q.value:>14.6g}  {unit:<10}{q.mantissa} * 2^-{q.shift}")
     lines += ["", f"{'':<22}" + "".join(f"{loop.name:>25}" for loop in design.loops)]
-    cells: tuple[tuple[str, Callable[[Judged], str]], ...] = (
+    cells: tuple[tuple[str, Callable[[LoopAnalysis], str]], ...] = (
         ("largest |pole|", lambda loop: f"{abs(loop.poles[0]):.4f}"),
         ("slowest, time const.", lambda loop: _time_constant(loop, design.sample_time_s)),
         ("gain may be times", lambda loop: _margin(loop, lambda m: f"{m.gain_low:.2f} .. {m.gain_high:.2f}")),
@@ -78,9 +78,9 @@ def table(design: Design) -> str:
     low, high = design.stable_range_m
     if design.board.stable:
         lines.append(f"the board's loop is stable from x = {low * 1e3:.2f} to {high * 1e3:.2f} mm (linearised there)")
-    lines.append(f"parameters over their 95 % intervals: {_said(design.robustness)}")
+    lines.append(f"parameters over their 95 % intervals: {_robustness_text(design.robustness)}")
     if design.observer_robustness is not None:
-        lines.append(f"  with the Kalman filter: {_said(design.observer_robustness)}")
+        lines.append(f"  with the Kalman filter: {_robustness_text(design.observer_robustness)}")
         lines.append("the Kalman filter is for comparison: the board has no observer and cannot run it")
     if design.causes:
         lines += ["", "causes in this model:", *(f"  {line}" for line in design.causes)]
@@ -109,7 +109,7 @@ def _costs(design: Design) -> list[str]:
     return lines
 
 
-def _said(box: Robustness) -> str:
+def _robustness_text(box: Robustness) -> str:
     if not box.varied:
         return "not checked, the model has none"
     names = ", ".join(box.varied)
@@ -119,11 +119,11 @@ def _said(box: Robustness) -> str:
     )
 
 
-def _margin(loop: Judged, cell: Callable[[Margins], str]) -> str:
+def _margin(loop: LoopAnalysis, cell: Callable[[Margins], str]) -> str:
     return "unstable" if loop.margins is None else cell(loop.margins)
 
 
-def _time_constant(loop: Judged, sample_time_s: float) -> str:
+def _time_constant(loop: LoopAnalysis, sample_time_s: float) -> str:
     return f"{-sample_time_s / math.log(abs(loop.poles[0])) * 1e3:.0f} ms" if loop.stable else "unstable"
 
 
@@ -135,7 +135,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _loop(loop: Judged) -> dict[str, Any]:
+def _loop(loop: LoopAnalysis) -> dict[str, Any]:
     m = loop.margins
     return {
         "name": loop.name,

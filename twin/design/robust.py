@@ -97,7 +97,7 @@ def within_range(name: str, value: float) -> float:
     from twin.model.causes.catalogue import BY_NAME
 
     cause, _, parameter = name.partition(".")
-    known = next(one for one in BY_NAME[cause].parameters if one.name == parameter)
+    known = next(entry for entry in BY_NAME[cause].parameters if entry.name == parameter)
     return min(max(value, known.low), known.high)
 
 

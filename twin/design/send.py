@@ -54,7 +54,7 @@ def send(
         raise refused_by_router([endpoint], identity) from None
     with session:
         check_board(design, _parameters(session, site, board))
-        reply = _ask(session, site, board, _command(design, who), identity)
+        reply = _send(session, site, board, _command(design, who), identity)
     if not reply.accepted:
         raise ServiceError(
             f"{site}/{board} did not take the gains: refused by {reply.refused_by}, {reply.reason} ({reply.text})",
@@ -88,16 +88,16 @@ def check_board(design: Design, parameters: pb.Parameters) -> None:
 
 
 def _parameters(session: zenoh.Session, site: str, board: str) -> pb.Parameters:
-    heard: queue.SimpleQueue[pb.Parameters] = queue.SimpleQueue()
+    messages: queue.SimpleQueue[pb.Parameters] = queue.SimpleQueue()
 
     def take(sample: zenoh.Sample) -> None:
         message = parse(pb.Parameters, sample.payload.to_bytes())
         if message is not None:
-            heard.put(message)
+            messages.put(message)
 
     session.declare_subscriber(topics.key(site, board, "parameters"), take)  # until the session ends
     try:
-        return heard.get(timeout=PARAMETERS_WAIT_S)
+        return messages.get(timeout=PARAMETERS_WAIT_S)
     except queue.Empty:
         raise ServiceError(
             f"no message from {site}/{board} within {PARAMETERS_WAIT_S:g} s",
@@ -122,7 +122,7 @@ def _command(design: Design, who: str) -> pb.Command:
     )
 
 
-def _ask(
+def _send(
     session: zenoh.Session, site: str, board: str, command: pb.Command, identity: Identity | None
 ) -> pb.CommandReply:
     role, sender = (identity.role, identity.name) if identity is not None else ("", "")

@@ -100,7 +100,7 @@ def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
     return tuple(
         cause
         for cause in CATALOGUE
-        if not cause.not_testable and cause.found_by != "gaps" and not missing_channels(cause, records)
+        if not cause.not_testable and cause.detector != "gaps" and not missing_channels(cause, records)
     )
 
 
@@ -218,7 +218,7 @@ def _inconsistent(search: SearchResult) -> list[str]:
     """Warnings about effects that are not the same in all recordings, or begin in the middle of one."""
     criterion, fit = search.criterion, search.selection.fit
     always = [
-        name for name in search.selection.causes if BY_NAME[name].found_by != "spectral-line" and search.change is None
+        name for name in search.selection.causes if BY_NAME[name].detector != "spectral-line" and search.change is None
     ]
     return [contradiction_sentence(contradiction) for contradiction in contradictions(criterion, fit)] + [
         beginning_sentence(beginning) for beginning in beginnings(criterion, fit, always)

@@ -18,18 +18,18 @@ from twin.estimation.record import BoolArray, FloatArray, Record, runs
 HELD_SAMPLES = 25  # 50 ms: four times the time constant of the unstable pole
 HELD_SCALES = 10.0  # largest spread of x while held, over the sensor noise
 BOUNCE_SAMPLES = 5  # 10 ms, the length of the moving average; a bounce takes longer
-BOUNCE_APART = 10  # samples at rest before and after a bounce
+BOUNCE_MARGIN = 10  # samples at rest before and after a bounce
 BOUNCE_SCALES = 10.0  # smallest height of a bounce, over the spread of the moving average in the same rest
-NEAR_SHARE = 0.25  # of the travel: largest apparent displacement of a stop
+STOP_SHARE = 0.25  # of the travel: largest apparent displacement of a stop
 AGREE_SHARE = 0.06  # of the travel: largest difference of one stop between recordings (crosstalk, drift)
 EDGE_SAMPLES = 4  # left out at both ends of a rest, where the ball still moves
 HOVERS_SHARE = 0.02  # of the travel: a rest farther from the recording's other rests is not at the stop
 CLIPPED_SHARE = 0.8  # of the samples of a rest
-NOISE_LEAST_M = 1e-7  # with less noise, the reading of any ball at rest is constant
+MIN_NOISE_M = 1e-7  # with less noise, the reading of any ball at rest is constant
 TURNS = 5.0  # of g: mean over four intervals
 CLEAR_STEP = 6.0  # of the noise, between successive readings
 END_SHARE = 0.15  # share of readings within 50 ms at the converter's end from which noise is cut off: its mean is not 0
-NEAR_END = 6.0  # of the noise: within this distance of the converter's end, noise may be cut off
+END_REACH = 6.0  # of the noise: within this distance of the converter's end, noise may be cut off
 PILE_SAMPLES = 250  # fewest readings near the end for a decision
 PILE_SHARE = 0.04  # share of them at the very end; noise that is not cut off has its extreme once in thousands
 OPEN_LOOP = ("sawtooth", "prbs", "free")
@@ -44,25 +44,25 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     known = np.isfinite(x)
     x = np.interp(np.arange(n), np.flatnonzero(known), x[known])
     spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
-    least = max(noise_of(x), 1e-4 * plant.travel_m)
-    core = spread <= HELD_SCALES * least
+    sigma = max(noise_of(x), 1e-4 * plant.travel_m)
+    core = spread <= HELD_SCALES * sigma
     held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # all samples of a still window are held
     held &= known
-    for piece in _rests(held, x, HELD_SCALES * least):
-        held[piece] &= ~_bounces(record.i_c[piece], x[piece], held[piece], least)
+    for piece in _rests(held, x, HELD_SCALES * sigma):
+        held[piece] &= ~_bounces(record.i_c[piece], x[piece], held[piece], sigma)
     follows_reference = np.abs(x - record.x_ref) < 0.03 * plant.travel_m  # NaN compares False
     if record.kind == "free" and record.has("x_ref") and np.mean(follows_reference) > 0.5:
         held[:] = False
     return np.asarray(held)
 
 
-def _rests(held: BoolArray, x: FloatArray, near_m: float) -> list[slice]:
+def _rests(held: BoolArray, x: FloatArray, tolerance_m: float) -> list[slice]:
     """The rests; two that only a bounce separates (at most 50 ms, same height) are one."""
     rests: list[slice] = []
     for piece in runs(held, HELD_SAMPLES):
         last = rests[-1] if rests else None
         if last is not None and piece.start - last.stop < HELD_SAMPLES:
-            if abs(float(np.median(x[piece]) - np.median(x[last]))) < near_m:
+            if abs(float(np.median(x[piece]) - np.median(x[last]))) < tolerance_m:
                 rests[-1] = slice(last.start, piece.stop)
                 continue
         rests.append(piece)
@@ -74,13 +74,13 @@ def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> B
 
     Just before lift-off a changing force raises the ball by some ten micrometres.
     """
-    place = line_over(i_c[held], x[held])(i_c) if np.isfinite(i_c).all() else np.median(x[held])
-    off = uniform_filter1d(x - place, BOUNCE_SAMPLES)
+    rest_m = line_over(i_c[held], x[held])(i_c) if np.isfinite(i_c).all() else np.median(x[held])
+    off = uniform_filter1d(x - rest_m, BOUNCE_SAMPLES)
     spread = max(1.4826 * float(np.median(np.abs(off[held]))), sigma / np.sqrt(BOUNCE_SAMPLES))
     away = np.abs(off) > BOUNCE_SCALES * spread
     for piece in runs(away, 1):
         # Without rest on both sides it is a lift-off or a landing.
-        away[piece] = piece.start >= BOUNCE_APART and len(x) - piece.stop >= BOUNCE_APART
+        away[piece] = piece.start >= BOUNCE_MARGIN and len(x) - piece.stop >= BOUNCE_MARGIN
     return np.asarray(away)
 
 
@@ -101,12 +101,12 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
     sigma = noise_of(x[np.isfinite(x)])
     steps = np.diff(x)
     # Two clear steps each way: a single wrong reading gives one step each way.
-    rises, falls = np.minimum(steps[:-1], steps[1:]), np.minimum(-steps[:-1], -steps[1:])
-    clear = np.minimum(rises[:-4], falls[4:]) > CLEAR_STEP * sigma
+    up, down = np.minimum(steps[:-1], steps[1:]), np.minimum(-steps[:-1], -steps[1:])
+    clear = np.minimum(up[:-4], down[4:]) > CLEAR_STEP * sigma
     change = ((x[2:-4] - x[:-6]) + (x[4:-2] - x[6:])) / (2.0 * step_s)
-    least = TURNS * plant.gravity_m_s2 * 4.0 * step_s + CLEAR_STEP * sigma / step_s
+    min_change = TURNS * plant.gravity_m_s2 * 4.0 * step_s + CLEAR_STEP * sigma / step_s
     even = np.convolve(np.abs(np.diff(record.t) - step_s) < 0.5 * step_s, np.ones(6), mode="valid") == 6.0
-    hit[3:-3] = clear & (change > least) & even
+    hit[3:-3] = clear & (change > min_change) & even
     return np.asarray(maximum_filter1d(hit.astype(np.uint8), 3) > 0)
 
 
@@ -121,7 +121,7 @@ def at_converter_end(values: FloatArray) -> BoolArray:
     return cut
 
 
-def near_converter_end(values: FloatArray) -> BoolArray:
+def partly_cut_off(values: FloatArray) -> BoolArray:
     """Where some noise of the (finite) readings is cut off, but too little for `at_converter_end`, shape (n,).
 
     The error of their mean is below a tenth of the noise.
@@ -130,10 +130,10 @@ def near_converter_end(values: FloatArray) -> BoolArray:
     sigma, levels = noise_of(values), np.unique(values)
     if len(values) < PILE_SAMPLES or len(levels) < 2 or sigma <= np.diff(levels).min():
         return cut  # on a coarse converter every level is frequent
-    reach = NEAR_END * sigma
+    reach = END_REACH * sigma
     for end in (values.min(), values.max()):
-        near = np.abs(values - end) <= reach
-        cut |= near & (near.sum() >= PILE_SAMPLES) & (np.mean(values[near] == end) > PILE_SHARE)
+        in_reach = np.abs(values - end) <= reach
+        cut |= in_reach & (in_reach.sum() >= PILE_SAMPLES) & (np.mean(values[in_reach] == end) > PILE_SHARE)
     return cut
 
 
@@ -156,71 +156,71 @@ def stop_readings(
         plant: travel.
         notes: receives a sentence on each disagreement.
     """
-    found: tuple[list[float], list[float]] = ([], [])
-    for record, still in zip(records, held, strict=True):
-        levels = [float(np.median(record.x[piece])) for piece in runs(still, HELD_SAMPLES)]
+    readings: tuple[list[float], list[float]] = ([], [])
+    for record, at_rest in zip(records, held, strict=True):
+        levels = [float(np.median(record.x[piece])) for piece in runs(at_rest, HELD_SAMPLES)]
         for side, stop in enumerate((0.0, plant.travel_m)):
-            near = [level for level in levels if abs(level - stop) < NEAR_SHARE * plant.travel_m]
-            if near:
-                found[side].append(float(np.median(near)))
-    places: list[float | None] = []
+            matching = [level for level in levels if abs(level - stop) < STOP_SHARE * plant.travel_m]
+            if matching:
+                readings[side].append(float(np.median(matching)))
+    stops: list[float | None] = []
     for side, what in enumerate(("lower", "upper")):
-        levels = found[side]
+        levels = readings[side]
         if levels and max(levels) - min(levels) > AGREE_SHARE * plant.travel_m:
             notes.append(f"the ball rested at different heights near the {what} stop: not used as a stop")
             levels = []
-        places.append(float(np.median(levels)) if levels else None)
-    return places[0], places[1]
+        stops.append(float(np.median(levels)) if levels else None)
+    return stops[0], stops[1]
 
 
 def range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[float]:
     """Ends of the position sensor's range, m: a ball at rest beyond one gives that reading without noise."""
-    if least_noise(records) < NOISE_LEAST_M:
+    if min_noise(records) < MIN_NOISE_M:
         return []
-    found = set()
-    for record, still in zip(records, held, strict=True):
-        for piece in runs(still, HELD_SAMPLES):
+    blind = set()
+    for record, at_rest in zip(records, held, strict=True):
+        for piece in runs(at_rest, HELD_SAMPLES):
             ends = float(np.nanmin(record.x)), float(np.nanmax(record.x))
-            found |= {end for end in ends if np.mean(record.x[piece] == end) > CLIPPED_SHARE}
-    return sorted(found)
+            blind |= {end for end in ends if np.mean(record.x[piece] == end) > CLIPPED_SHARE}
+    return sorted(blind)
 
 
-def beyond_range(record: Record, still: BoolArray, blind: Sequence[float]) -> BoolArray:
+def outside_range(record: Record, held: BoolArray, blind: Sequence[float]) -> BoolArray:
     """Where the ball is held beyond the range of its sensor (`blind`, of `range_ends`), shape (n,); i_c is valid."""
     mask = np.zeros(len(record.t), np.bool_)
-    beyond = np.isin(record.x, blind)
-    for piece in runs(still, HELD_SAMPLES):
-        if np.mean(beyond[piece]) > CLIPPED_SHARE:
+    at_end = np.isin(record.x, blind)
+    for piece in runs(held, HELD_SAMPLES):
+        if np.mean(at_end[piece]) > CLIPPED_SHARE:
             mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
     return mask
 
 
-def least_noise(records: Sequence[Record]) -> float:
+def min_noise(records: Sequence[Record]) -> float:
     """Smallest noise of the position among the recordings, m, without the extreme readings of each."""
-    found = []
+    levels = []
     for x in (record.x[np.isfinite(record.x)] for record in records):
         between = x[(x != x.min()) & (x != x.max())] if len(x) else x
-        found += [noise_of(between)] if len(between) >= HELD_SAMPLES else []
-    return min(found, default=0.0)
+        levels += [noise_of(between)] if len(between) >= HELD_SAMPLES else []
+    return min(levels, default=0.0)
 
 
 def converter_step(records: Sequence[Record]) -> float:
     """Resolution of the position converter, m: the smallest difference of two readings; 0 if all are equal."""
-    found = []
+    differences = []
     for record in records:
         steps = np.diff(np.unique(record.x[np.isfinite(record.x)]))
-        found += [float(steps.min())] if len(steps) else []
-    return min(found, default=0.0)
+        differences += [float(steps.min())] if len(steps) else []
+    return min(differences, default=0.0)
 
 
 def on_stops(
-    record: Record, still: BoolArray, low: float | None, high: float | None, plant: Plant
+    record: Record, held: BoolArray, low: float | None, high: float | None, plant: Plant
 ) -> tuple[BoolArray, BoolArray]:
     """Where the ball rests at the (lower, upper) stop, each of shape (n,).
 
     Args:
         record: the recording.
-        still: of `held_samples`.
+        held: of `held_samples`.
         low: reading at the lower stop, m; None: unknown.
         high: reading at the upper stop, m; None: unknown.
         plant: travel.
@@ -228,9 +228,11 @@ def on_stops(
     masks = []
     for stop in (low, high):
         mask = np.zeros(len(record.t), np.bool_)
-        pieces = runs(still, HELD_SAMPLES) if stop is not None else []
-        near = [p for p in pieces if abs(float(np.median(record.x[p])) - (stop or 0.0)) < AGREE_SHARE * plant.travel_m]
-        for piece in _lying(record, near, plant):
+        pieces = runs(held, HELD_SAMPLES) if stop is not None else []
+        matching = [
+            p for p in pieces if abs(float(np.median(record.x[p])) - (stop or 0.0)) < AGREE_SHARE * plant.travel_m
+        ]
+        for piece in _lying(record, matching, plant):
             mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
         masks.append(mask)
     return masks[0], masks[1]
@@ -249,4 +251,4 @@ def _lying(record: Record, pieces: Sequence[slice], plant: Plant) -> list[slice]
         return list(pieces)
     line = line_over(i_c[known], x[known])
     off = [abs(float(np.nanmedian(record.x[piece] - line(record.i_c[piece])))) for piece in pieces]
-    return [piece for piece, by in zip(pieces, off, strict=True) if not by > HOVERS_SHARE * plant.travel_m]
+    return [piece for piece, distance in zip(pieces, off, strict=True) if not distance > HOVERS_SHARE * plant.travel_m]

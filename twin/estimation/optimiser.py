@@ -19,7 +19,7 @@ from twin.estimation.record import FloatArray
 from twin.estimation.structures import COLOURS, NOISES
 
 P = TypeVar("P")  # a point: all parameters of a model
-NEAR = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
+SLOW_TOLERANCE = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
 CLOSE = 3.0  # decrement, standard errors, below which exact derivatives are used
 _LITTLE = 0.05  # of log-likelihood
 _NUDGE = 1e-3  # of a coordinate: test whether it is at its bound
@@ -39,27 +39,27 @@ class Slopes:
 class Surface(Protocol[P]):
     """A log-likelihood over the points of a model."""
 
-    def moved(self, point: P, name: str, by: float) -> P:
+    def moved(self, point: P, name: str, step: float) -> P:
         """The point with one coordinate moved, within its bounds."""
 
-    def most(self, name: str) -> float:
+    def max_step(self, name: str) -> float:
         """The largest move of a coordinate in one pass."""
 
     def visit(self, point: P) -> tuple[float, Any]:
         """(log-likelihood at the point, data for `slopes` and `exact`)."""
 
-    def slopes(self, point: P, seen: Any, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
+    def slopes(self, point: P, outputs: Any, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
         """Derivatives, approximate if that suffices.
 
         Args:
             point: the point.
-            seen: data of `visit`.
+            outputs: data of `visit`.
             free: the coordinates.
             before: derivatives at the previous point; None at the start.
             decrement: of the step to this point, standard errors; inf at the start.
         """
 
-    def exact(self, point: P, seen: Any, free: Sequence[str]) -> Slopes:
+    def exact(self, point: P, outputs: Any, free: Sequence[str]) -> Slopes:
         """Exact derivatives at this point."""
 
 
@@ -76,7 +76,9 @@ class Summit(Generic[P]):
     ahead: float  # log-likelihood still to gain, by the quadratic approximation
 
 
-def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, done: float, patience: int) -> Summit[P]:
+def climb(
+    surface: Surface[P], start: P, free: Sequence[str], *, passes: int, tolerance: float, patience: int
+) -> Summit[P]:
     """Climb to the maximum from `start`.
 
     Args:
@@ -84,14 +86,14 @@ def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, do
         start: starting point.
         free: coordinates to estimate; the others stay.
         passes: largest number of passes.
-        done: decrement of convergence, standard errors.
+        tolerance: decrement of convergence, standard errors.
         patience: consecutive passes with little gain after which the decrement NEAR suffices; after twice as many it
             ends in any case, as slopes that promise more are those of a likelihood with kinks.
     """
     point, damping, converged = start, Damping(), False
-    loglik, seen = surface.visit(start)
-    slopes = surface.slopes(start, seen, free, None, math.inf)
-    most = np.array([surface.most(name) for name in free])
+    loglik, outputs = surface.visit(start)
+    slopes = surface.slopes(start, outputs, free, None, math.inf)
+    max_step = np.array([surface.max_step(name) for name in free])
     # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
     # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
     physics = np.array([name not in NOISES + COLOURS for name in free], np.bool_)
@@ -100,27 +102,27 @@ def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, do
         used += 1
         step, decrement = newton(slopes, active_of(surface, point, free, slopes.score), damping.value)
         if decrement < CLOSE and not slopes.exact:
-            slopes = surface.exact(point, seen, free)
+            slopes = surface.exact(point, outputs, free)
             step, decrement = newton(slopes, active_of(surface, point, free, slopes.score), damping.value)
-        if decrement < done or (slow >= patience and decrement < NEAR):
+        if decrement < tolerance or (slow >= patience and decrement < SLOW_TOLERANCE):
             converged = True
             break
         if slow >= 2 * patience:
             break
-        shorter = min([1.0, *(most / np.maximum(np.abs(step), 1e-300))[physics]])
-        step = np.where(physics, step * shorter, np.clip(step, -most, most))
+        shorter = min([1.0, *(max_step / np.maximum(np.abs(step), 1e-300))[physics]])
+        step = np.where(physics, step * shorter, np.clip(step, -max_step, max_step))
         trial = point
-        for place, name in enumerate(free):
-            trial = surface.moved(trial, name, float(step[place]))
-        value, beyond = surface.visit(trial)
+        for index, name in enumerate(free):
+            trial = surface.moved(trial, name, float(step[index]))
+        value, trial_outputs = surface.visit(trial)
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < _LITTLE else 0
-            damping.taken()
-            point, loglik, seen = trial, value, beyond
-            slopes = surface.slopes(point, seen, free, slopes, decrement)
+            damping.accepted()
+            point, loglik, outputs = trial, value, trial_outputs
+            slopes = surface.slopes(point, outputs, free, slopes, decrement)
         elif not (slopes.fresh and slopes.exact):
-            slopes = surface.exact(point, seen, free)
-        elif not damping.refused():
+            slopes = surface.exact(point, outputs, free)
+        elif not damping.rejected():
             break
     active = active_of(surface, point, free, slopes.score)
     _, left = newton(slopes, active, damping.value)
@@ -128,7 +130,7 @@ def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, do
         point=point,
         loglik=loglik,
         covariance=covariance_of(slopes.fisher, active),
-        converged=converged or decrement < NEAR,
+        converged=converged or decrement < SLOW_TOLERANCE,
         passes=used,
         decrement=decrement,
         ahead=0.5 * left * left,
@@ -139,8 +141,8 @@ def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatAr
     """Which coordinates may move, shape (count,): all but those at a bound whose score points outwards."""
     return np.array(
         [
-            surface.moved(point, name, _NUDGE if score[place] > 0.0 else -_NUDGE) != point
-            for place, name in enumerate(free)
+            surface.moved(point, name, _NUDGE if score[index] > 0.0 else -_NUDGE) != point
+            for index, name in enumerate(free)
         ],
         np.bool_,
     )
@@ -194,11 +196,11 @@ class Damping:
     def __init__(self) -> None:
         self.value = 1e-3
 
-    def taken(self) -> None:
+    def accepted(self) -> None:
         """Reduce the damping after an accepted step."""
         self.value = max(self.value * 0.1, 1e-9)
 
-    def refused(self) -> bool:
+    def rejected(self) -> bool:
         """Increase the damping after a rejected step; returns whether to try another step."""
         self.value = max(self.value, 1e-4) * 10.0
         return self.value <= 1e8

@@ -19,13 +19,13 @@ from twin.estimation.rollout_periodic import PHASES, has_phase
 from twin.model.causes import (
     coulomb_friction,
 )
-from twin.model.extended import I_C, PARTS, SHORT_S, WANDER, Base, V, X, amplifier_alone, short
+from twin.model.extended import I_C, PARTS, SHORT_S, WANDER, Base, V, X, has_first_order_current, short
 
 
 class Reuse(Enum):
     """What a run of the filter reuses from that of a nearby model."""
 
-    NOTHING = auto()
+    NONE = auto()
     SLOPES = auto()  # the Jacobians
     STEPS = auto()  # the steps themselves, for a model that differs only in its noise
 
@@ -49,19 +49,19 @@ class Pace:
         """
         rubs, states = c[coulomb_friction.FORCE] != 0.0, active_states(c)
         advances = 0 if reuse is Reuse.STEPS else 1
-        if reuse is Reuse.NOTHING:
+        if reuse is Reuse.NONE:
             advances += len(states) + (3 if rubs else 0)
         # The current of a held ball alone needs less, and with the amplifier of (1) no integration.
-        alone = all(state in (I_C, X, V) or state >= WANDER for state in states)
-        held = 2.0 if not alone else 0.0 if amplifier_alone(c) else 0.5
+        plain = all(state in (I_C, X, V) or state >= WANDER for state in states)
+        held = 2.0 if not plain else 0.0 if has_first_order_current(c) else 0.5
         pieces = 2 if delay_s(c) > 0.0 else 1
-        fine = 0 if short(base, c, self.step_s) else 1
-        return self.samples + pieces * (advances * self.flown[fine] + held * self.held[fine])
+        substepped = 0 if short(base, c, self.step_s) else 1
+        return self.samples + pieces * (advances * self.flown[substepped] + held * self.held[substepped])
 
     def steps_ahead(self, base: Base, c: NDArray[np.float64], samples: int) -> float:
         """Filter steps of `measure.predictions`, `samples` ahead; a periodic force takes a run for each phase."""
         return (PHASES if has_phase(c) else 1) * (
-            self.steps(base, c, Reuse.NOTHING) + samples * self.flown[0 if short(base, c, self.step_s) else 1]
+            self.steps(base, c, Reuse.NONE) + samples * self.flown[0 if short(base, c, self.step_s) else 1]
         )
 
 

@@ -52,12 +52,12 @@ def floor_rmse(system: System, samples: Samples, ahead: int, predicted: NDArray[
 def _carry(
     f: Memory,
     samples: Samples,
-    along: Results,
+    results: Results,
     ahead: int,
     predicted: NDArray[np.bool_],
     variances: NDArray[np.float64],
 ) -> None:
-    spread, steps, step, noise_ratio = along.spread, along.steps, samples.step, samples.noise_ratio
+    spread, steps, step, noise_ratio = results.spread, results.steps, samples.step, samples.noise_ratio
     for n in range(ahead, len(predicted)):
         if not predicted[n]:
             continue

@@ -42,7 +42,7 @@ class Usage:
     flights: int = 0  # stretches away from the stops
     flight_samples: int = 0
     contact_samples: int = 0
-    steep_samples: int = 0  # in flight, but nearer to x_max than `gap_least_m`
+    steep_samples: int = 0  # in flight, but nearer to x_max than `min_gap_m`
     clipped: int = 0
     cut: int = 0  # readings of i_c near zero, where the converter cuts off the negative half of the noise
     outliers: int = 0
@@ -51,13 +51,13 @@ class Usage:
     input_delay: int = 0  # samples by which u_c acts later than recorded; corrected
 
 
-def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) -> tuple[Series, list[Usage]]:
+def prepare(records: list[Record], plant: Plant, *, min_gap_m: float = 0.0) -> tuple[Series, list[Usage]]:
     """The series of all recordings that have u_c and i_c, and the usage of each recording.
 
     Args:
         records: of `read_campaign`.
         plant: travel and x_max.
-        gap_least_m: samples with the ball nearer to x_max, m, are not in flight.
+        min_gap_m: samples with the ball nearer to x_max, m, are not in flight.
     """
     parts: list[Series] = []
     usages: list[Usage] = []
@@ -67,12 +67,12 @@ def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) ->
         if record.kind == "equilibria":
             continue
         if record.has("u_c", "i_c") and len(record.t) > 1:
-            parts.append(_series(record, plant, usage, number, gap_least_m))
+            parts.append(_series(record, plant, usage, number, min_gap_m))
         parts.extend(_captures(record, number))
     if not parts:
         empty = np.empty(0)
-        nothing = np.empty(0, np.uint16)
-        return Series(step=empty, u=empty, i=empty, x=empty, flags=nothing, recording=np.empty(0, np.int32)), usages
+        no_flags = np.empty(0, np.uint16)
+        return Series(step=empty, u=empty, i=empty, x=empty, flags=no_flags, recording=np.empty(0, np.int32)), usages
     if len(parts) == 1:
         return parts[0], usages
     return Series(
@@ -85,14 +85,14 @@ def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) ->
     ), usages
 
 
-def flights(record: Record, plant: Plant, *, at_least: int = FLIGHT_SAMPLES) -> list[slice]:
-    """Stretches of at least `at_least` samples in which the ball is free and no sample is missing."""
+def flights(record: Record, plant: Plant, *, min_samples: int = FLIGHT_SAMPLES) -> list[slice]:
+    """Stretches of at least `min_samples` samples in which the ball is free and no sample is missing."""
     _, follows = intervals(record.t)
     free = in_flight(record.x, plant) & np.isfinite(record.t)
     return [
         slice(piece.start + a.start, piece.start + a.stop)
-        for piece in runs(free, at_least)
-        for a in _split(follows[piece], at_least)
+        for piece in runs(free, min_samples)
+        for a in _split(follows[piece], min_samples)
     ]
 
 
@@ -105,29 +105,29 @@ def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
     low, high = 0.0, plant.travel_m
     margin = max(CONTACT_SHARE * plant.travel_m, 8.0 * scatter(held))
     for side, stop in ((0, 0.0), (1, plant.travel_m)):
-        near = held[np.abs(held - stop) < REST_SHARE * plant.travel_m]
-        if near.size >= REST_SAMPLES:
+        at_stop = held[np.abs(held - stop) < REST_SHARE * plant.travel_m]
+        if at_stop.size >= REST_SAMPLES:
             # The quartile on the stop's side is not affected by a slow motion near the stop.
-            level = float(np.percentile(near, 25 if side == 0 else 75))
+            level = float(np.percentile(at_stop, 25 if side == 0 else 75))
             low, high = (max(low, level), high) if side == 0 else (low, min(high, level))
     # A fast ball can hit a stop and rebound between two samples: it is in contact if, at its speed, it could have
     # reached the stop within an interval.
     jump = np.abs(np.diff(held))
     reach = np.zeros(len(held))
     for lag in (-1, 0):
-        own = np.zeros(len(held))
-        own[-lag : len(held) - 1 - lag] = jump
-        reach = np.maximum(reach, own)
-    near_by = margin + REACH * reach
-    free = (held > low + near_by) & (held < high - near_by)
+        shifted = np.zeros(len(held))
+        shifted[-lag : len(held) - 1 - lag] = jump
+        reach = np.maximum(reach, shifted)
+    clearance = margin + REACH * reach
+    free = (held > low + clearance) & (held < high - clearance)
     free[1:] &= free[:-1].copy()  # the samples next to a contact belong to it
     free[:-1] &= free[1:].copy()
     return np.asarray(free)
 
 
-def _split(follows: BoolArray, at_least: int) -> list[slice]:
+def _split(follows: BoolArray, min_samples: int) -> list[slice]:
     starts = [0, *(int(n) for n in np.flatnonzero(~follows) if n > 0), len(follows)]
-    return [slice(a, b) for a, b in pairwise(starts) if b - a >= at_least]
+    return [slice(a, b) for a, b in pairwise(starts) if b - a >= min_samples]
 
 
 def scatter(values: FloatArray) -> float:
@@ -138,7 +138,7 @@ def scatter(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
 
 
-def _series(record: Record, plant: Plant, usage: Usage, number: int, gap_least_m: float) -> Series:
+def _series(record: Record, plant: Plant, usage: Usage, number: int, min_gap_m: float) -> Series:
     step, follows = intervals(record.t)
     n = len(step)
     u_known = np.isfinite(record.u_c)
@@ -161,7 +161,7 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int, gap_least_m
         use_x &= ~wild
         free = in_flight(np.where(wild, np.nan, record.x), plant)
         usage.contact_samples = int(np.count_nonzero(~free))
-        steep = np.asarray(plant.x_max_m - np.where(free, record.x, -np.inf) < gap_least_m)
+        steep = np.asarray(plant.x_max_m - np.where(free, record.x, -np.inf) < min_gap_m)
         steep[1:] |= steep[:-1].copy()  # both samples of such an interval
         steep[:-1] |= steep[1:].copy()
         steep &= free
@@ -231,15 +231,15 @@ def spikes(x: FloatArray, plant: Plant) -> BoolArray:
     count = float(np.min(steps)) if steps.size else 0.0
     scale = max(1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 0.0, count)
     wild[1:-1] = (off[1:-1] > SPIKE_SCALES * scale) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
-    middle, apart = 0.5 * (x[:-2] + x[2:]), np.abs(x[2:] - x[:-2])
-    clear = apart + 2.0 * CONTACT_SHARE * plant.travel_m
+    middle, difference = 0.5 * (x[:-2] + x[2:]), np.abs(x[2:] - x[:-2])
+    clear = difference + 2.0 * CONTACT_SHARE * plant.travel_m
     wild[1:-1] &= (middle > clear) & (middle < plant.travel_m - clear)
     return wild
 
 
 def captured(record: Record) -> int:
     """Number of samples of its captures in the series; they follow all others."""
-    return sum(len(one.i_c_a) - max(one.step_index - _CAPTURE_LEAD, 0) for one in record.captures)
+    return sum(len(capture.i_c_a) - max(capture.step_index - _CAPTURE_LEAD, 0) for capture in record.captures)
 
 
 def _captures(record: Record, number: int) -> list[Series]:

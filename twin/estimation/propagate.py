@@ -100,7 +100,7 @@ def current_held(
 def find_input(
     base: Packed,
     c: NDArray[np.float64],
-    here: NDArray[np.float64],
+    before: NDArray[np.float64],
     u: NDArray[np.float64],
     lost: int,
     n: int,
@@ -110,21 +110,21 @@ def find_input(
     reading: float,
     moved: NDArray[np.float64],
 ) -> None:
-    """Set u[lost] to the input that brings i_c from the state `here` at n - 1 to its `reading` at n, A.
+    """Set u[lost] to the input that brings i_c from the state `before` at n - 1 to its `reading` at n, A.
 
     The other arguments are those of `propagate`; `moved`, shape (7,), is a working array.
     """
     held = u[lost]
     for _ in range(3):
-        copy(moved, here)
+        copy(moved, before)
         propagate(base, c, moved, u, n, first, t, T_s, False)
         i_c = current_reading(c, moved[I_C])
         u[lost] += INPUT_DELTA_V
-        copy(moved, here)
+        copy(moved, before)
         propagate(base, c, moved, u, n, first, t, T_s, False)
         u[lost] -= INPUT_DELTA_V
         answer = (current_reading(c, moved[I_C]) - i_c) / INPUT_DELTA_V
         if not answer > _ANSWERS * base[0]:
             return
-        most = 5.0 * UNKNOWN_INPUT_V
-        u[lost] = min(max(u[lost] + (reading - i_c) / answer, held - most), held + most)
+        max_change = 5.0 * UNKNOWN_INPUT_V
+        u[lost] = min(max(u[lost] + (reading - i_c) / answer, held - max_change), held + max_change)

@@ -80,15 +80,15 @@ def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:
         return np.where(good, step, 0.0), good
     median = float(np.median(step[good]))
     # A lost sample doubles the interval of a regular clock.
-    near = np.abs(step - np.maximum(np.rint(step / median), 1.0) * median) <= REGULAR_SHARE * median
-    regular = np.count_nonzero(near & good) >= 0.9 * np.count_nonzero(good)
+    on_grid = np.abs(step - np.maximum(np.rint(step / median), 1.0) * median) <= REGULAR_SHARE * median
+    regular = np.count_nonzero(on_grid & good) >= 0.9 * np.count_nonzero(good)
     follows = good & (step <= (GAP_REGULAR if regular else GAP_IRREGULAR) * median)
     step = np.where(np.abs(step - median) <= 1e-3 * median, median, step)
     return np.where(follows, step, 0.0), follows
 
 
-def runs(mask: BoolArray, at_least: int = 1) -> list[slice]:
-    """The stretches of True in `mask` with at least `at_least` samples."""
+def runs(mask: BoolArray, min_samples: int = 1) -> list[slice]:
+    """The stretches of True in `mask` with at least `min_samples` samples."""
     padded = np.concatenate(([False], mask, [False]))
     edges = np.flatnonzero(padded[1:] != padded[:-1])
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= at_least]
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= min_samples]

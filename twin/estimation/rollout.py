@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import kernel
-from twin.estimation.contact import NEAR_SHARE
+from twin.estimation.contact import STOP_SHARE
 from twin.estimation.ekf.filter import filtered
 from twin.estimation.ekf.memory import Memory, memory_for
 from twin.estimation.ekf.predict import advance
@@ -26,7 +26,7 @@ from twin.estimation.propagate import copy
 from twin.estimation.structures import Samples, Stops, System
 from twin.model.extended import SENSOR, X_COLOUR, Base, position_reading
 
-_FOUND = 3  # samples after a lost one whose readings determine its input
+_INPUT_SAMPLES = 3  # samples after a lost one whose readings determine its input
 SETTLE_S = 0.1  # eight times 1 / (unstable pole) = 12 ms, within which an estimate forgets its start
 
 
@@ -78,7 +78,7 @@ def window(
     """
     starts = np.flatnonzero(samples.flags[: begin + 1] & FOLLOWS == 0)
     x_hat = np.empty(length)
-    _along(memory_for(system), samples, state, begin, int(starts[-1]) if len(starts) else 0, x_hat)
+    _roll_once(memory_for(system), samples, state, begin, int(starts[-1]) if len(starts) else 0, x_hat)
     return x_hat
 
 
@@ -93,8 +93,8 @@ def within_reach(x_hat: NDArray[np.float64], base: Base, c: NDArray[np.float64],
         c: the causes' parameters, shape (PLACES,).
         stops: positions of the ball at the stops.
     """
-    margin = NEAR_SHARE * base.travel_m
-    low, high = (float(position_reading(base, c, place, 0.0)) for place in (stops.low_m, base.travel_m + stops.high_m))
+    margin = STOP_SHARE * base.travel_m
+    low, high = (float(position_reading(base, c, x_m, 0.0)) for x_m in (stops.low_m, base.travel_m + stops.high_m))
     return np.clip(x_hat, low - margin, high + margin)
 
 
@@ -121,7 +121,12 @@ def _roll(
         unbroken = unbroken + 1 if flies and follows and n > 0 and flags[n - 1] & FLIES != 0 else 0
         known = known + 1 if unbroken > 0 and flags[n] & LOST == 0 else 0
         begin = n - ahead
-        if known < ahead + _FOUND or unbroken < ahead + settle or flags[n] & USE_X == 0 or np.isnan(state[begin, 0]):
+        if (
+            known < ahead + _INPUT_SAMPLES
+            or unbroken < ahead + settle
+            or flags[n] & USE_X == 0
+            or np.isnan(state[begin, 0])
+        ):
             continue
         copy(y, state[begin])
         for k in range(begin + 1, n + 1):
@@ -133,7 +138,7 @@ def _roll(
 
 
 @kernel
-def _along(
+def _roll_once(
     f: Memory, samples: Samples, state: NDArray[np.float64], begin: int, first: int, x_hat: NDArray[np.float64]
 ) -> None:
     y, f.first = f.y[:], first

@@ -40,28 +40,28 @@ def predict(system: System, samples: Samples, ahead: int, *, settle_s: float = S
     forget = math.exp(-system.noise.tick_s / MEMORY_S)
     for phase in range(PHASES):
         shifted = samples._replace(t=samples.t + phase / PHASES / c[periodic_disturbance.FREQUENCY])
-        found = filtered(system, shifted, state=True)
+        run = filtered(system, shifted, state=True)
         loglik = np.zeros(n)
-        whiten(found.innovations, loglik, np.empty((n, 2)))
+        whiten(run.innovations, loglik, np.empty((n, 2)))
         remembered(loglik, forget, ahead, explains[phase])
-        x_hat[phase] = roll_out(system, shifted, found.state, ahead, settle_s=settle_s)
+        x_hat[phase] = roll_out(system, shifted, run.state, ahead, settle_s=settle_s)
     return _at_the_best(explains, x_hat)
 
 
 def _at_the_best(explains: NDArray[np.float64], x_hat: NDArray[np.float64]) -> NDArray[np.float64]:
     """x_hat at the most likely phase, shape (n,), from log-likelihood and x_hat of each phase, shapes (PHASES, n)."""
     best = np.argmax(np.where(np.isfinite(explains), explains, -np.inf), axis=0)
-    beside = [(best + by) % PHASES for by in (-1, 0, 1)]
-    low, top, high = (np.take_along_axis(explains, row[None, :], 0)[0] for row in beside)
-    before, here, after = (np.take_along_axis(x_hat, row[None, :], 0)[0] for row in beside)
+    neighbours = [(best + offset) % PHASES for offset in (-1, 0, 1)]
+    low, top, high = (np.take_along_axis(explains, row[None, :], 0)[0] for row in neighbours)
+    before, centre, after = (np.take_along_axis(x_hat, row[None, :], 0)[0] for row in neighbours)
     bend = low - 2.0 * top + high
     with np.errstate(invalid="ignore", divide="ignore"):
         off = np.where(bend < 0.0, 0.5 * (low - high) / bend, 0.0)
     angle, step = 2.0 * np.pi / PHASES * np.clip(off, -0.5, 0.5), 2.0 * np.pi / PHASES
     # x_hat = mean + a sin + b (cos - 1) of the angle from the best phase: through three values.
     a = (after - before) / (2.0 * math.sin(step))
-    b = (after + before - 2.0 * here) / (2.0 * (math.cos(step) - 1.0))
-    return np.asarray(here + a * np.sin(angle) + b * (np.cos(angle) - 1.0))
+    b = (after + before - 2.0 * centre) / (2.0 * (math.cos(step) - 1.0))
+    return np.asarray(centre + a * np.sin(angle) + b * (np.cos(angle) - 1.0))
 
 
 @kernel

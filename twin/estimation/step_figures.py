@@ -73,7 +73,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Alone:
+class RigFigure:
     """One figure of the rig over all its steps, without a simulation; SI units."""
 
     name: str
@@ -106,8 +106,8 @@ class Response:
 def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
     """Changes of the reference between constant levels; `sigma_x_m` is the noise of x, m."""
     T_s = float(np.median(np.diff(run.t_s)))
-    still = np.concatenate(([True], np.abs(np.diff(run.x_ref_m)) < 1e-9))
-    levels = runs(np.asarray(still), max(round(DWELL_S / T_s) - 1, 2))
+    is_constant = np.concatenate(([True], np.abs(np.diff(run.x_ref_m)) < 1e-9))
+    levels = runs(np.asarray(is_constant), max(round(DWELL_S / T_s) - 1, 2))
     steps = []
     for before, after in pairwise(levels):
         low, high = float(run.x_ref_m[before.stop - 1]), float(run.x_ref_m[after.start])
@@ -118,15 +118,15 @@ def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
 
 def responses(loops: Sequence[LoopRun], sigma_x_m: float) -> list[Response]:
     """The scaled response to every step."""
-    found = []
+    scaled = []
     for run in loops:
         quiet = run.simulated_x_m.mean(axis=0)
         for step in find_steps(run, sigma_x_m):
             part = slice(step.begin, step.end)
             size = step.to_m - step.from_m
             rig, simulation = ((x[part] - step.from_m) / size for x in (run.x_m, quiet))
-            found.append(Response(t_s=run.t_s[part] - run.t_s[step.begin], rig=rig, simulation=simulation))
-    return found
+            scaled.append(Response(t_s=run.t_s[part] - run.t_s[step.begin], rig=rig, simulation=simulation))
+    return scaled
 
 
 def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared, ...]:
@@ -169,7 +169,7 @@ def _widths(bands: Sequence[float]) -> tuple[float, float] | None:
     return (min(usable), max(usable)) if usable else None
 
 
-def rig_alone(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Alone, ...]:
+def rig_figures(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[RigFigure, ...]:
     """The figures of the rig alone; empty without a step."""
     rows, bands = [], []
     for run in loops:
@@ -179,16 +179,16 @@ def rig_alone(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Alone, ...]:
             bands.append(settling_band(step.to_m - step.from_m, sigma_x_m))
     used = _widths(bands)
     return tuple(
-        _alone(name, np.array(rows)[:, n], used if name == "settling_s" else None)
+        _rig_figure(name, np.array(rows)[:, n], used if name == "settling_s" else None)
         for n, name in enumerate(FIGURES if rows else ())
     )
 
 
-def _alone(name: str, values: FloatArray, bands: tuple[float, float] | None) -> Alone:
+def _rig_figure(name: str, values: FloatArray, bands: tuple[float, float] | None) -> RigFigure:
     known = values[np.isfinite(values)]
     n = len(known)
     none = float("nan")
-    return Alone(
+    return RigFigure(
         name=name,
         rig=float(known.mean()) if n else none,
         ends=(float(known.min()), float(known.max())) if n else (none, none),
@@ -217,18 +217,18 @@ def measure(
     part = slice(step.begin, step.end)
     size = step.to_m - step.from_m
     width = max(round(smooth_s / T_s), 1)
-    own = x[part]
-    seen = np.isfinite(own)
-    own = np.interp(np.arange(len(own)), np.flatnonzero(seen), own[seen])
-    padded = np.concatenate((np.full(width // 2, own[0]), own, np.full(width - 1 - width // 2, own[-1])))
+    values = x[part]
+    known = np.isfinite(values)
+    values = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+    padded = np.concatenate((np.full(width // 2, values[0]), values, np.full(width - 1 - width // 2, values[-1])))
     y = (np.convolve(padded, np.full(width, 1.0 / width), mode="valid") - step.from_m) / size
     band = settling_band(size, noise_m)
-    inside = np.abs(y - 1.0) <= band
-    outside = np.flatnonzero(~inside)
+    in_band = np.abs(y - 1.0) <= band
+    outside = np.flatnonzero(~in_band)
     last = int(outside[-1]) + 1 if len(outside) else 0
     # Settled only if the last quarter of the step is inside the band.
-    settled = band <= WIDEST_BAND and last < 0.75 * len(y)
-    settling = last * T_s if settled else float("nan")
+    has_settling_time = band <= WIDEST_BAND and last < 0.75 * len(y)
+    settling = last * T_s if has_settling_time else float("nan")
     level = float(np.nanmean(u[part][-max(len(y) // 5, 1) :]))
     return [
         (_crossing(y, 0.9) - _crossing(y, 0.1)) * T_s,

@@ -61,7 +61,7 @@ class System(NamedTuple):
     closed_form: bool = False
 
 
-ALIKE = np.empty((0, 2))  # all readings of a channel have the same noise
+EQUAL_NOISE = np.empty((0, 2))  # all readings of a channel have the same noise
 
 
 class Samples(NamedTuple):
@@ -73,7 +73,8 @@ class Samples(NamedTuple):
     i: NDArray[np.float64]  # A
     x: NDArray[np.float64]  # m
     flags: NDArray[np.uint16]  # see `innovations.py` and `ekf/filter.py`
-    noise_ratio: NDArray[np.float64] = ALIKE  # variance of the noise of i and x over that of their levels, shape (n, 2)
+    # Variance of the noise of i and x over that of their levels, shape (n, 2).
+    noise_ratio: NDArray[np.float64] = EQUAL_NOISE
 
     def part(self, piece: slice) -> Samples:
         """A slice of the samples, as views."""
@@ -93,7 +94,7 @@ class Steps(NamedTuple):
         return Steps(*(column[piece] for column in self))
 
     @property
-    def slopes_alone(self) -> Steps:
+    def jacobians(self) -> Steps:
         """The Jacobians without the states: a run reuses them but computes its own steps."""
         return Steps(self.slopes, _NO_STATE, _NO_STATE)
 

@@ -39,9 +39,9 @@ FLOORS = {
 }
 _STEP = {"K_A": 1e-5, "T_A": 1e-4, "K_c": 1e-5} | dict.fromkeys(NOISES, 1e-4)
 _DRAG_STEP = 1e-2  # 1/s, of b / m
-_MOST = {"K_A": 0.7, "T_A": 1.5, "K_c": 0.5} | dict.fromkeys(NOISES, 2.0)  # largest step of a logarithm
-_DRAG_MOST = 20.0  # largest step of b / m, 1/s
-DONE = 0.01  # Newton decrement of convergence, standard errors
+_MAX_STEP = {"K_A": 0.7, "T_A": 1.5, "K_c": 0.5} | dict.fromkeys(NOISES, 2.0)  # largest step of a logarithm
+_MAX_DRAG_STEP = 20.0  # largest step of b / m, 1/s
+TOLERANCE = 0.01  # Newton decrement of convergence, standard errors
 GATE = 6.0  # standard deviations of an outlier; a right model exceeds it once in 5e8 samples
 PASSES = 40
 
@@ -70,11 +70,11 @@ class Point:
         )
         return System(tuple(base), neutral(), self.noise(tick_s), AT_THE_ENDS, closed_form=True)
 
-    def moved(self, name: str, by: float, mass_kg: float) -> Point:
-        """The point with one coordinate moved by `by`: a logarithm, or for b the quotient b / m in 1/s."""
+    def moved(self, name: str, step: float, mass_kg: float) -> Point:
+        """The point with one coordinate moved by `step`: a logarithm, or for b the quotient b / m in 1/s."""
         if name == "b":
-            return replace(self, b=self.b + by * mass_kg)
-        value = float(getattr(self, name)) * math.exp(by)
+            return replace(self, b=self.b + step * mass_kg)
+        value = float(getattr(self, name)) * math.exp(step)
         return replace(self, **{name: max(value, FLOORS.get(name, 0.0))})
 
 
@@ -96,8 +96,8 @@ class Fit:
         if name not in self.free:
             return float("inf")
         matrix = self.robust if robust and self.robust is not None else self.covariance
-        place = self.free.index(name)
-        spread = float(np.sqrt(max(matrix[place, place], 0.0)))
+        index = self.free.index(name)
+        spread = float(np.sqrt(max(matrix[index, index], 0.0)))
         return spread * (mass_kg if name == "b" else getattr(self.point, name))
 
 
@@ -117,7 +117,7 @@ class Likelihood:
         starts = np.flatnonzero((series.flags & FOLLOWS) == 0)
         self._blocks = _blocks(starts, len(series))
         self.evaluations = 0
-        self.drag_most = most_drag(plant)
+        self.max_drag = max_drag(plant)
 
     def value(self, point: Point) -> float:
         """The log-likelihood."""
@@ -154,17 +154,17 @@ class Likelihood:
         score = np.zeros(count)
         total = 0.0
         for block in self._blocks:
-            here = self._run(point, block, steps=True)
-            base, n = here.innovations, len(here.innovations)
+            base_run = self._run(point, block, steps=True)
+            base, n = base_run.innovations, len(base_run.innovations)
             total += whiten(base, np.empty(n), np.empty((n, 2)))
             moved = np.empty((count, n, 5))
-            for place, name in enumerate(free):
-                by = _DRAG_STEP if name == "b" else _STEP[name]
+            for index, name in enumerate(free):
+                step = _DRAG_STEP if name == "b" else _STEP[name]
                 # A model that differs only in its noise has the same steps.
-                known = here.steps if name in NOISES else NO_STEPS
-                beside = self._run(point.moved(name, by, self.plant.mass_kg), block, known)
-                np.subtract(beside.innovations, base, out=moved[place])
-                moved[place] /= by
+                known = base_run.steps if name in NOISES else NO_STEPS
+                shifted_run = self._run(point.moved(name, step, self.plant.mass_kg), block, known)
+                np.subtract(shifted_run.innovations, base, out=moved[index])
+                moved[index] /= step
             each = np.empty((n, count))
             information(base, moved, each, fisher)
             score += each.sum(axis=0)
@@ -172,24 +172,26 @@ class Likelihood:
                 spread += _newey_west(each, lags)
         return total, score, fisher, spread
 
-    def moved(self, point: Point, name: str, by: float) -> Point:
+    def moved(self, point: Point, name: str, step: float) -> Point:
         """The point with one coordinate moved, within its bounds."""
-        there = point.moved(name, by, self.plant.mass_kg)
-        return replace(there, b=min(there.b, self.drag_most * self.plant.mass_kg))
+        shifted = point.moved(name, step, self.plant.mass_kg)
+        return replace(shifted, b=min(shifted.b, self.max_drag * self.plant.mass_kg))
 
-    def most(self, name: str) -> float:
+    def max_step(self, name: str) -> float:
         """The largest move of a coordinate in one pass."""
-        return _DRAG_MOST if name == "b" else _MOST[name]
+        return _MAX_DRAG_STEP if name == "b" else _MAX_STEP[name]
 
     def visit(self, point: Point) -> tuple[float, None]:
         """(log-likelihood, None): nothing is stored for the derivatives, to save memory."""
         return self.value(point), None
 
-    def slopes(self, point: Point, seen: None, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
+    def slopes(
+        self, point: Point, outputs: None, free: Sequence[str], before: Slopes | None, decrement: float
+    ) -> Slopes:
         """Exact derivatives; see `exact`."""
-        return self.exact(point, seen, free)
+        return self.exact(point, outputs, free)
 
-    def exact(self, point: Point, seen: None, free: Sequence[str]) -> Slopes:
+    def exact(self, point: Point, outputs: None, free: Sequence[str]) -> Slopes:
         """Score and Fisher information at this point."""
         _, score, fisher, _ = self.gradient(point, free)
         return Slopes(score=score, fisher=fisher)
@@ -210,14 +212,14 @@ class Likelihood:
         return filtered(system, samples, known, state=state, steps=steps)
 
 
-def most_drag(plant: Plant) -> float:
+def max_drag(plant: Plant) -> float:
     """Largest b / m, 1/s: the unstable pole sqrt(2 g / gap) in mid-travel, far above the drag of a ball in air."""
     return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
 def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: int = PASSES) -> Fit:
     """Maximise the likelihood from `start` over the coordinates `free`, with at most `passes` passes."""
-    top = climb(likelihood, start, free, passes=passes, done=DONE, patience=3)
+    top = climb(likelihood, start, free, passes=passes, tolerance=TOLERANCE, patience=3)
     return Fit(
         point=top.point,
         loglik=top.loglik,
@@ -229,17 +231,17 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
     )
 
 
-def sandwich(likelihood: Likelihood, found: Fit, lags: int) -> Fit:
+def sandwich(likelihood: Likelihood, fitted: Fit, lags: int) -> Fit:
     """The fit with the sandwich covariance, which holds for coloured residuals: F^-1 (Newey-West sum of scores) F^-1.
 
     Source: Newey and West, Econometrica 55(3), 1987.
     """
-    _, _, fisher, middle = likelihood.gradient(found.point, found.free, lags=lags)
-    active = np.diag(found.covariance) > 0.0
+    _, _, fisher, middle = likelihood.gradient(fitted.point, fitted.free, lags=lags)
+    active = np.diag(fitted.covariance) > 0.0
     inner = inverse(fisher[np.ix_(active, active)])
-    robust = np.zeros_like(found.covariance)
+    robust = np.zeros_like(fitted.covariance)
     robust[np.ix_(active, active)] = inner @ middle[np.ix_(active, active)] @ inner
-    return replace(found, robust=robust)
+    return replace(fitted, robust=robust)
 
 
 def _newey_west(scores: FloatArray, lags: int) -> FloatArray:

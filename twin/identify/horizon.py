@@ -27,12 +27,12 @@ class Horizon:
 
     horizon_s: float
     rmse_m: float
-    still_m: float  # rmse of the constant prediction "x stays where it is"
+    constant_m: float  # rmse of the constant prediction "x stays where it is"
     count: int
 
 
 def horizons(
-    records: list[Record], plant: Plant, point: Point, tick_s: float, *, wanted_s: tuple[float, ...] = HORIZONS_S
+    records: list[Record], plant: Plant, point: Point, tick_s: float, *, horizons_s: tuple[float, ...] = HORIZONS_S
 ) -> list[Horizon]:
     """Errors over all flights of the records, one row per horizon.
 
@@ -41,22 +41,22 @@ def horizons(
         plant: of the campaign.
         point: parameters and noise levels of the filter.
         tick_s: interval of the process noise, s.
-        wanted_s: horizons, s.
+        horizons_s: horizons, s.
     """
     series, _ = prepare(records, plant)
     likelihood = Likelihood(series, plant, tick_s)
     state = likelihood.states(point)
     system = point.system(plant, tick_s)
     result = []
-    for horizon in wanted_s:
+    for horizon in horizons_s:
         ahead = max(round(horizon / tick_s), 1)
-        error, still = errors(system, series, state, ahead)
+        error, constant = errors(system, series, state, ahead)
         count = int(np.isfinite(error).sum())
         result.append(
             Horizon(
                 horizon_s=ahead * tick_s,
                 rmse_m=float(np.sqrt(np.nanmean(error**2))) if count else float("nan"),
-                still_m=float(np.sqrt(np.nanmean(still**2))) if count else float("nan"),
+                constant_m=float(np.sqrt(np.nanmean(constant**2))) if count else float("nan"),
                 count=count,
             )
         )
@@ -73,7 +73,7 @@ def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tup
         ahead: horizon N in samples, 1 or more.
     """
     error = series.x - roll_out(system, series.samples, state, ahead, stops=True)
-    still = np.full(len(error), np.nan)
-    still[ahead:] = series.x[ahead:] - series.x[:-ahead]
-    still[np.isnan(error)] = np.nan
-    return error, still
+    constant = np.full(len(error), np.nan)
+    constant[ahead:] = series.x[ahead:] - series.x[:-ahead]
+    constant[np.isnan(error)] = np.nan
+    return error, constant

@@ -27,7 +27,7 @@ from twin.identify import settings, verdicts
 from twin.identify.checks.dead_channels import without_dead
 from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.checks.plausibility import inspect
-from twin.identify.fit import FLOORS, NAMES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
+from twin.identify.fit import FLOORS, NAMES, PARAMETERS, Fit, Likelihood, Point, fit, gate, max_drag, sandwich
 from twin.identify.horizon import Horizon, horizons
 from twin.identify.intervals import Interval, quadratic_or_profile
 from twin.identify.result import Identification, noise_of, provenance_of
@@ -45,14 +45,14 @@ _TICK_S = 2e-3
 
 
 def identify(
-    campaign: Campaign, *, data: Path | None = None, say: Callable[[str], None] = lambda line: None
+    campaign: Campaign, *, data: Path | None = None, progress: Callable[[str], None] = lambda line: None
 ) -> Identification:
     """Identify the model of a campaign from its recordings for fitting.
 
     Args:
         campaign: of `Campaign.load`.
         data: folder of the recordings, if it is not that of the campaign.
-        say: is called with lines of progress.
+        progress: is called with lines of progress.
 
     Raises:
         DataError: a recording is missing, unreadable or implausible, or none has use = "fit".
@@ -63,20 +63,20 @@ def identify(
             f'{campaign.where}: no recording has use = "fit"',
             remedy='Give at least one [[recording]] with use = "fit"',
         )
-    say(f"{len(records)} recordings, {sum(len(r.t) for r in records)} samples")
-    return identify_records(campaign, records, say=say)
+    progress(f"{len(records)} recordings, {sum(len(r.t) for r in records)} samples")
+    return identify_records(campaign, records, progress=progress)
 
 
 def identify_records(
-    campaign: Campaign, records: list[Record], *, say: Callable[[str], None] = lambda line: None
+    campaign: Campaign, records: list[Record], *, progress: Callable[[str], None] = lambda line: None
 ) -> Identification:
     """`identify` with recordings in memory.  Raises DataError."""
     plant = campaign.plant
     warnings = [assumption_warning(plant)] if plant.assumed else []
     warnings += [note for record in records for note in record.notes]
-    said = inspect(records, plant, campaign.controller)
+    messages = inspect(records, plant, campaign.controller)
     records, left_out = without_dead(records, plant)
-    warnings += grouped(said + left_out, [record.name for record in records])
+    warnings += grouped(messages + left_out, [record.name for record in records])
 
     delays = [input_delay(record, plant) for record in records]
     records = _aligned(records, delays, warnings)
@@ -85,53 +85,53 @@ def identify_records(
     force = force_constant(points, plant) or force_constant(equilibria(records, plant), plant)
     amplifier = amplifier_start(records)
     ball = ball_start(records, plant, amplifier)
-    say("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
+    progress("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
 
-    series, usages = prepare(records, plant, gap_least_m=settings.POLE_DISTANCE * plant.travel_m)
+    series, usages = prepare(records, plant, min_gap_m=settings.POLE_DISTANCE * plant.travel_m)
     for usage, samples in zip(usages, delays, strict=True):
         usage.input_delay = samples
     tick_s = _tick(records)
-    found: Fit | None = None
+    fitted: Fit | None = None
     white: Whiteness | None = None
     likelihood = Likelihood(series, plant, tick_s)
     flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
     if amplifier is not None and amplifier.K_A > 0 and (series.flags & USE_I).any():
         start, free = _start(amplifier, ball, force, flying, plant.mass_kg, tick_s)
-        likelihood, found = _fitted(likelihood, start, free, usages, say)
-        if flying and found.point.b >= 0.999 * most_drag(plant) * plant.mass_kg:
-            found = _possible_drag(likelihood, found, ball, warnings)
-        white = whiteness(likelihood.series, likelihood.white(found.point))
-        found = sandwich(likelihood, found, max(round(settings.RESIDUAL_MEMORY_S / tick_s), 1))
-        say("covariance and intervals")
-        if not found.converged:
+        likelihood, fitted = _fitted(likelihood, start, free, usages, progress)
+        if flying and fitted.point.b >= 0.999 * max_drag(plant) * plant.mass_kg:
+            fitted = _possible_drag(likelihood, fitted, ball, warnings)
+        white = whiteness(likelihood.series, likelihood.white(fitted.point))
+        fitted = sandwich(likelihood, fitted, max(round(settings.RESIDUAL_MEMORY_S / tick_s), 1))
+        progress("covariance and intervals")
+        if not fitted.converged:
             warnings.append(
-                f"the fit has not converged after {found.passes} passes ({found.decrement:.2g} standard errors from a "
-                "maximum): these numbers are the best so far. Check the recordings named above"
+                f"the fit has not converged after {fitted.passes} passes ({fitted.decrement:.2g} standard errors from "
+                "a maximum): these numbers are the best so far. Check the recordings named above"
             )
     warnings += _left_out(usages)
 
     coloured = white is not None and not white.white
-    ahead = None if white is None or not coloured else _misfit(records, campaign, found, white, tick_s, warnings)
+    ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
     intervals: dict[str, Interval] = {}
-    if found is not None:
-        intervals = quadratic_or_profile(likelihood, found, robust=coloured)
+    if fitted is not None:
+        intervals = quadratic_or_profile(likelihood, fitted, robust=coloured)
     parameters = {
-        "K_A": verdicts.gain(found, intervals, levels, shape, warnings),
-        "T_A": verdicts.time_constant(found, intervals, shape, tick_s, warnings),
-        "K_c": verdicts.force_constant(found, intervals, force, ball, flying, plant, warnings),
-        "b": verdicts.drag(found, intervals, ball, flying, plant, warnings, coloured=coloured),
+        "K_A": verdicts.gain(fitted, intervals, levels, shape, warnings),
+        "T_A": verdicts.time_constant(fitted, intervals, shape, tick_s, warnings),
+        "K_c": verdicts.force_constant(fitted, intervals, force, ball, flying, plant, warnings),
+        "b": verdicts.drag(fitted, intervals, ball, flying, plant, warnings, coloured=coloured),
     }
     parameters = mark(parameters, plant)
-    model = _model(campaign, parameters, found, white, records, usages, warnings, levels, shape, force)
+    model = _model(campaign, parameters, fitted, white, records, usages, warnings, levels, shape, force)
     return Identification(
         model=model,
-        converged=found is None or found.converged,
+        converged=fitted is None or fitted.converged,
         warnings=tuple(dict.fromkeys(warnings)),
         usages=tuple(usages),
         levels=levels,
         shape=shape,
         force=force,
-        fit=found,
+        fit=fitted,
         whiteness=white,
         ahead=ahead,
         tick_s=tick_s,
@@ -142,7 +142,7 @@ def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> l
     """The recordings with u_c shifted by its delay; `warnings` receives a sentence."""
     aligned = [delayed(record, samples) for record, samples in zip(records, delays, strict=True)]
     for samples in sorted(set(delays) - {0}):
-        names = [record.name for record, own in zip(aligned, delays, strict=True) if own == samples]
+        names = [record.name for record, delay in zip(aligned, delays, strict=True) if delay == samples]
         listed = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
         warnings.append(
             f"{listed}: u_c acts {samples} sample(s) later than recorded, by the response of i_c; corrected in the "
@@ -152,37 +152,41 @@ def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> l
 
 
 def _fitted(
-    likelihood: Likelihood, start: Point, free: tuple[str, ...], usages: Sequence[Usage], say: Callable[[str], None]
+    likelihood: Likelihood,
+    start: Point,
+    free: tuple[str, ...],
+    usages: Sequence[Usage],
+    progress: Callable[[str], None],
 ) -> tuple[Likelihood, Fit]:
     """(the likelihood without outliers, its maximum); their number is added to `usages`."""
-    found = fit(likelihood, start, free)
-    say(f"fit: {found.passes} passes over {len(likelihood.series)} samples")
-    gated, dropped = gate(likelihood.series, likelihood.white(found.point), len(usages))
+    fitted = fit(likelihood, start, free)
+    progress(f"fit: {fitted.passes} passes over {len(likelihood.series)} samples")
+    gated, dropped = gate(likelihood.series, likelihood.white(fitted.point), len(usages))
     if dropped.any():
         for usage, count in zip(usages, dropped, strict=True):
             usage.outliers += int(count)
         likelihood = Likelihood(gated, likelihood.plant, likelihood.tick_s)
-        found = fit(likelihood, found.point, free)
-    return likelihood, _parsimonious(likelihood, found)
+        fitted = fit(likelihood, fitted.point, free)
+    return likelihood, _parsimonious(likelihood, fitted)
 
 
-def _possible_drag(likelihood: Likelihood, found: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
+def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
     """The fit with b held at a possible value, for a likelihood whose maximum has an impossible drag."""
     plant = likelihood.plant
-    free = tuple(name for name in found.free if name != "b")
-    possible = ball is not None and 0.0 <= ball.d <= most_drag(plant)
+    free = tuple(name for name in fitted.free if name != "b")
+    possible = ball is not None and 0.0 <= ball.d <= max_drag(plant)
     steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
     warnings.append(
-        f"the best fit has more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball "
+        f"the best fit has more drag than b/m = {max_drag(plant):.0f} 1/s, the unstable pole: no ball "
         "in air has so much: it makes up for an effect that (6) lacks. "
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
-    return fit(likelihood, replace(found.point, b=steady), free)
+    return fit(likelihood, replace(fitted.point, b=steady), free)
 
 
 def _misfit(
-    records: list[Record], campaign: Campaign, found: Fit | None, white: Whiteness, tick_s: float, warnings: list[str]
+    records: list[Record], campaign: Campaign, fitted: Fit | None, white: Whiteness, tick_s: float, warnings: list[str]
 ) -> Horizon | None:
     """The prediction error of a model with coloured residuals; `warnings` receives sentences."""
     warnings.append(
@@ -190,28 +194,28 @@ def _misfit(
         "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
         "for the cause"
     )
-    ahead = _ahead(records, campaign, found, tick_s)
-    if ahead is not None and ahead.rmse_m > ahead.still_m:
+    ahead = _ahead(records, campaign, fitted, tick_s)
+    if ahead is not None and ahead.rmse_m > ahead.constant_m:
         warnings.append(
             f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, 'x stays "
-            f"where it is' by {ahead.still_m * 1e6:.0f} um: it is no model to "
+            f"where it is' by {ahead.constant_m * 1e6:.0f} um: it is no model to "
             "predict with. board51 diagnose extends it by what is missing"
         )
     return ahead
 
 
-def _ahead(records: list[Record], campaign: Campaign, found: Fit | None, tick_s: float) -> Horizon | None:
+def _ahead(records: list[Record], campaign: Campaign, fitted: Fit | None, tick_s: float) -> Horizon | None:
     flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
-    if found is None or not flown or "K_c" not in found.free:
+    if fitted is None or not flown or "K_c" not in fitted.free:
         return None
-    (ahead,) = horizons(flown, campaign.plant, found.point, tick_s, wanted_s=(settings.AHEAD_S,))
+    (ahead,) = horizons(flown, campaign.plant, fitted.point, tick_s, horizons_s=(settings.AHEAD_S,))
     return ahead if ahead.count else None
 
 
-def grouped(said: list[str], names: list[str]) -> list[str]:
+def grouped(messages: list[str], names: list[str]) -> list[str]:
     """Join lines "recording: text" with the same text into one line; other lines are unchanged."""
     lines: dict[str, list[str]] = {}
-    for line in said:
+    for line in messages:
         name = next((name for name in names if line.startswith(f"{name}: ")), "")
         lines.setdefault(line.removeprefix(f"{name}: ") if name else line, []).append(name)
     result = []
@@ -222,7 +226,7 @@ def grouped(said: list[str], names: list[str]) -> list[str]:
 
 
 def _left_out(usages: list[Usage]) -> list[str]:
-    said = []
+    messages = []
     for count, what in (
         ([u.outliers for u in usages], "wild readings were left out"),
         ([u.gaps for u in usages], "gaps; the filter starts anew behind each"),
@@ -236,8 +240,8 @@ def _left_out(usages: list[Usage]) -> list[str]:
         where = [f"{usage.name} {n}" for usage, n in zip(usages, count, strict=True) if n]
         if where:
             listed = ", ".join(where[:3]) + (f" and {len(where) - 3} more recordings" if len(where) > 3 else "")
-            said.append(f"{sum(count)} {what} ({listed})")
-    return said
+            messages.append(f"{sum(count)} {what} ({listed})")
+    return messages
 
 
 def _tick(records: list[Record]) -> float:
@@ -284,7 +288,7 @@ def _start(
     return point, free
 
 
-def _parsimonious(likelihood: Likelihood, found: Fit) -> Fit:
+def _parsimonious(likelihood: Likelihood, fitted: Fit) -> Fit:
     """The fit without process noises that do not improve the likelihood significantly.
 
     An unnecessary process noise widens the intervals.  If T_A is far below the sampling interval, a disturbance of the
@@ -292,22 +296,22 @@ def _parsimonious(likelihood: Likelihood, found: Fit) -> Fit:
     """
     for name in NOISES[2:]:
         # A noise level that is known so well is present; a fit without it would take long and be rejected.
-        if name not in found.free or (
-            found.converged and 0.0 < found.std(name, 1.0) < settings.NOISE_KNOWN * getattr(found.point, name)
+        if name not in fitted.free or (
+            fitted.converged and 0.0 < fitted.std(name, 1.0) < settings.NOISE_KNOWN * getattr(fitted.point, name)
         ):
             continue
-        without = replace(found.point, **{name: FLOORS[name]})
-        free = tuple(other for other in found.free if other != name)
+        without = replace(fitted.point, **{name: FLOORS[name]})
+        free = tuple(other for other in fitted.free if other != name)
         smaller = fit(likelihood, without, free)
-        if smaller.loglik > found.loglik - settings.PROCESS_NOISE_GAIN:
-            found = smaller
-    return found
+        if smaller.loglik > fitted.loglik - settings.PROCESS_NOISE_GAIN:
+            fitted = smaller
+    return fitted
 
 
 def _model(
     campaign: Campaign,
     parameters: dict[str, Parameter],
-    found: Fit | None,
+    fitted: Fit | None,
     white: Whiteness | None,
     records: list[Record],
     usages: list[Usage],
@@ -320,6 +324,6 @@ def _model(
     return Model(
         plant=campaign.plant,
         parameters={name: parameters[name] for name in PARAMETERS},
-        noise=noise_of(found, records),
-        provenance=provenance_of(campaign, found, white, usages, warnings, levels, shape, force),
+        noise=noise_of(fitted, records),
+        provenance=provenance_of(campaign, fitted, white, usages, warnings, levels, shape, force),
     )

@@ -42,12 +42,12 @@ class Identification:
         return self.converged and known
 
 
-def noise_of(found: Fit | None, records: list[Record]) -> Noise:
+def noise_of(fitted: Fit | None, records: list[Record]) -> Noise:
     """Noise levels of the fit without the converters' quantisation, which the twin adds from the board's scalings."""
     values = {name: getattr(_ASSUMED, name) for name in NOISE}
-    if found is not None:
-        known = {name: getattr(found.point, name) for name in found.free if name in NOISE}
-        known |= {name: FLOORS[name] for name in ("process_i_c_a", "process_a_m_s2") if _dropped(found, name)}
+    if fitted is not None:
+        known = {name: getattr(fitted.point, name) for name in fitted.free if name in NOISE}
+        known |= {name: FLOORS[name] for name in ("process_i_c_a", "process_a_m_s2") if _dropped(fitted, name)}
         values |= known
         i_lsb, x_lsb = (max((record.lsb[n] for record in records), default=0.0) for n in (0, 1))
         for name, lsb in (("sigma_i_c_a", i_lsb), ("sigma_x_m", x_lsb)):
@@ -56,14 +56,14 @@ def noise_of(found: Fit | None, records: list[Record]) -> Noise:
     return Noise(**{name: min(max(values[name], low), high) for name, (low, high) in NOISE.items()})
 
 
-def _dropped(found: Fit, name: str) -> bool:
-    flying = "K_c" in found.free
-    return name not in found.free and (flying or name == "process_i_c_a")
+def _dropped(fitted: Fit, name: str) -> bool:
+    flying = "K_c" in fitted.free
+    return name not in fitted.free and (flying or name == "process_i_c_a")
 
 
 def provenance_of(
     campaign: Campaign,
-    found: Fit | None,
+    fitted: Fit | None,
     white: Whiteness | None,
     usages: list[Usage],
     warnings: list[str],
@@ -77,13 +77,13 @@ def provenance_of(
         "recordings": [asdict(usage) for usage in usages],
         "warnings": list(dict.fromkeys(warnings)),
     }
-    if found is not None:
+    if fitted is not None:
         result["fit"] = {
             "criterion": "EKF innovations, maximum likelihood",
-            "converged": found.converged,
-            "passes": found.passes,
-            "log_likelihood": found.loglik,
-            "estimated": list(found.free),
+            "converged": fitted.converged,
+            "passes": fitted.passes,
+            "log_likelihood": fitted.loglik,
+            "estimated": list(fitted.free),
         }
     if white is not None:
         result["residuals"] = {key: _finite(value) for key, value in asdict(white).items()}
@@ -116,10 +116,10 @@ def _finite(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def table(found: Identification) -> str:
+def table(result: Identification) -> str:
     """Parameters, noise, residuals and warnings as lines of text."""
     lines = [f"{'':4}{'value':>12} {'unit':<10} {'std':>9}  {'95 % interval':<28}{'verdict':<18}how"]
-    for name, p in found.model.parameters.items():
+    for name, p in result.model.parameters.items():
         interval = "-"
         if p.ci95:
             # Enough digits to show the width of the interval.
@@ -129,16 +129,16 @@ def table(found: Identification) -> str:
             interval = f"{low:.{digits}g} .. {high:.{digits}g}"
         std = f"{p.std:.2g}" if p.std is not None else "-"
         lines.append(f"{name:<4}{p.value:>12.6g} {p.unit:<10} {std:>9}  {interval:<28}{p.verdict:<18}{p.method}")
-    n = found.model.noise
+    n = result.model.noise
     lines.append(
         f"noise: i_c {n.sigma_i_c_a * 1e3:.3g} mA, x {n.sigma_x_m * 1e6:.3g} um, unexplained acceleration "
         f"{n.process_a_m_s2:.3g} m/s^2, current {n.process_i_c_a * 1e3:.3g} mA per tick"
     )
-    if found.whiteness is not None:
-        w = found.whiteness
+    if result.whiteness is not None:
+        w = result.whiteness
         colour = (
             "white" if w.white else f"coloured (autocorrelation up to {w.worst:.2f}): the model does not explain all"
         )
         lines.append(f"innovations: chi2 {w.chi2_x:.2f} (x), {w.chi2_i:.2f} (i_c), {colour}")
-    lines += [f"! {warning}" for warning in found.warnings]
+    lines += [f"! {warning}" for warning in result.warnings]
     return "\n".join(lines)

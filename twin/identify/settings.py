@@ -29,11 +29,11 @@ RESIDUAL_MEMORY_S = 0.1
 # Reasoned.  Relative standard error from which the log-likelihood is no parabola and the profile gives the interval.
 PROFILE_FROM = 0.15
 # Level.  Standard errors of b from 0 below which the profile gives its interval: 0.3 %.
-DRAG_NEAR_ZERO = 3.0
+SMALL_DRAG = 3.0
 # Reasoned.  Logarithm of a parameter beyond which an interval has no end: a factor of 50.
 BOUND_FARTHEST = 4.0
 # Reasoned.  Smallest relative standard error: laboratory instruments are not more accurate.
-LEAST_RELATIVE_ERROR = 1e-6
+MIN_RELATIVE_ERROR = 1e-6
 
 # --- Do two estimates of a number agree? ---
 
@@ -59,7 +59,7 @@ LINE_ERRORS = 5.0
 # Reasoned.  Of the range of i_c: smallest plausible resolution of a converter, whatever the digits of a file.
 RESOLUTION = 2.0**-16
 # Reasoned.  Largest ratio of residual to noise that is printed; a larger one depends only on the tiny noise.
-RATIO_SHOWN = 100.0
+MAX_RATIO = 100.0
 # Reasoned.  Standard errors from which the loss of a level is linear (P. J. Huber, Annals of Mathematical Statistics
 # 35(1), 1964).
 HUBER_ERRORS = 1.5
@@ -91,23 +91,23 @@ LAW_SAMPLES = 200  # reasoned: fewest samples in flight
 LAW_QUANTILE = 0.9  # reasoned: of the errors; the largest tenth may be limits and transients
 LAW_SHARE = 0.05  # reasoned: of the variation of u_c; a smaller error is not reported
 LAW_BETTER = 3.0  # reasoned: factor by which other gains must reduce the error
-LAW_MOST = 0.5  # reasoned: of the variation of u_c; a law with a larger error did not run
+LAW_LIMIT = 0.5  # reasoned: of the variation of u_c; a law with a larger error did not run
 LAW_EXPLAINED = 0.9  # reasoned: of the variance of u_c; gains that explain as much are reported
 
 # --- Dead channels ---
 
 CONSTANT_SAMPLES = 10  # reasoned: a channel with fewer samples is not called constant
-STILL_SPREAD = 1.5  # reasoned: times the sensor's noise; with a smaller spread x does not move
+UNMOVING_SPREAD = 1.5  # reasoned: times the sensor's noise; with a smaller spread x does not move
 ANSWER_SHARE = 0.3  # reasoned: of the response by (6); a smaller response is not that of this current
 # Level.  Standard errors by which that response must be too small: 3e-7, one-sided.
 ANSWER_ERRORS = 5.0
 
 # --- Units and columns (reasoned): the limits are several times beyond what any laboratory rig has ---
 
-CURRENT_MOST_A = 30.0  # too much for a coil of this size; as 30 mA too little to lift a ball
-CURRENT_LEAST_A = 0.05  # too little to carry a ball
-INPUT_MOST_V = 400.0  # more than any amplifier of such a coil
-INTERVAL_MOST_S = 0.2  # too slow to control a ball, so t is not in seconds
+MAX_CURRENT_A = 30.0  # too much for a coil of this size; as 30 mA too little to lift a ball
+MIN_CURRENT_A = 0.05  # too little to carry a ball
+MAX_INPUT_V = 400.0  # more than any amplifier of such a coil
+MAX_INTERVAL_S = 0.2  # too slow to control a ball, so t is not in seconds
 INTERVAL_SPREAD = 0.02  # relative: a smaller spread of the interval is not reported
 REPEATED_SHARE = 0.2  # of the times; more repeated times are an error of the table, not of a clock
 RESPONSE_S = 0.1  # longest delay between reference and position

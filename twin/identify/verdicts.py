@@ -25,7 +25,7 @@ _INFINITE = 1e6  # relative width that stands for an infinite one
 
 
 def gain(
-    found: Fit | None,
+    fitted: Fit | None,
     intervals: dict[str, Interval],
     levels: Levels | None,
     shape: Shape | None,
@@ -34,7 +34,7 @@ def gain(
     """K_A from the steady levels, or from the joint fit if it agrees with them.
 
     Args:
-        found: the joint fit; None: there is none.
+        fitted: the joint fit; None: there is none.
         intervals: of the joint fit.
         levels: line through the steady levels; None: there are none.
         shape: of the step response; None: there is none.
@@ -57,29 +57,29 @@ def gain(
             )
         if shape is not None and not shape.first_order:
             warnings.append(
-                f"the amplifier's step response is not first order: its residual is {shape.said} "
+                f"the amplifier's step response is not first order: its residual is {shape.text} "
                 f"({shape.steps} steps); K_A is from the steady levels, T_A the best first-order fit"
             )
         differ = (
             joint is not None
-            and found is not None
-            and abs(found.point.K_A - levels.K_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, levels.K_A_std)
+            and fitted is not None
+            and abs(fitted.point.K_A - levels.K_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, levels.K_A_std)
         )
-        if joint is None or found is None or offset or bent or differ or (shape is not None and not shape.first_order):
-            if differ and found is not None and not offset and not bent:
+        if joint is None or fitted is None or offset or bent or differ or (shape is not None and not shape.first_order):
+            if differ and fitted is not None and not offset and not bent:
                 warnings.append(
-                    f"K_A is {levels.K_A:.5g} A/V by steady levels and {found.point.K_A:.5g} A/V by the joint fit"
+                    f"K_A is {levels.K_A:.5g} A/V by steady levels and {fitted.point.K_A:.5g} A/V by the joint fit"
                 )
             through = f"line through {len(levels.levels)} steady levels"
             return _parameter("K_A", levels.K_A, levels.K_A_std, through, "(1)")
-    if found is None or joint is None:
+    if fitted is None or joint is None:
         return _absent("K_A", 1.0, warnings)
     how = "steady levels, refined by innovations likelihood" if levels is not None else "innovations likelihood"
-    return _parameter("K_A", found.point.K_A, joint, how, "(1), (7)")
+    return _parameter("K_A", fitted.point.K_A, joint, how, "(1), (7)")
 
 
 def time_constant(
-    found: Fit | None, intervals: dict[str, Interval], shape: Shape | None, tick_s: float, warnings: list[str]
+    fitted: Fit | None, intervals: dict[str, Interval], shape: Shape | None, tick_s: float, warnings: list[str]
 ) -> Parameter:
     """T_A from the steps if they are not first order, are more precise or disagree; otherwise from the joint fit.
 
@@ -93,30 +93,30 @@ def time_constant(
             "T_A",
             shape.T_A,
             std,
-            f"best first-order response to {shape.steps} steps, which are not first order (residual {shape.said})",
+            f"best first-order response to {shape.steps} steps, which are not first order (residual {shape.text})",
             "(1)",
         )
     if shape is not None and (
-        found is None
+        fitted is None
         or joint is None
         or not joint.std <= shape.T_A_std
-        or abs(found.point.T_A - shape.T_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, shape.T_A_std)
+        or abs(fitted.point.T_A - shape.T_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, shape.T_A_std)
     ):
         # Each step has its own levels, so an offset, which (1) does not have, cannot bias T_A.
         return _parameter("T_A", shape.T_A, shape.T_A_std, f"first-order response to {shape.steps} steps", "(1)")
-    if found is None or joint is None:
+    if fitted is None or joint is None:
         return _absent("T_A", 0.15 * tick_s, warnings)
-    parameter = _parameter("T_A", found.point.T_A, joint, "innovations likelihood", "(1), (7)")
+    parameter = _parameter("T_A", fitted.point.T_A, joint, "innovations likelihood", "(1), (7)")
     if parameter.verdict != "identified":
         warnings.append(
             f"T_A is {parameter.verdict}: samples every {tick_s * 1e3:g} ms see little of "
-            f"{found.point.T_A * 1e3:.3g} ms. To know it, {_HELP['T_A']}"
+            f"{fitted.point.T_A * 1e3:.3g} ms. To know it, {_HELP['T_A']}"
         )
     return parameter
 
 
 def force_constant(
-    found: Fit | None,
+    fitted: Fit | None,
     intervals: dict[str, Interval],
     force: ForceConstant | None,
     ball: BallStart | None,
@@ -127,7 +127,7 @@ def force_constant(
     """K_c from the joint fit if there are flights, otherwise from lift-off or equilibria (8).
 
     Args:
-        found: the joint fit; None: there is none.
+        fitted: the joint fit; None: there is none.
         intervals: of the joint fit.
         force: K_c by (8); None: there is none.
         ball: the regression for starting values.
@@ -147,17 +147,17 @@ def force_constant(
                 f"(+- {force.shift_std_m * 1e3:.2g} mm): (3) holds with "
                 f"x_max_m = {plant.x_max_m + force.shift_m:.5g}, or not at all"
             )
-    if flying and found is not None and joint is not None:
-        differ = force is not None and abs(force.K_c - found.point.K_c) > settings.AGREEMENT_ERRORS * math.hypot(
+    if flying and fitted is not None and joint is not None:
+        differ = force is not None and abs(force.K_c - fitted.point.K_c) > settings.AGREEMENT_ERRORS * math.hypot(
             force.std, joint.std
         )
         if force is not None and differ:
             warnings.append(
-                f"K_c is {force.K_c:.4g} by (8) and {found.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains "
+                f"K_c is {force.K_c:.4g} by (8) and {fitted.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains "
                 "both. (3) does not hold over the whole travel; board51 diagnose looks for the reason"
             )
-        parameter = _parameter("K_c", found.point.K_c, joint, "innovations likelihood over all flights", "(6), (7)")
-        if force is None or not differ or abs(force.K_c / found.point.K_c - 1.0) < settings.K_C_DIFFERENT:
+        parameter = _parameter("K_c", fitted.point.K_c, joint, "innovations likelihood over all flights", "(6), (7)")
+        if force is None or not differ or abs(force.K_c / fitted.point.K_c - 1.0) < settings.K_C_DIFFERENT:
             return parameter
         # Two precise but different values: neither interval is that of K_c.
         method = f"{parameter.method}; lift-off (8) says {force.K_c:.4g}"
@@ -177,7 +177,7 @@ def force_constant(
 
 
 def drag(
-    found: Fit | None,
+    fitted: Fit | None,
     intervals: dict[str, Interval],
     ball: BallStart | None,
     flying: bool,
@@ -192,23 +192,23 @@ def drag(
     Arguments as in `force_constant`; `coloured`: whether the residuals are coloured.
     """
     joint = intervals.get("b")
-    if flying and found is not None and joint is None and ball is not None:
+    if flying and fitted is not None and joint is None and ball is not None:
         why = "because the best fit has an impossible drag: the model lacks something that acts faster"
-        if found.point.b == 0.0:
+        if fitted.point.b == 0.0:
             return replace(_absent("b", 0.0, []), method=f"placeholder, {why}; board51 diagnose looks for it")
         std = ball.d_std * plant.mass_kg
         return Parameter(
-            value=found.point.b,
+            value=fitted.point.b,
             unit=PARAMETERS["b"][0],
             std=std,
-            ci95=(max(found.point.b - 1.96 * std, 0.0), found.point.b + 1.96 * std),
+            ci95=(max(fitted.point.b - 1.96 * std, 0.0), fitted.point.b + 1.96 * std),
             verdict="not-identifiable",
             method=f"regression over 60 ms windows, {why}; board51 diagnose looks for it",
             equation="(5), (6)",
         )
-    if not flying or found is None or joint is None:
+    if not flying or fitted is None or joint is None:
         return _absent("b", 0.0, warnings)
-    value = found.point.b
+    value = fitted.point.b
     if joint.high <= 0.0:
         warnings.append(
             f"b = {value:.3g} N s/m is negative beyond its error: something that the model lacks feeds energy in "
@@ -246,8 +246,8 @@ def _parameter(name: str, value: float, spread: Interval | float, method: str, e
         std, low, high, method = spread.std, spread.low, spread.high, f"{method}; {spread.method}"
     else:
         std, low, high = spread, value - 1.96 * spread, value + 1.96 * spread
-    least = settings.LEAST_RELATIVE_ERROR * abs(value)  # without noise the standard error would be 0
-    std, low, high = max(std, least), min(low, value - 1.96 * least), max(high, value + 1.96 * least)
+    min_std = settings.MIN_RELATIVE_ERROR * abs(value)  # without noise the standard error would be 0
+    std, low, high = max(std, min_std), min(low, value - 1.96 * min_std), max(high, value + 1.96 * min_std)
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)
     high = high if math.isfinite(high) else highest

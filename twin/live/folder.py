@@ -17,13 +17,13 @@ from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recor
 from protocol.campaign_text import emit
 from protocol.errors import DataError
 from twin.live.pieces import Piece
-from twin.live.source import Heard
+from twin.live.source import LiveData
 from twin.model.nominal import nominal
 from twin.model.parameters import parse_model
 from twin.readers.log import TwinLog
 
 
-def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, site: str, board: str) -> Path:
+def write(live: LiveData, pieces: Sequence[Piece], plant: Plant, out: Path, *, site: str, board: str) -> Path:
     """The folder, below `out`.  Raises DataError where it cannot be written."""
     folder = out / f"live-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
     try:
@@ -32,9 +32,9 @@ def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, sit
         raise DataError(f"{folder} cannot be made ({error.strerror})", remedy="Give another --out") from None
     for piece in pieces:
         with TwinLog(folder / f"{piece.name}.mcap") as log:
-            if heard.parameters:
-                session = piece.states[0].session if piece.states else heard.parameters[-1].session
-                known = [one for one in heard.parameters if one.session == session] or heard.parameters
+            if live.parameters:
+                session = piece.states[0].session if piece.states else live.parameters[-1].session
+                known = [announced for announced in live.parameters if announced.session == session] or live.parameters
                 at_ns = piece.states[0].host_time_ns if piece.states else known[-1].host_time_ns
                 log.write(
                     topics.key(site, board, "parameters"), known[-1], message_type=pb.Parameters, log_time_ns=at_ns
@@ -52,28 +52,31 @@ def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, sit
         where=str(folder / "campaign.toml"),
         folder=folder,
         plant=plant,
-        controller=controller_of(heard.parameters),
+        controller=controller_of(live.parameters),
         recordings=tuple(Recording(file=f"{piece.name}.mcap", kind=piece.kind, use=piece.use) for piece in pieces),
     )
-    comments = [f"Made by `board51 diagnose --live` from {heard.where}, board {site}/{board}."]
+    comments = [f"Made by `board51 diagnose --live` from {live.where}, board {site}/{board}."]
     if campaign.controller is None:
         comments.append("No [controller]: the board's gains changed, or did not arrive.")
     (folder / "campaign.toml").write_text(emit(campaign, comments=comments), encoding="utf-8")
     return folder
 
 
-def plant_of(heard: Heard) -> Plant:
+def plant_of(live: LiveData) -> Plant:
     """Of the model that the live twin runs on; of the nominal CE 152 where no twin is heard.
 
     The nominal model is what a twin runs on before anybody has stated a plant: its plant is assumed.
     """
-    model = parse_model(heard.model_json, where="the live twin's model") if heard.model_json else nominal()
+    model = parse_model(live.model_json, where="the live twin's model") if live.model_json else nominal()
     return replace(model.plant, assumed=True) if model == nominal() else model.plant
 
 
 def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:
     """The law, where one set of gains was in force throughout."""
-    laws = {(one.law, tuple(one.gains), one.i_0_a, one.x_0_m, one.u_0_v) for one in parameters}
+    laws = {
+        (announced.law, tuple(announced.gains), announced.i_0_a, announced.x_0_m, announced.u_0_v)
+        for announced in parameters
+    }
     if len(laws) != 1:
         return None
     law, gains, i_c_a, x_m, u_c_v = laws.pop()

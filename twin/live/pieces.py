@@ -25,7 +25,7 @@ SHORTEST_S = 1.0  # of a recording: less says nothing
 REST_S = 5.0  # of each idle spell
 FLIGHT_S = 8.0  # least of closed loop in all: 6 s to fit, 2 s to judge
 JUDGE_SHARE = 0.25
-NEAR_SHARE = 0.1  # of the flight: as far from three quarters the cut may be to meet a change of reference
+SLACK_SHARE = 0.1  # of the flight: as far from three quarters the cut may be to meet a change of reference
 MOVES_M = 2e-4  # a reference that moves less leaves force and drag untold
 _KINDS: dict[int, tuple[str, Kind]] = {
     pb.MODE_IDLE: ("rest", "free"),
@@ -73,16 +73,16 @@ def cut(
             remedy="Fly steps of the reference for a while, or perform an experiment with "
             "`board51 campaign run FOLDER --experiment wide-steps`, then ask again",
         )
-    judged = _judges(flights, flown_s)
+    judge_from = _judges(flights, flown_s)
     pieces: list[Piece] = []
     for spell in spells:
         name, kind = _KINDS[spell[0].mode]
         parts: list[tuple[Use, list[pb.State]]] = [("fit", spell)]
         if kind == "free":
-            parts = [("fit", [one for one in spell if one.t_s - spell[0].t_s < REST_S])]
+            parts = [("fit", [state for state in spell if state.t_s - spell[0].t_s < REST_S])]
         elif kind == "closed-loop":
-            place = judged.get((spell[0].session, spell[0].tick), len(spell))
-            parts = [("fit", spell[:place]), ("judge", spell[place:])]
+            index = judge_from.get((spell[0].session, spell[0].tick), len(spell))
+            parts = [("fit", spell[:index]), ("judge", spell[index:])]
         for use, part in parts:
             if _long(part):
                 number = f"{name}-{len(pieces) + 1:02d}" + ("-judge" if use == "judge" else "")
@@ -121,26 +121,26 @@ def _spells(states: Sequence[pb.State], changes: set[tuple[int, int]]) -> list[l
 
 def _judges(flights: Sequence[list[pb.State]], flown_s: float) -> dict[tuple[int, int], int]:
     """By (session, tick) of a flight's first sample: the index from which it judges."""
-    wanted_s, slack_s = (1.0 - JUDGE_SHARE) * flown_s, NEAR_SHARE * flown_s
-    found: dict[tuple[int, int], int] = {}
+    target_s, slack_s = (1.0 - JUDGE_SHARE) * flown_s, SLACK_SHARE * flown_s
+    starts: dict[tuple[int, int], int] = {}
     best: tuple[float, tuple[int, int], int] | None = None
     before_s = 0.0
     for flight in flights:
         key, start_s = (flight[0].session, flight[0].tick), flight[0].t_s
-        for place, state in enumerate(flight):
-            away_s = abs(before_s + state.t_s - start_s - wanted_s)
-            changed = place == 0 or state.x_ref_m != flight[place - 1].x_ref_m
+        for index, state in enumerate(flight):
+            away_s = abs(before_s + state.t_s - start_s - target_s)
+            changed = index == 0 or state.x_ref_m != flight[index - 1].x_ref_m
             # Where nothing changes within the slack, the plain place at three quarters remains the nearest.
             cost = away_s if changed and away_s < slack_s else slack_s + away_s
             if best is None or cost < best[0]:
-                best = (cost, key, place)
+                best = (cost, key, index)
         before_s += flight[-1].t_s - start_s
     assert best is not None
     later: Literal[False, True] = False
     for flight in flights:
         key = (flight[0].session, flight[0].tick)
         if key == best[1]:
-            found[key], later = best[2], True
+            starts[key], later = best[2], True
         elif later:
-            found[key] = 0
-    return found
+            starts[key] = 0
+    return starts

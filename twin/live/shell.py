@@ -18,7 +18,7 @@ from protocol.errors import UsageError
 
 LONGEST_MIN = 60.0  # 500 Hz of it are 2 million samples
 _NICE = 5  # the gateway and the twin of a rig in flight go first
-_LIVE_ONLY = ("board", "connect", "plant", "hand_over")
+_LIVE_OPTIONS = ("board", "connect", "plant", "hand_over")
 
 
 def configure_live(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def check_options(args: argparse.Namespace) -> None:
     if args.live is None:
         if args.campaign is None:
             raise UsageError("there is nothing to diagnose", remedy="Name a CAMPAIGN, or give --live MINUTES")
-        for name in _LIVE_ONLY:
+        for name in _LIVE_OPTIONS:
             if getattr(args, name):
                 raise UsageError(f"--{name.replace('_', '-')} is for live data", remedy="Add --live MINUTES")
         return
@@ -61,10 +61,10 @@ def check_options(args: argparse.Namespace) -> None:
 
 def endpoints_of(args: argparse.Namespace) -> tuple[str, ...]:
     """Where the router listens.  Raises ConfigError."""
-    return tuple(check_endpoint(one, where="--connect") for one in args.connect or [DEFAULT_ENDPOINT])
+    return tuple(check_endpoint(endpoint, where="--connect") for endpoint in args.connect or [DEFAULT_ENDPOINT])
 
 
-def record_live(args: argparse.Namespace, say: Callable[[str], None]) -> tuple[Path, str]:
+def record_live(args: argparse.Namespace, progress: Callable[[str], None]) -> tuple[Path, str]:
     """Make the campaign; its folder, and the board's name.
 
     Raises:
@@ -80,23 +80,23 @@ def record_live(args: argparse.Namespace, say: Callable[[str], None]) -> tuple[P
     span_s = 60.0 * args.live
     with open_client(endpoints_of(args), find_identity(args.identity)) as session:
         board, status = find_board(session, args.site, args.board)
-        heard = from_log(status, args.logs, args.site, board, span_s)
-        if heard is None:
-            heard = from_bus(session, args.site, board, span_s, say)
-    pieces = cut(list(heard.states), heard.captures, changes_of(heard.parameters))
-    folder = write(heard, pieces, plant or plant_of(heard), args.out, site=args.site, board=board)
+        live = from_log(status, args.logs, args.site, board, span_s)
+        if live is None:
+            live = from_bus(session, args.site, board, span_s, progress)
+    pieces = cut(list(live.states), live.captures, changes_of(live.parameters))
+    folder = write(live, pieces, plant or plant_of(live), args.out, site=args.site, board=board)
     listed = ", ".join(f"{piece.name} {piece.duration_s:.0f} s" for piece in pieces)
-    say(f"{args.site}/{board}, from {heard.where}: {listed}")
+    progress(f"{args.site}/{board}, from {live.where}: {listed}")
     if not moves(pieces):
-        say("! the reference hardly moves: force and drag are estimated from noise alone; fly steps of it")
-    say(f"recordings in {folder}")
+        progress("! the reference hardly moves: force and drag are estimated from noise alone; fly steps of it")
+    progress(f"recordings in {folder}")
     return folder, board
 
 
-def give_to_twin(args: argparse.Namespace, model: Path, board: str, tell: Callable[[str], None]) -> bool:
+def give_to_twin(args: argparse.Namespace, model: Path, board: str, progress: Callable[[str], None]) -> bool:
     """Hand the model over and tell what the twin makes of it; False where it was refused."""
     from twin.live.source import open_client
-    from twin.live.twin_heard import hand_over_and_compare
+    from twin.live.surprise import hand_over_and_compare
     from twin.mirror.bus.handover import believe
     from twin.model.parameters import load_model
 
@@ -104,9 +104,9 @@ def give_to_twin(args: argparse.Namespace, model: Path, board: str, tell: Callab
     belief = believe(load_model(model), who="diagnose")
     identity = find_identity(args.identity)
     with open_client(endpoints, identity) as session:
-        taken, lines = hand_over_and_compare(
+        accepted, lines = hand_over_and_compare(
             session, belief, site=args.site, board=board, endpoints=endpoints, identity=identity
         )
     for line in lines:
-        tell(line)
-    return taken
+        progress(line)
+    return accepted

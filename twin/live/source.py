@@ -30,11 +30,11 @@ STATUS_WAIT_S = 3.5  # it comes once a second
 PROGRESS_S = 10.0
 TOPICS = ("state", "parameters", "capture", "twin/model")
 _PART = re.compile(r"(?P<run>.+)-(?P<number>\d{3,})\.mcap")
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 @dataclass(slots=True)
-class Heard:
+class LiveData:
     """Of one board, in the order of time."""
 
     states: deque[pb.State] = field(default_factory=deque)
@@ -65,7 +65,7 @@ class Heard:
         since_ns = self.states[-1].host_time_ns - round(span_s * 1e9)
         while self.states and self.states[0].host_time_ns < since_ns:
             self.states.popleft()
-        self.captures = [one for one in self.captures if one.host_time_ns >= since_ns]
+        self.captures = [capture for capture in self.captures if capture.host_time_ns >= since_ns]
 
 
 def open_client(endpoints: tuple[str, ...], identity: Identity | None = None) -> zenoh.Session:
@@ -83,30 +83,30 @@ def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[st
         ServiceError: no gateway reports it.
         UsageError: there are several, and none was named.
     """
-    found: dict[str, pb.Status] = {}
+    boards: dict[str, pb.Status] = {}
 
     def arrived(sample: zenoh.Sample) -> None:
-        place = topics.split(str(sample.key_expr))
+        parts = topics.split(str(sample.key_expr))
         status = parse(pb.Status, sample.payload.to_bytes())
-        if place is not None and status is not None:
-            found[place[1]] = status
+        if parts is not None and status is not None:
+            boards[parts[1]] = status
 
     subscriber = session.declare_subscriber(topics.key(site, board or "*", "status"), arrived)
     deadline = time.monotonic() + STATUS_WAIT_S
-    while time.monotonic() < deadline and not (board and found):
+    while time.monotonic() < deadline and not (board and boards):
         time.sleep(0.05)
     subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
-    if not found:
+    if not boards:
         raise ServiceError(
             f"No gateway reports {site}/{board or '*'}",
             remedy="Start `board51 gateway`, or check --site and --board",
         )
-    if len(found) > 1:
-        raise UsageError(f"There are boards {', '.join(sorted(found))}", remedy="Choose one with --board")
-    return next(iter(found.items()))
+    if len(boards) > 1:
+        raise UsageError(f"There are boards {', '.join(sorted(boards))}", remedy="Choose one with --board")
+    return next(iter(boards.items()))
 
 
-def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: float) -> Heard | None:
+def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: float) -> LiveData | None:
     """The newest `span_s` out of the log that the gateway is writing; None where it does not lie in `folder`.
 
     Raises:
@@ -119,60 +119,60 @@ def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: flo
     if part := _PART.fullmatch(current.name):
         older = [folder / f"{part['run']}-{number:03d}.mcap" for number in range(int(part["number"]))]
         files = [path for path in older if path.is_file()] + files
-    heard = Heard(where=str(current))
+    live = LiveData(where=str(current))
     # Backwards until the parts cover the span: an older part is read only where it is needed.
     for first in reversed(range(len(files))):
-        heard = Heard(where=str(current))
+        live = LiveData(where=str(current))
         for path in files[first:]:
             for entry in entries(LogReader(path), topics=TOPICS, board=board):
                 if entry.site != site:
                     continue
-                heard.take(entry.topic, entry.data)
-                if entry.topic == "state" and len(heard.states) % 1000 == 0:
-                    heard.newest(span_s)
-        whole_s = 1e-9 * (heard.states[-1].host_time_ns - heard.states[0].host_time_ns) if heard.states else 0.0
+                live.take(entry.topic, entry.data)
+                if entry.topic == "state" and len(live.states) % 1000 == 0:
+                    live.newest(span_s)
+        whole_s = 1e-9 * (live.states[-1].host_time_ns - live.states[0].host_time_ns) if live.states else 0.0
         if whole_s >= 0.99 * span_s:
             break
-    heard.newest(span_s)
-    if not heard.states or heard.states[-1].session != status.session:
+    live.newest(span_s)
+    if not live.states or live.states[-1].session != status.session:
         return None
-    return heard
+    return live
 
 
-def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, say: Say) -> Heard:
+def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, progress: Progress) -> LiveData:
     """Listen for `span_s`.  Raises ServiceError where nothing comes."""
-    heard = Heard(where="the bus")
+    live = LiveData(where="the bus")
     queue: deque[tuple[str, bytes]] = deque()
 
     def arrived(sample: zenoh.Sample) -> None:
-        place = topics.split(str(sample.key_expr))
-        if place is not None and place[2] in TOPICS:
-            queue.append((place[2], sample.payload.to_bytes()))
+        parts = topics.split(str(sample.key_expr))
+        if parts is not None and parts[2] in TOPICS:
+            queue.append((parts[2], sample.payload.to_bytes()))
 
     subscriber = session.declare_subscriber(f"{site}/{board}/**", arrived)
-    began = told = time.monotonic()
-    say(f"the gateway's log is not on this machine: listening for {span_s:.0f} s")
+    began = reported_s = time.monotonic()
+    progress(f"the gateway's log is not on this machine: listening for {span_s:.0f} s")
     while (now := time.monotonic()) - began < span_s:
         time.sleep(0.05)
         while queue:
-            heard.take(*queue.popleft())
-        if now - told >= PROGRESS_S:
-            told = now
-            say(f"{now - began:.0f} of {span_s:.0f} s, {len(heard.states)} samples")
+            live.take(*queue.popleft())
+        if now - reported_s >= PROGRESS_S:
+            reported_s = now
+            progress(f"{now - began:.0f} of {span_s:.0f} s, {len(live.states)} samples")
     subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
-    if not heard.states:
+    if not live.states:
         raise ServiceError(
             f"No sample of {site}/{board} came within {span_s:.0f} s", remedy="See `board51 watch --topic status`"
         )
-    return heard
+    return live
 
 
-def _same(one: pb.Parameters, other: pb.Parameters) -> bool:
-    return (one.session, one.law, list(one.gains), one.i_0_a, one.x_0_m, one.u_0_v) == (
-        other.session,
-        other.law,
-        list(other.gains),
-        other.i_0_a,
-        other.x_0_m,
-        other.u_0_v,
+def _same(first: pb.Parameters, second: pb.Parameters) -> bool:
+    return (first.session, first.law, list(first.gains), first.i_0_a, first.x_0_m, first.u_0_v) == (
+        second.session,
+        second.law,
+        list(second.gains),
+        second.i_0_a,
+        second.x_0_m,
+        second.u_0_v,
     )

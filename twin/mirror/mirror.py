@@ -298,10 +298,10 @@ class Mirror:
         elif now.closed_loop:
             if before is None or not math.isfinite(before.x + now.u):
                 return
-            found = integral_behind(regime.law, i=now.i, x=now.x, x_prev=before.x, x_ref=now.x_ref, u=now.u)
-            if found is None:
+            recovered = integral_behind(regime.law, i=now.i, x=now.x, x_prev=before.x, x_ref=now.x_ref, u=now.u)
+            if recovered is None:
                 return
-            s, x_prev = found, before.x
+            s, x_prev = recovered, before.x
         u = before.u if before is not None and math.isfinite(before.u) else now.u
         warmth = float(self._twin[WARMTH])  # a coil stays as warm as it was; one that nobody saw is warm from this i_c
         self._twin[:] = rig_at(

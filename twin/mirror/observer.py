@@ -105,7 +105,7 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
 def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     """One tick on and the readings taken, innovations and their covariance left in `out`; returns the NIS."""
     f, n, T_s, out = o.f, len(o.inputs), o.sample_time_s, o.out
-    copy(f.here, f.y)
+    copy(f.previous, f.y)
     advance(f, f.y[:], o.inputs, n, 0.0, T_s, False)
     differences(f, o.inputs, n, 0.0, T_s)
     carry(f.F, f.P, f.G, f.m)
@@ -143,12 +143,12 @@ def observe(
         inputs[newest] = math.nan
     if not usable:
         return math.nan, math.nan, math.nan, False
-    place = position_of_reading(Base(*base_of(f)), f.c[:], x, current_of_reading(f.c[:], i))
+    position = position_of_reading(Base(*base_of(f)), f.c[:], x, current_of_reading(f.c[:], i))
     first = math.isnan(inputs[newest])
     o.since_cut[0] = math.inf if first else 0.0 if switched_off else o.since_cut[0] + 1.0
     n_i = n_x = nis = math.nan
     valid = False
-    if first or not o.low_m <= place <= o.high_m:
+    if first or not o.low_m <= position <= o.high_m:
         _begin(o, i, x, u, first)
     else:
         nis = _predict_and_correct(o, i, x)

@@ -41,10 +41,10 @@ class BoardRun:
     first_t_s: float = math.nan
     last_t_s: float = math.nan
     alarms: list[pb.Alarm] = field(default_factory=list)
-    parameters_seen: int = 0
+    parameters_count: int = 0
     models_logged: list[pb.TwinModel] = field(default_factory=list)  # what a live twin ran on, one entry per change
 
-    def heard_model(self, message: pb.TwinModel) -> None:
+    def add_model(self, message: pb.TwinModel) -> None:
         """Take a live twin's message about its model; repetitions have no effect."""
         if not self.models_logged or self.models_logged[-1] != message:
             self.models_logged.append(message)
@@ -84,16 +84,16 @@ class BoardRun:
                 for name, count in sorted(counters.items())
                 if name.startswith("missing_")
             },
-            "parameters_seen": self.parameters_seen,
+            "parameters_seen": self.parameters_count,
             "models_logged": [
                 {
-                    "name": one.name,
-                    "sha256": one.sha256,
-                    "session": one.session,
-                    "since_tick": one.since_tick,
-                    "who": one.who,
+                    "name": model.name,
+                    "sha256": model.sha256,
+                    "session": model.session,
+                    "since_tick": model.since_tick,
+                    "who": model.who,
                 }
-                for one in self.models_logged
+                for model in self.models_logged
             ],
             "rmse": {name: root(squares, count) for name, (count, _, squares, _) in errors.items()},
             "bias": {name: ratio(total, count) for name, (count, total, _, _) in errors.items()},
@@ -155,10 +155,10 @@ def run_log(
                 run = BoardRun(site=entry.site, board=entry.board, mirror=Mirror(model, settings))
                 runs[entry.site, entry.board] = run
             if entry.topic == "twin/model":
-                run.heard_model(parse(pb.TwinModel, entry, path))
+                run.add_model(parse(pb.TwinModel, entry, path))
                 continue
             if entry.topic == "parameters":
-                run.parameters_seen += 1
+                run.parameters_count += 1
                 run.mirror.parameters(parse(pb.Parameters, entry, path))
                 keep(entry, entry.topic, entry.data, pb.Parameters)
                 continue
@@ -180,14 +180,14 @@ def run_log(
     finally:
         if log:
             log.__exit__(None, None, None)
-    found = [run for run in runs.values() if run.samples]
-    if not found:
-        others = ", ".join(sorted(reader.boards)) or "none"
+    analysed = [run for run in runs.values() if run.samples]
+    if not analysed:
+        boards = ", ".join(sorted(reader.boards)) or "none"
         raise DataError(
             f"{path}: no samples" + (f" of board {board!r}" if board else ""),
-            remedy=f"Boards in this log: {others}",
+            remedy=f"Boards in this log: {boards}",
         )
-    return found, reader.finished
+    return analysed, reader.finished
 
 
 def _write(log: TwinLog, run: BoardRun, output: Output, log_time_ns: int) -> None:

@@ -14,7 +14,7 @@ from twin.mirror.settings import (
     SETTLE_DRIVEN_S,
     SETTLE_MAX_S,
     SETTLE_MIN_S,
-    SETTLED_SHARE,
+    SETTLING_SHARE,
     Settings,
 )
 from twin.model.parameters import Model
@@ -137,6 +137,6 @@ class Regime:
         """Ticks until the effect of the start has decayed."""
         seconds = SETTLE_DRIVEN_S
         if closed_loop:
-            ticks = self._expected.settle_ticks(x_ref, share=SETTLED_SHARE) if self._expected else None
+            ticks = self._expected.settle_ticks(x_ref, share=SETTLING_SHARE) if self._expected else None
             seconds = 1.0 if ticks is None else ticks * self.sample_time_s
         return round(min(max(seconds, SETTLE_MIN_S), SETTLE_MAX_S) / self.sample_time_s)

@@ -31,7 +31,7 @@ SILENT_S = 1.0
 # Checked.  T_s for which the steps of the kernels were compared with finer ones, s.
 SAMPLE_TIME_RANGE_S = (1e-4, 2e-2)
 # Reasoned.  Share of a difference at the start that is left when the twin counts as settled: 1 mm has become 0.1 um.
-SETTLED_SHARE = 1e-4
+SETTLING_SHARE = 1e-4
 SETTLE_MIN_S, SETTLE_MAX_S = 0.1, 5.0
 # Reasoned.  The same with the coil idle or in open loop: a ball dropped from the top stop is down after 0.05 s and
 # still after 0.3 s.

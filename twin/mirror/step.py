@@ -73,20 +73,20 @@ def step(twin: Packed, yardstick: Packed, tick: Packed) -> Answer:
     Returns:
         (innovation, twin, figures of x, i_c, u_c, whether an alarm changed, the changes in the order of ALARMS).
     """
-    t, by, now = Twin(*twin), Yardstick(*yardstick), Tick(*tick)
+    t, scale, now = Twin(*twin), Yardstick(*yardstick), Tick(*tick)
     w = Windows(*t.windows)
     n_i, n_x, nis, valid = observe(t.observer, now.follows, now.usable, now.switched_off, now.i, now.x, now.u)
-    nis_mean, of_innovation = judge_innovation(w, n_i, n_x, nis, valid, by.on_nis, by.off_nis)
+    nis_mean, of_innovation = judge_innovation(w, n_i, n_x, nis, valid, scale.on_nis, scale.off_nis)
     flight = (math.nan, math.nan, math.nan, math.nan)
     of_x = of_i = of_u = (math.nan, math.nan, math.nan, math.nan, math.nan, False)
     if now.flying:
         flight = advance(t.plant, t.law, t.free, now.closed_loop, now.x_ref, now.u)
-        of_x = figures(w, X, now.x, flight[1], by.std_x, now.in_step)
-        of_i = figures(w, I_C, now.i, flight[0], by.std_i, now.in_step)
-        of_u = figures(w, U_C, now.u, flight[3], by.std_u, now.in_step)
-    judged = now.flying and now.closed_loop and now.in_step
-    change_x = judge_error(w, 1, of_x[1], by.on_x, by.off_x, judged)
-    change_i = judge_error(w, 2, of_i[1], by.on_i, by.off_i, judged)
+        of_x = figures(w, X, now.x, flight[1], scale.std_x, now.in_step)
+        of_i = figures(w, I_C, now.i, flight[0], scale.std_i, now.in_step)
+        of_u = figures(w, U_C, now.u, flight[3], scale.std_u, now.in_step)
+    is_evidence = now.flying and now.closed_loop and now.in_step
+    change_x = judge_error(w, 1, of_x[1], scale.on_x, scale.off_x, is_evidence)
+    change_i = judge_error(w, 2, of_i[1], scale.on_i, scale.off_i, is_evidence)
     changed = of_innovation != UNCHANGED or change_x != UNCHANGED or change_i != UNCHANGED
     innovation = (n_i, n_x, nis, nis_mean, valid)
     return innovation, flight, of_x, of_i, of_u, changed, (of_innovation, change_x, change_i)

@@ -40,8 +40,8 @@ def mark(parameters: Mapping[str, Parameter], plant: Plant, names: tuple[str, ..
     """The parameters; those with these names say in `method` for which assumed plant they hold."""
     suffix = assumption(plant)
     return {
-        name: replace(one, method=f"{one.method}; {suffix}") if suffix and name in names else one
-        for name, one in parameters.items()
+        name: replace(parameter, method=f"{parameter.method}; {suffix}") if suffix and name in names else parameter
+        for name, parameter in parameters.items()
     }
 
 

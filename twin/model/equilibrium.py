@@ -2,8 +2,8 @@
 
 Rule 1: the equations are those of `extended.py`.  Brent's method (Algorithms for Minimization without Derivatives,
         1973, chapter 4) gives first the current that carries the ball, then the input that gives this current.
-Rule 2: a position is the true position, or with `shown` the sensor's reading; crosstalk and a nonlinear sensor make
-        them differ.
+Rule 2: a position is the true position, or with `as_reading` the sensor's reading.  Crosstalk and a nonlinear sensor
+        make them differ.
 Rule 3: dry friction is left out: with it every position near an equilibrium would be one, too.
 """
 
@@ -38,30 +38,32 @@ from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
 # The upper limits are beyond any amplifier.
-_LEAST_A, _MOST_A, _LEAST_V, _MOST_V = 1e-3, 1e3, 1e-2, 1e5
+_MIN_A, _MAX_A, _MIN_V, _MAX_V = 1e-3, 1e3, 1e-2, 1e5
 _XTOL, _RTOL = 1e-18, 4.0 * float(np.finfo(float).eps)  # the finest relative tolerance that brentq takes
 _INPUTS = 300  # inputs on a grid from _LEAST_V to _MOST_V, 5 % apart
 _SETTLING, _SETTLING_STEP_S = 2000, 5e-3
 
 
-def holding_current(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> float:
+def holding_current(p: Base, c: Vector, x_m: float, *, as_reading: bool = False) -> float:
     """The coil current that carries the ball at x, A; NaN if no current does.
 
     Args:
         p: the paper's parameters and the plant.
         c: the causes' parameters, shape (PLACES,).
         x_m: position of the ball, m.
-        shown: whether `x_m` is the sensor's reading.
+        as_reading: whether `x_m` is the sensor's reading.
     """
     packed = tuple(p)
-    if _lift(0.0, packed, c, x_m, shown) > 0.0:
+    if _lift(0.0, packed, c, x_m, as_reading) > 0.0:
         return math.nan
-    low, high = 0.0, _LEAST_A
-    while not _lift(high, packed, c, x_m, shown) > 0.0:  # far above the root, readings with crosstalk are meaningless
+    low, high = 0.0, _MIN_A
+    while (
+        not _lift(high, packed, c, x_m, as_reading) > 0.0
+    ):  # far above the root, readings with crosstalk are meaningless
         low, high = high, 2.0 * high
-        if high > _MOST_A:
+        if high > _MAX_A:
             return math.nan
-    return _root(_lift, low, high, packed, c, x_m, shown)
+    return _root(_lift, low, high, packed, c, x_m, as_reading)
 
 
 def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None) -> float:
@@ -76,26 +78,26 @@ def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None
     packed, w = tuple(p), i_a * i_a if warmth_a2 is None else warmth_a2
     if _surplus(0.0, packed, c, i_a, w) > 0.0:
         return math.nan
-    high = _MOST_V
+    high = _MAX_V
     if not _surplus(high, packed, c, i_a, w) > 0.0:  # with foldback the current falls again far above
-        inputs = np.geomspace(_LEAST_V, _MOST_V, _INPUTS).tolist()
+        inputs = np.geomspace(_MIN_V, _MAX_V, _INPUTS).tolist()
         high = next((u for u in inputs if _surplus(u, packed, c, i_a, w) > 0.0), math.nan)
         if math.isnan(high):
             return math.nan
     return _root(_surplus, 0.0, high, packed, c, i_a, w)
 
 
-def at_rest(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> tuple[NDArray[np.float64], float]:
+def at_rest(p: Base, c: Vector, x_m: float, *, as_reading: bool = False) -> tuple[NDArray[np.float64], float]:
     """(state of `extended.py`, shape (7,); u_c in V) of a ball that floats at x; arguments as `holding_current`.
 
     If nothing holds the ball there, the input is NaN and the state has no current.
     """
-    i = holding_current(p, c, x_m, shown=shown)
+    i = holding_current(p, c, x_m, as_reading=as_reading)
     u = holding_input(p, c, i)
     i = i if math.isfinite(i) else 0.0
     y = np.zeros(STATES)
     y[I_C] = y[FIELD] = i
-    y[X] = position_of_reading(p, c, x_m, i) if shown else x_m
+    y[X] = position_of_reading(p, c, x_m, i) if as_reading else x_m
     y[SENSOR], y[WARMTH] = position_reading(p, c, y[X], i), i * i
     return y, u
 
@@ -103,11 +105,11 @@ def at_rest(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> tuple[NDA
 def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
     """(reading of i_c0 in A, u_c0 in V) that hold the ball at the reading `x_m`, (13); NaN if there are none."""
     p, c = base(model), vector(model.causes)
-    y, u = at_rest(p, c, x_m, shown=True)
+    y, u = at_rest(p, c, x_m, as_reading=True)
     return (float(current_reading(c, y[I_C])), u) if math.isfinite(u) else (math.nan, math.nan)
 
 
-def settled_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
+def steady_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
     """Steady-state i_c under a constant u_c, A, with the ball held at x and the coil at its steady-state warmth.
 
     It is simulated because some causes of the amplifier appear only in the differential equations.
@@ -125,10 +127,10 @@ def settled_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
 
 
 @kernel
-def _lift(i: float, base: Packed, c: Vector, x_m: float, shown: bool) -> float:
+def _lift(i: float, base: Packed, c: Vector, x_m: float, as_reading: bool) -> float:
     """Acceleration of a ball at rest at x under the current i, m/s^2."""
     p = Base(*base)
-    x = position_of_reading(p, c, x_m, i) if shown else x_m
+    x = position_of_reading(p, c, x_m, i) if as_reading else x_m
     return acceleration(p, c, i, x, 0.0, 0.0)
 
 

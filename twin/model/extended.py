@@ -129,9 +129,9 @@ def sensor_lag_s(c: Vector) -> float:
 
 
 @kernel
-def lagging_reading(c: Vector, s: float, rate: float, settled: float, h: float) -> tuple[float, float]:
-    """(output of the sensor in m, its rate in m/s) after h s from s and rate, with the steady state `settled`, m."""
-    return position_sensor_lag.lagged(c, s, rate, settled, settled, h)
+def lagging_reading(c: Vector, s: float, rate: float, steady: float, h: float) -> tuple[float, float]:
+    """(output of the sensor in m, its rate in m/s) after h s from s and rate, with the steady state `steady`, m."""
+    return position_sensor_lag.lagged(c, s, rate, steady, steady, h)
 
 
 @kernel
@@ -174,10 +174,10 @@ def _driven(
     begin = _lead(p, c, v + at * a, gap - at * v)
     end = _lead(p, c, v + (at + h) * a, gap - (at + h) * v)
     change = T_A * (end - begin) / h if h > INSTANT_S else 0.0
-    last = motional_emf.settled(end, change)
+    last = motional_emf.steady_lead(end, change)
     if c[slew_rate_limit.RATE] < math.inf:
         return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target / last, T_A / last, h))
-    first = motional_emf.settled(begin, change)
+    first = motional_emf.steady_lead(begin, change)
     i_next = target / last + (i - target / first) * math.exp(-0.5 * h * (begin + end) / T_A)
     return current_limit.limited(c, i_next)
 
@@ -246,7 +246,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         v_next = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         if held:
             after = acceleration(p, c, f_next, x, 0.0, t + h)
-            v_next, path = coulomb_friction.let_go(coulomb_friction.most_at_rest(c, p.mass_kg), free, after, h)
+            v_next, path = coulomb_friction.let_go(coulomb_friction.static_friction(c, p.mass_kg), free, after, h)
             x_next = x + path
         elif brake * v_next < 0.0:
             after = acceleration(p, c, f_next, x, 0.0, t + h)
@@ -271,7 +271,7 @@ def short(p: Base, c: Vector, duration: float) -> bool:
 
 
 @kernel
-def amplifier_alone(c: Vector) -> bool:
+def has_first_order_current(c: Vector) -> bool:
     """Whether the current of a held ball responds as a first-order lag, so that it needs no integration."""
     straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0
     return straight and c[freewheel_diode.DROP] == 0.0
@@ -290,7 +290,7 @@ def held_current(p: Base, c: Vector, i: float, w: float, x: float, u: float, dur
         u: input after all delays, V.
         duration: s.
     """
-    if amplifier_alone(c):
+    if has_first_order_current(c):
         target = drive(p, c, u, w)
         return target + (i - target) * math.exp(-duration / p.T_A)
     plane = air_gap_offset.gap_m(c, p.x_max_m)

@@ -20,7 +20,7 @@ def vector(causes: Sequence[ModelCause]) -> NDArray[np.float64]:
     c = neutral()
     for cause in causes:
         for parameter in BY_NAME[cause.name].parameters:
-            c[parameter.place] = cause.parameters[parameter.name].value
+            c[parameter.index] = cause.parameters[parameter.name].value
     return c
 
 
@@ -45,7 +45,8 @@ def sentences(model: Model) -> list[str]:
     for cause in model.causes:
         known = BY_NAME[cause.name]
         values = ", ".join(
-            f"{one.symbol} = {cause.parameters[one.name].value:.4g} {one.unit}".rstrip() for one in known.parameters
+            f"{parameter.symbol} = {cause.parameters[parameter.name].value:.4g} {parameter.unit}".rstrip()
+            for parameter in known.parameters
         )
         lines.append(f"{cause.name}: {known.title} ({values})")
     return lines

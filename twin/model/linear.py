@@ -72,7 +72,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     c = c.copy()
     c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = 0.0
     eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
-    y0, u0 = at_rest(p, c, x_m, shown=True)
+    y0, u0 = at_rest(p, c, x_m, as_reading=True)
     places = [I_C, X, V, *([FIELD] if eddy > 0.0 else []), *([SENSOR] if lag > 0.0 else [])]
     if lag > 0.0 and c[position_sensor_lag.SECOND] > 0.0:
         places.append(RATE)
@@ -82,21 +82,21 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     c[amplifier_gain_drift.TAU] = math.inf
     h = min([LONGEST_S, p.T_A, *(tau for tau in (eddy, lag) if tau > 0.0)])
 
-    def after(place: int, by: float) -> NDArray[np.float64]:
+    def after(state: int, delta: float) -> NDArray[np.float64]:
         y, u = y0.copy(), u0
-        if place < 0:
-            u += by
+        if state < 0:
+            u += delta
         else:
-            y[place] += by
-            if place == I_C and eddy <= 0.0:
+            y[state] += delta
+            if state == I_C and eddy <= 0.0:
                 y[FIELD] = y[I_C]
         advance(tuple(p), c, y, u, 0.0, h, False)
         return y[places]
 
     block = np.eye(n + 1)
-    for column, place in enumerate(places):
-        by = float(_DELTA[place])
-        block[:n, column] = (after(place, by) - after(place, -by)) / (2.0 * by)
+    for column, state in enumerate(places):
+        delta = float(_DELTA[state])
+        block[:n, column] = (after(state, delta) - after(state, -delta)) / (2.0 * delta)
     block[:n, n] = (after(-1, _DELTA_U) - after(-1, -_DELTA_U)) / (2.0 * _DELTA_U)
     rates = _logarithm(block) / h
     change = _to_readings(p, c, y0, places)
@@ -112,7 +112,7 @@ def measured(
     """
     c = c.copy()
     c[position_sensor_lag.TAU] = 0.0
-    phi, gamma = late(*linearised(p, c, x_m), 0.0, sample_time_s)
+    phi, gamma = discretised(*linearised(p, c, x_m), 0.0, sample_time_s)
     if len(phi) > 3:
         phi[:, 0] += phi[:, 3] / c[current_sensor_gain.GAIN]
     return phi[:3, :3], gamma[:3]
@@ -129,22 +129,22 @@ def _logarithm(block: NDArray[np.float64]) -> NDArray[np.float64]:
 def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int]) -> NDArray[np.float64]:
     """The matrix from deviations of the states `places` to deviations of the readings, shape (n, n)."""
     i, x = float(y0[I_C]), float(y0[X])
-    by_x = (position_reading(p, c, x + 1e-7, i) - position_reading(p, c, x - 1e-7, i)) / 2e-7
-    by_i = (position_reading(p, c, x, i + 1e-4) - position_reading(p, c, x, i - 1e-4)) / 2e-4
-    shown = np.eye(len(places))
-    shown[0, 0] = (current_reading(c, i + 1e-4) - current_reading(c, i - 1e-4)) / 2e-4
-    settled = np.zeros(len(places))
-    settled[0], settled[1] = by_i, by_x
-    shown[2, 2] = by_x
+    slope_x = (position_reading(p, c, x + 1e-7, i) - position_reading(p, c, x - 1e-7, i)) / 2e-7
+    slope_i = (position_reading(p, c, x, i + 1e-4) - position_reading(p, c, x, i - 1e-4)) / 2e-4
+    readings = np.eye(len(places))
+    readings[0, 0] = (current_reading(c, i + 1e-4) - current_reading(c, i - 1e-4)) / 2e-4
+    position_row = np.zeros(len(places))
+    position_row[0], position_row[1] = slope_i, slope_x
+    readings[2, 2] = slope_x
     if SENSOR in places:
-        place = places.index(SENSOR)
-        shown[1], shown[place] = np.eye(len(places))[place], settled
+        row = places.index(SENSOR)
+        readings[1], readings[row] = np.eye(len(places))[row], position_row
     else:
-        shown[1] = settled
-    return shown
+        readings[1] = position_row
+    return readings
 
 
-def late(
+def discretised(
     A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(15) with u_c delayed by `delay_s`: exact, with past inputs as states and the hold split for a part of a tick.

@@ -129,7 +129,9 @@ def _in_catalogue(cause: ModelCause) -> ModelCause:
 
     if cause.name not in BY_NAME:
         raise RuleError(" is not in the catalogue", remedy=f"Use one of {', '.join(BY_NAME)}")
-    known = {one.name: (one.unit, one.low, one.high) for one in BY_NAME[cause.name].parameters}
+    known = {
+        parameter.name: (parameter.unit, parameter.low, parameter.high) for parameter in BY_NAME[cause.name].parameters
+    }
     try:
         return ModelCause(name=cause.name, parameters=_all_fit(cause.parameters, known, _usual(cause.name)))
     except RuleError as error:
@@ -142,8 +144,10 @@ def _usual(cause: str) -> Mapping[str, Parameter]:
 
     known = BY_NAME[cause]
     return {
-        one.name: Parameter(value=one.neutral, unit=one.unit, method="usual form", equation=known.equation)
-        for one in known.shapes
+        parameter.name: Parameter(
+            value=parameter.neutral, unit=parameter.unit, method="usual form", equation=known.equation
+        )
+        for parameter in known.shapes
     }
 
 

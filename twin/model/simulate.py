@@ -119,9 +119,9 @@ def rig_at(
     memory[SENSOR], memory[RATE] = position_reading(p, c, position, current), v
     memory[WARMTH] = current * current if warmth is None else warmth
     memory[I_READ], memory[X_READ] = current_reading(c, current), memory[SENSOR]
-    late = LINES + plant.act_whole + 2
-    memory[LINES:late] = u
-    memory[late::2], memory[late + 1 :: 2] = memory[I_READ], memory[X_READ]
+    lines_end = LINES + plant.act_whole + 2
+    memory[LINES:lines_end] = u
+    memory[lines_end::2], memory[lines_end + 1 :: 2] = memory[I_READ], memory[X_READ]
     return memory
 
 

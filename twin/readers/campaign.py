@@ -306,8 +306,8 @@ def _read_log(path: Path, recording: Recording) -> Record:
             remedy='Add board = "..." to its [[recording]]',
         )
     if not rows and not captures:
-        wanted = f" of board {recording.board!r}" if recording.board else ""
-        raise DataError(f"{path} holds no samples{wanted}", remedy="Give a log of a gateway that saw its board")
+        of_board = f" of board {recording.board!r}" if recording.board else ""
+        raise DataError(f"{path} holds no samples{of_board}", remedy="Give a log of a gateway that saw its board")
     table = np.array(rows).reshape(-1, 5)
     table[np.array([at in switched for at in ticks], np.bool_), 1] = nan
     notes = [f"{recording.file}: {lost} samples were lost on the way"] if lost else []

@@ -37,9 +37,9 @@ def entries(log: LogReader, *, topics: Collection[str], board: str | None = None
         last_ns = record.time_ns
         yield record
     for key in log.foreign:
-        found = split(key)
-        if found is not None and found[2] in topics and board in (None, found[1]):
-            expected = encoding.schema_name(BY_NAME[found[2]].message)
+        parts = split(key)
+        if parts is not None and parts[2] in topics and board in (None, parts[1]):
+            expected = encoding.schema_name(BY_NAME[parts[2]].message)
             raise DataError(
                 f"{log.name}: {key} holds {log.schema_of(key)}, not {expected}",
                 remedy="Give a log that board51 wrote",

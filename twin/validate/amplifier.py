@@ -100,8 +100,8 @@ def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, 
     bands: list[float] = []
     for trace in traces:
         T_s = float(np.median(np.diff(trace.t_s)))
-        still = np.concatenate(([True], np.abs(np.diff(trace.u_c_v)) <= FLAT_SHARE * max(np.ptp(trace.u_c_v), 1e-12)))
-        levels = runs(np.asarray(still), FEWEST)
+        is_flat = np.concatenate(([True], np.abs(np.diff(trace.u_c_v)) <= FLAT_SHARE * max(np.ptp(trace.u_c_v), 1e-12)))
+        levels = runs(np.asarray(is_flat), FEWEST)
         for before, after in pairwise(levels):
             if after.start - before.stop > 1:
                 continue

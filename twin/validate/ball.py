@@ -57,21 +57,21 @@ class Windows:
 def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
     """Errors over all flights, compared with the floor, by horizon; empty without predictions."""
     rows = []
-    for wanted in HORIZONS_S:
+    for nominal_s in HORIZONS_S:
         errors: list[FloatArray] = []
-        stills: list[FloatArray] = []
-        floor2, actual_s = 0.0, wanted
+        constants: list[FloatArray] = []
+        floor2, actual_s = 0.0, nominal_s
         for run in runs_:
             tick_s = run.source.record.interval_s
-            ahead = max(round(wanted / tick_s), 1)
+            ahead = max(round(nominal_s / tick_s), 1)
             actual_s = ahead * tick_s
-            error, still = error_ahead(run.system, run.series, run.state, ahead)
+            error, constant = error_ahead(run.system, run.series, run.state, ahead)
             good = np.isfinite(error)
             if good.any():
                 errors.append(error)
-                stills.append(still[good])
+                constants.append(constant[good])
                 floor2 += int(good.sum()) * _floor_m(run, ahead, np.asarray(good)) ** 2
-        count = sum(len(e) for e in stills)
+        count = sum(len(e) for e in constants)
         if not count:
             continue
         joined = np.concatenate(errors)
@@ -85,7 +85,7 @@ def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
         ratio = float(np.sqrt(mean2 / floor2))
         low = ratio / np.sqrt(1.0 + 1.96 * spread)
         high = ratio / np.sqrt(max(1.0 - 1.96 * spread, 0.05))
-        unmoved = float(np.sqrt(np.mean(np.concatenate(stills) ** 2)))
+        unmoved = float(np.sqrt(np.mean(np.concatenate(constants) ** 2)))
         rows.append(
             Ahead(
                 horizon_s=actual_s,
@@ -119,8 +119,8 @@ def _floor_m(run: Filtered, ahead: int, predicted: BoolArray) -> float:
     return floor_rmse(run.system._replace(noise=noise), run.series.samples, ahead, predicted)
 
 
-def windows(runs_: Sequence[Filtered], *, shown_s: float = 0.8) -> Windows | None:
-    """Predict windows over all flights; the result has the stretch of `shown_s` s with most motion for the figure.
+def windows(runs_: Sequence[Filtered], *, window_s: float = 0.8) -> Windows | None:
+    """Predict windows over all flights; the result has the stretch of `window_s` s with most motion for the figure.
 
     None if no flight is long enough.
     """
@@ -137,9 +137,9 @@ def windows(runs_: Sequence[Filtered], *, shown_s: float = 0.8) -> Windows | Non
                 # The last sample stays NaN to separate the windows.
                 simulated[begin : begin + length - 1] = window(run.system, s.samples, run.state, begin, length - 1)
                 count += 1
-            shown = slice(piece.start + settle, min(piece.stop, piece.start + settle + round(shown_s / tick_s)))
-            for start in range(piece.start + settle, max(piece.stop - (shown.stop - shown.start), shown.start + 1), 50):
-                part = slice(start, start + shown.stop - shown.start)
+            first = slice(piece.start + settle, min(piece.stop, piece.start + settle + round(window_s / tick_s)))
+            for start in range(piece.start + settle, max(piece.stop - (first.stop - first.start), first.start + 1), 50):
+                part = slice(start, start + first.stop - first.start)
                 motion = float(np.std(s.x[part])) if part.stop - part.start > length else 0.0
                 if best is None or motion > best[0]:
                     best = (motion, run, part, simulated)

@@ -40,13 +40,13 @@ def system_of(model: Model, record: Record) -> System:
     return System(tuple(base(model)), c, noise, AT_THE_ENDS, closed_form=not model.causes)
 
 
-def as_shown(state: FloatArray, model: Model) -> FloatArray:
+def as_readings(state: FloatArray, model: Model) -> FloatArray:
     """Readings of i_c and x, and the speed, of states of shape (n, 7); shape (n, 3), in A, m, m/s."""
     c = plant_numbers(model, 1e-3).c
-    shown = np.empty((len(state), 3))
-    shown[:, 0] = [current_reading(c, i) for i in state[:, I_C].tolist()]
-    shown[:, 1], shown[:, 2] = state[:, SENSOR], state[:, V]
-    return shown
+    readings = np.empty((len(state), 3))
+    readings[:, 0] = [current_reading(c, i) for i in state[:, I_C].tolist()]
+    readings[:, 1], readings[:, 2] = state[:, SENSOR], state[:, V]
+    return readings
 
 
 def current(
@@ -67,10 +67,10 @@ def current(
     y = np.zeros(STATES)
     y[I_C] = y[FIELD] = current_of_reading(c, start_a)
     y[WARMTH] = y[I_C] ** 2
-    shown = np.empty(len(u))
-    shown[0] = start_a
+    readings = np.empty(len(u))
+    readings[0] = start_a
     for k in range(1, len(u)):
         y[X], y[V] = x[k - 1], 0.0
         propagate(p, c, y, u, k, 0, 0.0, float(step[k]), False)
-        shown[k] = current_reading(c, y[I_C])
-    return shown
+        readings[k] = current_reading(c, y[I_C])
+    return readings

@@ -16,14 +16,14 @@ from twin.validate.amplifier import Amplifier, AmplifierTrace
 from twin.validate.ball import Ahead, Windows
 from twin.validate.residuals import Channel
 
-SHOWN_S = 4.0  # of a closed loop
-MOST_TRACES = 3
+DURATION_S = 4.0  # of a closed loop
+MAX_TRACES = 3
 
 
 @styled
 def amplifier_figure(result: Amplifier, time_constant_s: float) -> Figure:
     """Figure 7."""
-    traces = sorted(result.traces, key=lambda t: -float(np.ptp(t.u_c_v)))[:MOST_TRACES]
+    traces = sorted(result.traces, key=lambda t: -float(np.ptp(t.u_c_v)))[:MAX_TRACES]
     figure, axes = grid(2, len(traces), height=5.0, ratios=[2.2, 1.0])
     for n, trace in enumerate(traces):
         part = _around_change(trace, time_constant_s)
@@ -68,7 +68,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     ax.loglog(h, [row.floor_m * 1e6 for row in rows], color="black", ls="--", marker="_", label="noise floor")
     ax.set_xticks(h, [f"{value:g}" for value in h])
     ax.minorticks_off()
-    _at_least_two_ticks(ax)
+    _extend_to_two_ticks(ax)
     ax.set_xlabel("prediction horizon [ms]")
     ax.set_ylabel("rms error of x [µm]")
     legend_above(ax)
@@ -167,7 +167,7 @@ def _within_travel(ax: Axes, travel_m: float) -> None:
     ax.set_ylim(max(low, -room), min(high, travel_m * 1e3 + room))
 
 
-def _at_least_two_ticks(ax: Axes) -> None:
+def _extend_to_two_ticks(ax: Axes) -> None:
     """From one of 1, 2, 5, 10 ... below the values to one above."""
     steps = [m * 10.0**k for k in range(-4, 8) for m in (1, 2, 5)]
     low, high = ax.dataLim.intervaly
@@ -178,7 +178,7 @@ def _at_least_two_ticks(ax: Axes) -> None:
 
 
 def _busiest(run: LoopRun) -> slice:
-    n = min(round(SHOWN_S / float(np.median(np.diff(run.t_s)))), len(run.t_s))
+    n = min(round(DURATION_S / float(np.median(np.diff(run.t_s)))), len(run.t_s))
     moves = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(run.x_ref_m)))))
     starts = np.arange(0, len(run.t_s) - n + 1, max(n // 8, 1))
     best = int(starts[int(np.argmax(moves[starts + n - 1] - moves[starts]))])

@@ -60,7 +60,7 @@ def simulate_loop(
     memory = begin.copy()
     travel = Base(*p.base).travel_m
     s, x_prev = law_begin[0], law_begin[1]
-    late = len(before)
+    delay = len(before)
     for k in range(len(x_ref)):
         i_m, x_m = memory[I_READ] + noise[0, k], memory[X_READ] + noise[1, k]
         if lsb[0] > 0.0:
@@ -73,8 +73,8 @@ def simulate_loop(
         x_prev = x_m
         out[0, k], out[1, k], out[2, k] = i_m, x_m, u
         acting = u
-        if late > 0:
-            acting = before[k] if k < late else out[2, k - late]
+        if delay > 0:
+            acting = before[k] if k < delay else out[2, k - delay]
         hold(plant, memory, acting)
         memory[I_C] += noise[2, k]
         if 0.0 < memory[X] < travel:
@@ -83,14 +83,14 @@ def simulate_loop(
 
 def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> tuple[list[LoopRun], list[str]]:
     """(all flights that can be simulated, sentences on why the others cannot); `seed`: of the noise."""
-    found: list[LoopRun] = []
+    flights: list[LoopRun] = []
     why: dict[str, list[str]] = {}
     for n, run in enumerate(runs_):
         loops, reason = _flights(run, model, seed=seed + n)
-        found += loops
+        flights += loops
         if reason:
             why.setdefault(reason, []).append(run.source.record.name)
-    return found, [f"{reason} ({', '.join(names)})" for reason, names in why.items()]
+    return flights, [f"{reason} ({', '.join(names)})" for reason, names in why.items()]
 
 
 def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], str]:
@@ -112,7 +112,7 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
     flown = _flown(run, c)
     if not flown:
         return [], f"no {SHORTEST_S:g} s of flight at a steady sampling time with the reference known"
-    found, reason = [], ""
+    simulated, reason = [], ""
     for piece in flown:
         begin = _begin(run, c, piece)
         if begin is None:
@@ -127,21 +127,21 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
                 "other gains, another filter or another operating point ran"
             )
             continue
-        found.append(_simulate(run, model, c, part, integral, seed=seed))
-    return found, reason
+        simulated.append(_simulate(run, model, c, part, integral, seed=seed))
+    return simulated, reason
 
 
-def measured_only(run: Filtered) -> list[LoopRun]:
+def measured_loops(run: Filtered) -> list[LoopRun]:
     """The flights of a recording without a simulation, if the law is not known; longest first."""
     r = run.source.record
     if not r.has("x_ref"):
         return []
     free = np.isfinite(run.state[:, 0]) & np.isfinite(r.x_ref) & np.isfinite(r.u_c)
-    found = []
+    loops = []
     for piece in runs(np.asarray(free), max(round(SHORTEST_S / r.interval_s), 2)):
         n = piece.stop - piece.start
         none = np.full((1, n), np.nan)
-        found.append(
+        loops.append(
             LoopRun(
                 name=r.name,
                 t_s=r.t[piece] - r.t[piece.start],
@@ -156,7 +156,7 @@ def measured_only(run: Filtered) -> list[LoopRun]:
                 expected_std_m=float("nan"),
             )
         )
-    return sorted(found, key=lambda loop: -len(loop.t_s))
+    return sorted(loops, key=lambda loop: -len(loop.t_s))
 
 
 def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> float:
@@ -221,11 +221,11 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
         ]
     )
     lsb = np.array([*r.lsb, run.source.u_lsb_v])
-    i, x, v = run.shown[part.start].tolist()
+    i, x, v = run.readings[part.start].tolist()
     begin = rig_at(plant, i=i, x=x, v=v, u=float(r.u_c[part.start - 1]))
     law_begin = np.array([integral, r.x[part.start - 1]])
-    late = run.source.late
-    before = np.asarray(r.u_c[part.start - late : part.start], dtype=float)
+    delay = run.source.delay
+    before = np.asarray(r.u_c[part.start - delay : part.start], dtype=float)
     x_ref = np.ascontiguousarray(r.x_ref[part])
     out = np.empty((REALISATIONS + 1, 3, n))
     for m in range(REALISATIONS + 1):

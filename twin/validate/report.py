@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from twin.estimation.record import FloatArray
-from twin.estimation.step_figures import FIGURES, Alone, Compared, definition
+from twin.estimation.step_figures import FIGURES, Compared, RigFigure, definition
 from twin.model.assumed import assumption
 from twin.page.figures import Picture, inline
 from twin.page.plain import plain
@@ -21,7 +21,7 @@ from twin.validate.ball import Ahead
 from twin.validate.residuals import Channel
 from twin.validate.verdict import Validation
 
-MOST_LOOPS = 3
+MAX_LOOPS = 3
 
 
 def to_dict(result: Validation) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def to_dict(result: Validation) -> dict[str, Any]:
         "residuals": _why(result.channels)
         if isinstance(result.channels, str)
         else [asdict(channel) | {"passed": channel.passed} for channel in result.channels],
-        "closed_loop": _why(loop) | {"rig_alone": [asdict(row) for row in result.alone]}
+        "closed_loop": _why(loop) | {"rig_alone": [asdict(row) for row in result.rig_figures]}
         if isinstance(loop, str)
         else {
             "fit_percent": loop.fit_percent,
@@ -77,12 +77,12 @@ def to_html(result: Validation, *, title: str) -> str:
         pictures=_pictures(result),
         loops=_loops(result),
         ahead=[_ahead_row(row) for row in result.ahead],
-        residuals=[] if isinstance(result.channels, str) else [_residual_row(one) for one in result.channels],
+        residuals=[] if isinstance(result.channels, str) else [_residual_row(channel) for channel in result.channels],
         amplifier_steps=_amplifier_steps(result),
         loop_steps=[] if isinstance(loop, str) else [_step_row(row, FIGURES) for row in loop.steps],
         expected="" if isinstance(loop, str) else _expected(loop.expected_m),
         recordings=len({run.name for run in result.measured}),
-        alone=[_alone_row(row) for row in result.alone],
+        rig_figures=[_rig_row(row) for row in result.rig_figures],
     )
 
 
@@ -108,11 +108,11 @@ def _loops(result: Validation) -> list[Picture]:
     """Of the first recordings: rig and simulation, or the rig alone where no law is known to simulate it under."""
     what, runs = "measured closed loop", result.measured
     if isinstance(result.loop, str):
-        runs = tuple(run for k, run in enumerate(runs) if run.name not in {one.name for one in runs[:k]})
+        runs = tuple(run for k, run in enumerate(runs) if run.name not in {earlier.name for earlier in runs[:k]})
     else:
         what, runs = "closed loop", result.loop.runs
     travel_m = result.model.plant.travel_m
-    return [inline(figures.loop_figure(run, travel_m), f"{what} of {run.name}", "png") for run in runs[:MOST_LOOPS]]
+    return [inline(figures.loop_figure(run, travel_m), f"{what} of {run.name}", "png") for run in runs[:MAX_LOOPS]]
 
 
 def _ahead_row(row: Ahead) -> list[str | Mark]:
@@ -150,11 +150,11 @@ def _expected(rmse_m: float) -> str:
     return f"{rmse_m * 1e6:.3g} µm" if math.isfinite(rmse_m) else "unknown (the model's loop is unstable)"
 
 
-def _alone_row(row: Alone) -> list[str]:
+def _rig_row(row: RigFigure) -> list[str]:
     _, unit, factor = FIGURES[row.name]
     mean, low, high = (f"{value * factor:.4g}" for value in (row.rig, *row.ends))
-    shown = [mean, f"{low} .. {high}"] if row.count else ["-", "-"]
-    return [f"{definition(row.name, row.bands)} [{unit}]", *shown, f"{row.count} of {row.steps}"]
+    cells = [mean, f"{low} .. {high}"] if row.count else ["-", "-"]
+    return [f"{definition(row.name, row.bands)} [{unit}]", *cells, f"{row.count} of {row.steps}"]
 
 
 def _amplifier_steps(result: Validation) -> list[list[str | Mark]]:

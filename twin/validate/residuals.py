@@ -49,8 +49,8 @@ class Channel:
 
 def residuals(runs: Sequence[Filtered]) -> tuple[Channel, ...]:
     """Tests of i_c and x over all recordings together; a channel without enough samples is left out."""
-    found = (_channel(runs, column, name) for column, name in ((0, "i_c"), (1, "x")))
-    return tuple(channel for channel in found if channel is not None)
+    channels = (_channel(runs, column, name) for column, name in ((0, "i_c"), (1, "x")))
+    return tuple(channel for channel in channels if channel is not None)
 
 
 def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None:
@@ -120,7 +120,7 @@ def _aligned(run: Filtered, column: int) -> tuple[FloatArray, FloatArray, FloatA
     group = np.cumsum(broken)
     starts = np.flatnonzero(broken)
     since = np.arange(len(s)) - starts[np.maximum(group - 1, 0)] if len(starts) else np.arange(len(s))
-    settled = since >= round(SETTLE_S / run.source.record.interval_s)
+    past_start = since >= round(SETTLE_S / run.source.record.interval_s)
     flies = (s.flags & FLIES) != 0
-    e = np.where(settled & flies, run.white[:, column], np.nan)
+    e = np.where(past_start & flies, run.white[:, column], np.nan)
     return e, s.u, group.astype(float)

@@ -21,7 +21,7 @@ from protocol.campaign import Campaign, Controller
 from protocol.files import open_regular
 from protocol.log.reader import LogReader
 from twin.control import LawNumbers, law_numbers
-from twin.estimation.ekf.filter import filtered as along
+from twin.estimation.ekf.filter import filtered as run_filter
 from twin.estimation.innovations import FLIES, USE_I, USE_X, Series, whitened
 from twin.estimation.prepare import flights, prepare
 from twin.estimation.propagate import delay_s
@@ -36,10 +36,10 @@ from twin.identify.pipeline import grouped
 from twin.model.parameters import Model
 from twin.readers.campaign import read_recording
 from twin.readers.log import entries, parse
-from twin.validate.extended import as_shown, system_of
+from twin.validate.extended import as_readings, system_of
 
 FLYING = ("closed-loop", "prbs", "free")
-WILD_MOST = 0.01  # of the readings: more outliers are an error of the model or the sensor, and are retained
+MAX_WILD = 0.01  # of the readings: more outliers are an error of the model or the sensor, and are retained
 LIMIT_SAMPLES = 5  # equal extreme inputs in a row that show a limit of the input
 
 
@@ -51,13 +51,13 @@ class Source:
     law: LawNumbers | None = None
     without_law: str = "the campaign has no [controller] and the recording names no gains"
     u_lsb_v: float = 0.0
-    late: int = 0  # delay of u_c, samples, that the identification of the model corrected
-    unknown_late: int = 0  # further delay of u_c, samples
+    delay: int = 0  # delay of u_c, samples, that the identification of the model corrected
+    unknown_delay: int = 0  # further delay of u_c, samples
 
     @property
     def acting(self) -> Record:
-        """The recording with u_c delayed by `late`."""
-        return delayed(self.record, self.late)
+        """The recording with u_c delayed by `delay`."""
+        return delayed(self.record, self.delay)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +69,7 @@ class Filtered:
     white: FloatArray  # whitened innovations (i_c, x), shape (n, 2)
     system: System
     state: FloatArray  # corrected states of `extended.py`, shape (n, 7)
-    shown: FloatArray  # readings of i_c and x of these states, and x', shape (n, 3)
+    readings: FloatArray  # readings of i_c and x of these states, and x', shape (n, 3)
     wild: int  # number of outliers left out
 
 
@@ -80,26 +80,26 @@ def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) ->
         DataError: a recording is missing, unreadable or implausible.
     """
     records: list[Record] = []
-    told: list[list[pb.Parameters]] = []
-    judged = {r.kind in FLYING for r in campaign.recordings if r.use == "judge"}
+    announcements: list[list[pb.Parameters]] = []
+    judge_kinds = {r.kind in FLYING for r in campaign.recordings if r.use == "judge"}
     for recording in campaign.recordings:
         spare = (
-            recording.use == "fit" and (recording.kind in FLYING) in judged
+            recording.use == "fit" and (recording.kind in FLYING) in judge_kinds
         )  # there are judge recordings of its sort
         if recording.kind in ("equilibria", "sawtooth") or spare:
             continue
         path = campaign.path_of(recording, data=data)
         records.append(read_recording(path, recording))
-        told.append(_announced(path, recording.board) if recording.kind in FLYING else [])
+        announcements.append(_announced(path, recording.board) if recording.kind in FLYING else [])
     plant = model.plant
     # The checks before a fit: wrong units must not appear as errors of the model.
-    said = inspect(records, plant, None)
+    messages = inspect(records, plant, None)
     records, left_out = without_dead(records, plant)
     sources = [
         source_of(record, model, controller=campaign.controller, announced=announced)
-        for record, announced in zip(records, told, strict=True)
+        for record, announced in zip(records, announcements, strict=True)
     ]
-    return sources, grouped(said + left_out, [record.name for record in records])
+    return sources, grouped(messages + left_out, [record.name for record in records])
 
 
 def source_of(
@@ -116,16 +116,16 @@ def source_of(
     source = Source(record=record)
     laws = [(law, p) for p in announced if (law := law_numbers(p)) is not None]
     if laws:
-        law, told = laws[-1]
-        source = replace(source, law=law, without_law="", u_lsb_v=abs(told.u_lsb_v))
+        law, parameters = laws[-1]
+        source = replace(source, law=law, without_law="", u_lsb_v=abs(parameters.u_lsb_v))
     elif controller is not None:
         source = replace(source, law=_written(controller, record), without_law="")
     if record.kind in FLYING:
-        late = input_delay(record, model.plant)
-        known = min(late, _known_late(model))
+        total_delay = input_delay(record, model.plant)
+        known = min(total_delay, _known_delay(model))
         # Its causes may have the rest.
-        own = math.ceil(delay_s(system_of(model, record).c) / record.interval_s) if late > known else 0
-        source = replace(source, late=known, unknown_late=max(late - known - own, 0))
+        modelled = math.ceil(delay_s(system_of(model, record).c) / record.interval_s) if total_delay > known else 0
+        source = replace(source, delay=known, unknown_delay=max(total_delay - known - modelled, 0))
     return source
 
 
@@ -143,11 +143,11 @@ def filtered(source: Source, model: Model) -> Filtered | None:
         return None
     series, _ = prepare([record], plant)
     system = system_of(model, record)
-    run = along(system, series.samples, state=True)
+    run = run_filter(system, series.samples, state=True)
     gated, dropped = gate(series, whitened(run.innovations), 1)
-    if 0 < dropped[0] <= WILD_MOST * len(series):
+    if 0 < dropped[0] <= MAX_WILD * len(series):
         series = gated
-        run = along(system, series.samples, state=True)
+        run = run_filter(system, series.samples, state=True)
     source, wild = _without_wild(source, series)
     return Filtered(
         source=source,
@@ -155,7 +155,7 @@ def filtered(source: Source, model: Model) -> Filtered | None:
         white=whitened(run.innovations),
         system=system,
         state=run.state,
-        shown=as_shown(run.state, model),
+        readings=as_readings(run.state, model),
         wild=wild,
     )
 
@@ -170,14 +170,14 @@ def _without_wild(source: Source, series: Series) -> tuple[Source, int]:
     return replace(source, record=record), int(i.sum() + x.sum())
 
 
-def _known_late(model: Model) -> int:
+def _known_delay(model: Model) -> int:
     """Median delay of u_c in the recordings that the model was identified from, samples."""
-    late = [
+    delays = [
         delay
         for usage in _usages(model)
         if usage.get("kind") in FLYING and isinstance(delay := usage.get("input_delay"), int)
     ]
-    return round(float(np.median(late))) if late else 0
+    return round(float(np.median(delays))) if delays else 0
 
 
 def _usages(model: Model) -> list[dict[str, object]]:

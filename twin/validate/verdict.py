@@ -15,21 +15,21 @@ from protocol.campaign import Campaign
 from protocol.errors import DataError
 from twin.estimation.step_figures import (
     FIGURES,
-    Alone,
     Compared,
     LoopRun,
     Response,
+    RigFigure,
     compare_steps,
     definition,
     responses,
-    rig_alone,
+    rig_figures,
 )
 from twin.model.assumed import assumption_warning
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
 from twin.validate.amplifier import Amplifier, amplifier, fit_percent
 from twin.validate.ball import Ahead, Windows, multi_step, windows
-from twin.validate.loop import closed_loops, measured_only
+from twin.validate.loop import closed_loops, measured_loops
 from twin.validate.residuals import Channel, residuals
 from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
 
@@ -60,7 +60,7 @@ class Validation:
     channels: tuple[Channel, ...] | str
     loop: ClosedLoop | str
     measured: tuple[LoopRun, ...]  # closed loops that could not be simulated
-    alone: tuple[Alone, ...]  # figures of the rig's steps in these
+    rig_figures: tuple[RigFigure, ...]  # of the rig's steps in `measured`
     flown: tuple[str, ...]  # names of the recordings in flight
     notes: tuple[str, ...]
 
@@ -73,16 +73,16 @@ class Validation:
 
     def failures(self) -> list[str]:
         """Clauses on the contradictions to the model, most important first."""
-        said = []
+        messages = []
         if bad := [row for row in self.ahead if not row.at_floor]:
             row = max(bad, key=lambda r: r.ratio)
-            said.append(
+            messages.append(
                 f"its error {row.horizon_s * 1e3:.0f} ms ahead is {row.rmse_m * 1e6:.3g} µm, "
                 f"{row.ratio:.3g} times what noise alone leaves"
             )
         if self.ahead and not any(row.beats_still for row in self.ahead):
             row = self.ahead[0]
-            said.append(
+            messages.append(
                 f"it predicts nothing: {row.horizon_s * 1e3:.0f} ms ahead its error is {row.rmse_m * 1e6:.3g} µm, more "
                 f"than the {row.still_m * 1e6:.3g} µm of x that stays where it is"
             )
@@ -98,11 +98,11 @@ class Validation:
                     if not right
                 ]
                 if faults:
-                    said.append(f"the residuals of {channel.name} {' and '.join(faults)}")
+                    messages.append(f"the residuals of {channel.name} {' and '.join(faults)}")
         if not isinstance(self.loop, str):
             ratio = self.loop.rmse_m / self.loop.expected_m
             if not ratio <= RMSE_TOLERANCE:
-                said.append(
+                messages.append(
                     "its closed loop is unstable"
                     if not np.isfinite(ratio)
                     else f"the closed loop differs by {self.loop.rmse_m * 1e6:.3g} µm rms, {ratio:.2g} times the noise"
@@ -110,8 +110,8 @@ class Validation:
         if not isinstance(self.amplifier, str) and self.amplifier.from_steps:
             ratio = self.amplifier.rmse_a / self.amplifier.noise_a
             if not ratio <= RMSE_TOLERANCE:
-                said.append(f"(1) misses the amplifier's current by {ratio:.2g} times the sensor's noise")
-        return said
+                messages.append(f"(1) misses the amplifier's current by {ratio:.2g} times the sensor's noise")
+        return messages
 
     def answer(self) -> str:
         """The verdict in one sentence, one more on the differences of the steps, and one on a missing closed loop."""
@@ -128,9 +128,9 @@ class Validation:
                 parts.append("the closed loop agrees within noise")
             first = f"The model explains these recordings: {', '.join(parts)}."
         else:
-            said = self.failures()
-            more = f" ({len(said) - 1} more below)" if len(said) > 1 else ""
-            first = f"The model does not explain these recordings: {said[0]}{more}."
+            messages = self.failures()
+            more = f" ({len(messages) - 1} more below)" if len(messages) > 1 else ""
+            first = f"The model does not explain these recordings: {messages[0]}{more}."
         untested = ""
         if isinstance(self.loop, str) and self.passed is not None:
             untested = f"The closed loop could not be compared: {self.loop.rsplit(' (', 1)[0]}."  # the page names where
@@ -144,18 +144,19 @@ class Validation:
         if isinstance(self.loop, str) or not self.loop.steps:
             return ""
         rows = self.loop.steps
-        said = [_difference(row) for row in sorted(rows, key=_weight, reverse=True) if row.significant]
+        messages = [_difference(row) for row in sorted(rows, key=_weight, reverse=True) if row.significant]
         count = max(row.count for row in rows)
-        if said:
-            more = f"; {len(said) - MOST_SAID} more below" if len(said) > MOST_SAID else ""
-            text = f"The steps of rig and simulation differ, over {count} steps: {'; '.join(said[:MOST_SAID])}{more}."
+        if messages:
+            more = f"; {len(messages) - MAX_DIFFERENCES} more below" if len(messages) > MAX_DIFFERENCES else ""
+            listed = "; ".join(messages[:MAX_DIFFERENCES])
+            text = f"The steps of rig and simulation differ, over {count} steps: {listed}{more}."
         elif all(row.ci95 is None for row in rows):
-            shown = [_difference(row) for row in rows if row.count and row.name in _PACE]
-            text = f"In the one step {'; '.join(shown)} (no interval)."
+            intervals = [_difference(row) for row in rows if row.count and row.name in _PACE]
+            text = f"In the one step {'; '.join(intervals)} (no interval)."
         else:
-            shown = [_difference(row) for row in rows if row.ci95 is not None and row.name in _PACE]
+            intervals = [_difference(row) for row in rows if row.ci95 is not None and row.name in _PACE]
             text = f"The steps of rig and simulation do not differ measurably, over {count} steps"
-            text += f": {'; '.join(shown)}." if shown else "."
+            text += f": {'; '.join(intervals)}." if intervals else "."
         settling = next(row for row in rows if row.name == "settling_s")
         tried = settling.steps - settling.too_small
         if min(settling.rig_count, settling.simulation_count) < tried:
@@ -166,7 +167,7 @@ class Validation:
         return text
 
 
-MOST_SAID = 3
+MAX_DIFFERENCES = 3
 _PACE = ("rise_s", "settling_s")
 
 
@@ -192,7 +193,7 @@ def _difference(row: Compared) -> str:
 
 
 def validate(
-    campaign: Campaign, model: Model, *, data: Path | None = None, say: Callable[[str], None] = lambda _: None
+    campaign: Campaign, model: Model, *, data: Path | None = None, progress: Callable[[str], None] = lambda _: None
 ) -> Validation:
     """Validate a model on the recordings of a campaign.
 
@@ -200,33 +201,33 @@ def validate(
         campaign: of `Campaign.load`.
         model: to validate.
         data: folder of the recordings, if it is not that of the campaign.
-        say: is called with lines of progress.
+        progress: is called with lines of progress.
 
     Raises:
         DataError: a recording is missing, unreadable or implausible, or the model is of another rig.
     """
     for name in ("mass_kg", "travel_m", "x_max_m"):
-        ours, theirs = getattr(model.plant, name), getattr(campaign.plant, name)
-        if abs(ours - theirs) > 1e-3 * abs(theirs):
+        in_model, in_campaign = getattr(model.plant, name), getattr(campaign.plant, name)
+        if abs(in_model - in_campaign) > 1e-3 * abs(in_campaign):
             raise DataError(
-                f"The model has {name} = {ours:g}, the campaign {theirs:g}: they are of different rigs",
+                f"The model has {name} = {in_model:g}, the campaign {in_campaign:g}: they are of different rigs",
                 remedy=f"Give a model of the campaign's rig ({campaign.plant.name}), e.g. of `board51 identify`",
             )
-    say("reading the recordings")
-    sources, said = sources_of(campaign, model, data=data)
-    return validate_sources(sources, model, said=said, say=say)
+    progress("reading the recordings")
+    sources, messages = sources_of(campaign, model, data=data)
+    return validate_sources(sources, model, messages=messages, progress=progress)
 
 
 def validate_sources(
     sources: Sequence[Source],
     model: Model,
     *,
-    said: Sequence[str] = (),
-    say: Callable[[str], None] = lambda _: None,
+    messages: Sequence[str] = (),
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Validation:
-    """`validate` with recordings in memory; the notes begin with `said`."""
+    """`validate` with recordings in memory; the notes begin with `messages`."""
     notes = [assumption_warning(model.plant)] if model.plant.assumed else []
-    notes += [*said, *(note for source in sources for note in source.record.notes), *left_out(model)]
+    notes += [*messages, *(note for source in sources for note in source.record.notes), *left_out(model)]
     notes += [
         f"{name} = {p.value:.4g} {p.unit} is not identified: {p.method or 'the model gives no interval'}"
         for name, p in model.parameters.items()
@@ -235,42 +236,44 @@ def validate_sources(
     judges, fitted = chosen([s for s in sources if s.record.kind in FLYING])
     if fitted and judges:
         notes.append("no flight is marked for judging: these recordings may have been fitted, which flatters the model")
-    for late in sorted({source.late for source in judges} - {0}):
-        count = sum(source.late == late for source in judges)
+    for delay in sorted({source.delay for source in judges} - {0}):
+        count = sum(source.delay == delay for source in judges)
         notes.append(
-            f"in {count} recording(s) u_c acts {late} sample(s) later than recorded, as in those that the model was "
+            f"in {count} recording(s) u_c acts {delay} sample(s) later than recorded, as in those that the model was "
             "made from: corrected here as there"
         )
     for source in judges:
-        if source.unknown_late:
-            more = "" if not source.late else "still "
+        if source.unknown_delay:
+            more = "" if not source.delay else "still "
             notes.append(
-                f"{source.record.name}: u_c acts {source.unknown_late} sample(s) {more}later than recorded, by the "
+                f"{source.record.name}: u_c acts {source.unknown_delay} sample(s) {more}later than recorded, by the "
                 "response of i_c; the model knows of no such delay"
             )
-    say("filtering")
+    progress("filtering")
     runs: list[Filtered] = [run for source in judges if (run := filtered(source, model)) is not None]
     if sum(run.wild for run in runs):
         where = ", ".join(f"{run.source.record.name} {run.wild}" for run in runs if run.wild)
         notes.append(f"{sum(run.wild for run in runs)} wild readings were left out ({where})")
     unflown = "no recording shows the ball in flight with u_c and i_c"
-    say("predicting")
-    shown = windows(runs) if runs else None
+    progress("predicting")
+    shortest = windows(runs) if runs else None
     channels = residuals(runs)
-    say("simulating the closed loop")
+    progress("simulating the closed loop")
     loop = _closed_loop(runs, model, unflown)
     measured: tuple[LoopRun, ...] = ()
     if isinstance(loop, str):
-        measured = tuple(part for run in runs if run.source.record.kind == "closed-loop" for part in measured_only(run))
+        measured = tuple(
+            part for run in runs if run.source.record.kind == "closed-loop" for part in measured_loops(run)
+        )
     return Validation(
         model=model,
         amplifier=amplifier(sources, model),
-        windows=shown or (unflown if not runs else "no flight is long enough for a window of 40 ms"),
+        windows=shortest or (unflown if not runs else "no flight is long enough for a window of 40 ms"),
         ahead=multi_step(runs),
         channels=channels or (unflown if not runs else "too few samples in flight"),
         loop=loop,
         measured=measured,
-        alone=rig_alone(measured, float(runs[0].system.noise.sigma_x_m)) if measured else (),
+        rig_figures=rig_figures(measured, float(runs[0].system.noise.sigma_x_m)) if measured else (),
         flown=tuple(run.source.record.name for run in runs),
         notes=tuple(dict.fromkeys(notes)),
     )

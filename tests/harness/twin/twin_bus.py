@@ -80,10 +80,10 @@ def introduce_to(session: zenoh.Session, service: TwinService, rig: Rig, key: st
 
     `matching_status` does not say that: zenoh drops what is sent before its routes are computed, some ms after it.
     """
-    heard_before = service.parameters_heard
+    heard_before = service.parameters_received
 
     def heard() -> bool:
         session.put(key, rig.parameters().SerializeToString())
-        return service.parameters_heard > heard_before
+        return service.parameters_received > heard_before
 
     wait(heard, "parameters at the twin")

@@ -74,7 +74,7 @@ def flown() -> Criterion:
 
 
 def test_every_parameter_has_a_place_of_its_own() -> None:
-    places = [parameter.place for cause in BY_NAME.values() for parameter in cause.parameters]
+    places = [parameter.index for cause in BY_NAME.values() for parameter in cause.parameters]
 
     assert sorted(places) == list(range(PLACES))
 
@@ -85,7 +85,7 @@ def test_a_cause_without_strength_is_absent_bit_by_bit(cause: Cause) -> None:
     rng = np.random.default_rng(3)
     shaped = neutral()
     for parameter in cause.parameters[1:]:
-        shaped[parameter.place] = 0.5 * (parameter.low + parameter.high)
+        shaped[parameter.index] = 0.5 * (parameter.low + parameter.high)
 
     for _ in range(20):
         y, u = start(rng), rng.uniform(0.0, 4.5)
@@ -110,8 +110,8 @@ def test_a_cause_with_strength_changes_the_tick_or_the_reading(cause: Cause) -> 
         ends[0] if math.isinf(cause.strength.neutral) else max(ends, key=lambda end: abs(end - cause.strength.neutral))
     )
     for parameter in cause.parameters[1:]:
-        c[parameter.place] = parameter.neutral if math.isfinite(parameter.neutral) else parameter.low
-    c[cause.strength.place] = far
+        c[parameter.index] = parameter.neutral if math.isfinite(parameter.neutral) else parameter.low
+    c[cause.strength.index] = far
 
     changed = False
     for _ in range(40):

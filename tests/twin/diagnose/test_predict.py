@@ -120,7 +120,7 @@ def test_without_causes_it_agrees_with_the_filter_of_the_identification() -> Non
         process_i_c_a=n.process_i_c_a,
         process_a_m_s2=n.process_a_m_s2,
     )
-    (other,) = horizons([record], model.plant, point, TICK_S, wanted_s=(AHEAD * TICK_S,))
+    (other,) = horizons([record], model.plant, point, TICK_S, horizons_s=(AHEAD * TICK_S,))
 
     found = predict(model, record, AHEAD)
 

@@ -10,7 +10,7 @@ import pytest
 from protocol.campaign import Kind, Plant
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.sensor_noise import sensor_noise
-from twin.estimation.contact import at_converter_end, bounces, held_samples, near_converter_end
+from twin.estimation.contact import at_converter_end, bounces, held_samples, partly_cut_off
 from twin.estimation.innovations import FLIES, RESTS_LOW, USE_X
 from twin.estimation.record import FloatArray, Record
 
@@ -160,7 +160,7 @@ def at_rest(level: float, *, seed: int, n: int = 2000) -> FloatArray:
 def test_a_twentieth_at_the_converters_end_is_noise_cut_off(seed: int) -> None:
     x = at_rest(1.8, seed=seed)
 
-    assert near_converter_end(x).all()
+    assert partly_cut_off(x).all()
     assert abs(x.mean() - at_rest(10.0, seed=seed).mean()) < 0.1 * REST_M  # all that the readings lose
 
 
@@ -170,13 +170,13 @@ def test_noise_that_nothing_cuts_off_is_left_alone(seed: int, n: int) -> None:
     x = at_rest(10.0, seed=seed, n=n)
 
     assert not at_converter_end(x).any()
-    assert not near_converter_end(x).any()
+    assert not partly_cut_off(x).any()
 
 
 def test_what_flies_above_the_end_is_left_alone() -> None:
     x = np.concatenate([at_rest(1.8, seed=1), noisy(thrown(0.25, stop_m=1.0)[:20], seed=1)])
 
-    cut = near_converter_end(x)
+    cut = partly_cut_off(x)
 
     assert cut[:2000].all()
     assert not cut[2000:].any()
@@ -185,7 +185,7 @@ def test_what_flies_above_the_end_is_left_alone() -> None:
 def test_a_coarse_converter_is_not_one_at_its_end() -> None:
     x = np.round(np.random.default_rng(1).normal(0.0, 0.4, 2000)) * COUNT_M
 
-    assert not near_converter_end(x).any()
+    assert not partly_cut_off(x).any()
 
 
 def test_noise_that_is_cut_off_is_not_measured() -> None:

@@ -33,7 +33,7 @@ def flight(theta: Theta, name: str, wander: float, seed: int) -> Record:
     rng = np.random.default_rng(seed)
     n = round(SECONDS / TICK_S)
     base, c = theta.base(PLANT), theta.vector()
-    offset = next(place for place, walk in OFFSETS if walk == parameter_of(name).place)
+    offset = next(place for place, walk in OFFSETS if walk == parameter_of(name).index)
     y, u_0 = at_rest(base, c, MIDDLE_M)
     by = wander * math.sqrt(TICK_S / MINUTE_S)
     rows = np.empty((n, 4))

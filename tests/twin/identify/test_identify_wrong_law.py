@@ -103,7 +103,7 @@ def test_a_model_that_predicts_worse_than_none_is_said_to() -> None:
     found = identify_records(CAMPAIGN, records)
 
     assert found.ahead is not None
-    assert found.ahead.rmse_m > found.ahead.still_m
+    assert found.ahead.rmse_m > found.ahead.constant_m
     assert any("it is no model to predict with" in warning for warning in found.warnings)
 
 
@@ -112,7 +112,7 @@ def test_a_predicted_ball_stays_between_the_stops() -> None:
     found = identify_records(CAMPAIGN, records)
     assert found.fit is not None
 
-    (far,) = horizons(records, CAMPAIGN.plant, found.fit.point, found.tick_s, wanted_s=(0.1,))
+    (far,) = horizons(records, CAMPAIGN.plant, found.fit.point, found.tick_s, horizons_s=(0.1,))
 
     assert far.count > 0
     assert far.rmse_m < CE152.travel_m  # without stops a wrong force law sends it metres away

@@ -16,7 +16,7 @@ from protocol.errors import ServiceError, UsageError
 from tests.harness.twin.twin_bus import free_endpoint, router
 from twin.live.folder import changes_of, controller_of, plant_of, write
 from twin.live.pieces import cut
-from twin.live.source import Heard, find_board, from_bus, from_log, open_client
+from twin.live.source import LiveData, find_board, from_bus, from_log, open_client
 from twin.model.nominal import nominal
 from twin.readers.log import TwinLog
 
@@ -84,7 +84,7 @@ def test_the_folder_is_a_campaign_that_reads_back(tmp_path: Path) -> None:
 
 
 def test_a_change_of_gains_is_where_recordings_end_and_leaves_no_single_law() -> None:
-    heard = Heard()
+    heard = LiveData()
     for message in (parameters(), parameters(), parameters(gains=(1.0, 2.0, 3.0, 4.0), from_tick=500)):
         heard.take("parameters", message.SerializeToString())
 

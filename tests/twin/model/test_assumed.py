@@ -8,7 +8,7 @@ import pytest
 
 from twin.api.functions import design
 from twin.live.folder import plant_of
-from twin.live.source import Heard
+from twin.live.source import LiveData
 from twin.model.assumed import assumption, assumption_warning, mark, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.nominal import nominal
@@ -68,13 +68,13 @@ def test_a_design_on_an_assumed_plant_warns() -> None:
 
 @pytest.mark.parametrize("model_json", ["", model_text(nominal())])
 def test_a_live_twin_on_the_nominal_model_states_no_plant(model_json: str) -> None:
-    heard = Heard(model_json=model_json)
+    heard = LiveData(model_json=model_json)
 
     assert plant_of(heard).assumed
 
 
 def test_a_live_twin_on_another_model_states_its_plant() -> None:
     own = replace(nominal(), plant=replace(nominal().plant, mass_kg=5e-3))
-    heard = Heard(model_json=model_text(own))
+    heard = LiveData(model_json=model_text(own))
 
     assert plant_of(heard) == own.plant

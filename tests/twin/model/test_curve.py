@@ -49,7 +49,7 @@ def test_outside_its_range_a_curve_fades_to_nothing_without_a_jump() -> None:
 def test_a_curve_without_a_range_is_exactly_absent() -> None:
     k = np.full(curve.COEFFICIENTS, 0.3)
     for cause in curve.CURVES:
-        c = having(cause.parameters[0].place, k, 0.0, 0.0)
+        c = having(cause.parameters[0].index, k, 0.0, 0.0)
         assert drive(CE152, c, 2.0, 0.0) == drive(CE152, neutral(), 2.0, 0.0)
         assert acceleration(CE152, c, 0.6, 2e-3, 0.1, 0.0) == acceleration(CE152, neutral(), 0.6, 2e-3, 0.1, 0.0)
         assert position_reading(CE152, c, 2e-3, 0.6) == position_reading(CE152, neutral(), 2e-3, 0.6)

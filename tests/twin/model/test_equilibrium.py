@@ -11,7 +11,7 @@ from tests.harness.diagnose.simulated_rig import PLANT, THETA, strong
 from twin.diagnose.experiments.designed_law import law_of
 from twin.diagnose.inference.theta import Theta
 from twin.model.causes.cause import Vector
-from twin.model.equilibrium import at_rest, holding_current, holding_input, settled_current
+from twin.model.equilibrium import at_rest, holding_current, holding_input, steady_current
 from twin.model.extended import Base
 
 
@@ -26,13 +26,13 @@ def test_rest_is_where_forces_balance() -> None:
 
         assert THETA.K_c * i**2 / (PLANT.x_max_m - x) ** 2 == pytest.approx(weight, rel=1e-14)
         assert holding_input(*kernels(THETA), i) == pytest.approx(i / THETA.K_A, rel=1e-14)
-        assert settled_current(*kernels(THETA), i / THETA.K_A) == pytest.approx(i, rel=1e-9)
+        assert steady_current(*kernels(THETA), i / THETA.K_A) == pytest.approx(i, rel=1e-9)
 
 
 def test_a_coil_settles_where_its_amplifier_leaves_it() -> None:
     # A diode brakes what flows above the current of rest, not that itself.
-    assert settled_current(*kernels(strong("freewheel-diode", 0.5)), 0.4) == pytest.approx(0.4 * THETA.K_A, rel=1e-6)
-    warm = settled_current(*kernels(strong("amplifier-gain-drift", 0.05)), 2.0)
+    assert steady_current(*kernels(strong("freewheel-diode", 0.5)), 0.4) == pytest.approx(0.4 * THETA.K_A, rel=1e-6)
+    warm = steady_current(*kernels(strong("amplifier-gain-drift", 0.05)), 2.0)
     assert warm == pytest.approx(2.0 * THETA.K_A * (1.0 - 0.05 * warm**2), rel=1e-6)
 
 
@@ -48,7 +48,7 @@ def test_what_the_amplifier_cannot_give_is_no_rest() -> None:
 def test_what_is_shown_is_what_the_sensor_shows() -> None:
     p, c = kernels(strong("sensor-crosstalk", 1e-4))
 
-    y, u = at_rest(p, c, 2e-3, shown=True)
+    y, u = at_rest(p, c, 2e-3, as_reading=True)
 
     assert y[4] == pytest.approx(2e-3, abs=1e-12)
     assert abs(y[1] - 2e-3) > 1e-5  # the crosstalk of the current that holds the ball

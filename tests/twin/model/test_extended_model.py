@@ -32,7 +32,7 @@ def test_every_cause_survives_the_round_trip(tmp_path: Path) -> None:
     assert [one.name for one in again.causes] == list(effects)
     c = vector(again.causes)
     for one in CATALOGUE:
-        assert c[one.strength.place] == effects[one.name]
+        assert c[one.strength.index] == effects[one.name]
 
 
 def test_a_shape_that_a_file_leaves_out_is_that_of_the_usual_form() -> None:

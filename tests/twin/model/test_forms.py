@@ -65,7 +65,7 @@ def test_a_shape_without_its_strength_does_nothing(cause: Cause) -> None:
     """But for the gap law, whose power in the middle may be that of (3) although it is another elsewhere."""
     c = neutral()
     for one in cause.shapes:
-        c[one.place] = min(one.neutral + one.spread, one.high)
+        c[one.index] = min(one.neutral + one.spread, one.high)
     states = []
     for vector in (neutral(), c):
         y = np.zeros(STATES)

@@ -60,7 +60,7 @@ def test_only_the_physics_imports_the_file_of_a_cause() -> None:
 
 
 def test_causes_that_name_others_name_ones_that_are_there_and_each_pair_once() -> None:
-    pairs = [frozenset((cause.name, other)) for cause in CATALOGUE for other in cause.told_from]
+    pairs = [frozenset((cause.name, other)) for cause in CATALOGUE for other in cause.deciding_measurements]
 
     assert all(len(pair) == 2 and pair <= set(BY_NAME) for pair in pairs)
     assert len(pairs) == len(set(pairs))

@@ -55,9 +55,9 @@ def test_a_model_with_the_causes_of_the_rig_passes_where_one_without_fails(
 
 @pytest.mark.parametrize(("known", "unknown"), [(True, 0), (False, 1)])
 def test_a_delay_among_the_causes_of_the_model_is_known(known: bool, unknown: int) -> None:
-    late = strong("actuation-delay", 2.5e-3)
-    record = known_diagnosis.steps(late, seed=1, seconds=6.0)
-    fit = known_diagnosis.fit_of(late if known else THETA, 0.0)
+    delay = strong("actuation-delay", 2.5e-3)
+    record = known_diagnosis.steps(delay, seed=1, seconds=6.0)
+    fit = known_diagnosis.fit_of(delay if known else THETA, 0.0)
     model = model_of(known_diagnosis.campaign(), fit, {}, [record], 0.0, "the rig itself")
 
-    assert source_of(record, model).unknown_late == unknown
+    assert source_of(record, model).unknown_delay == unknown

@@ -425,8 +425,8 @@ def test_steps_of_the_amplifier_are_measured_against_equation_1(records: list[Re
     # ln 9 T_A, read off noisy samples: 0.2 % of the step is a thousandth of T_A at 90 %, and 40 us at most between two.
     assert rise.rig == pytest.approx(math.log(9.0) * BALL.T_A, abs=40e-6)
     assert abs(rise.difference) < 40e-6
-    late = {row.name: row for row in slow.amplifier.steps}["rise_s"]
-    assert late.difference == pytest.approx(-0.5 * math.log(9.0) * BALL.T_A, rel=0.1)
+    delay = {row.name: row for row in slow.amplifier.steps}["rise_s"]
+    assert delay.difference == pytest.approx(-0.5 * math.log(9.0) * BALL.T_A, rel=0.1)
 
 
 def test_what_the_model_does_not_know_is_said(records: list[Record]) -> None:

@@ -120,7 +120,7 @@ def find_change(
         return None
     order = in_time(records)
     # A periodic force has a phase in each recording anyway.
-    candidates = [cause for cause in candidates if cause.found_by != "spectral-line"]
+    candidates = [cause for cause in candidates if cause.detector != "spectral-line"]
     for cut, begins in _promising_cuts(criterion, selection, candidates, order):
         first, second = order[:cut], order[cut:]
         names = records[first[-1]].name, records[second[0]].name

@@ -126,7 +126,7 @@ def holding_currents(theta: Theta, plant: Plant, x_m: FloatArray) -> FloatArray:
     """The i_c that is read while the ball rests where x is read, A, shape (n,); NaN where no current holds it."""
     p, c = theta.base(plant), theta.vector()
     shift = added_current(theta)
-    return np.array([current_reading(c, holding_current(p, c, float(x), shown=True)) - shift for x in x_m])
+    return np.array([current_reading(c, holding_current(p, c, float(x), as_reading=True)) - shift for x in x_m])
 
 
 def added_current(theta: Theta) -> float:

@@ -25,7 +25,7 @@ from scipy.stats import chi2
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.noise_levels import Colour
-from twin.estimation.contact import near_converter_end
+from twin.estimation.contact import partly_cut_off
 from twin.estimation.innovations import (
     CAPTURED,
     FLIES,
@@ -240,5 +240,5 @@ def _whole(series: Series, values: FloatArray, use: int) -> BoolArray:
     whole = np.ones(len(values), np.bool_)
     for number in np.unique(series.recording):
         used = np.flatnonzero((series.recording == number) & (series.flags & use != 0))
-        whole[used[near_converter_end(values[used])]] = False
+        whole[used[partly_cut_off(values[used])]] = False
     return whole

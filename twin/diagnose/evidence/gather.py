@@ -19,19 +19,19 @@ from twin.diagnose.evidence.noise_levels import Noise
 from twin.estimation.contact import (
     OPEN_LOOP,
     at_converter_end,
-    beyond_range,
     bounces,
     converter_step,
     held_samples,
-    least_noise,
+    min_noise,
     on_stops,
+    outside_range,
     range_ends,
     stop_readings,
 )
 from twin.estimation.innovations import FLIES, FOLLOWS, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
-from twin.estimation.structures import ALIKE, Samples
+from twin.estimation.structures import EQUAL_NOISE, Samples
 from twin.identify.starting.liftoff import LiftOff, equilibria, lift_offs
 
 TRIM_SAMPLES = 2
@@ -53,7 +53,7 @@ class Evidence:
     high_m: float | None  # reading at the upper stop; None: unknown
     notes: tuple[str, ...]
     noise: Noise | None = None  # noise levels of the instruments, if they differ
-    noise_ratio: FloatArray = field(default_factory=lambda: ALIKE)  # as in `Samples`
+    noise_ratio: FloatArray = field(default_factory=lambda: EQUAL_NOISE)  # as in `Samples`
 
     @property
     def samples(self) -> Samples:
@@ -80,7 +80,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
     blind = range_ends(records, held)
-    noise_shows = least_noise(records) > converter_step(records)
+    noise_shows = min_noise(records) > converter_step(records)
     visible = [is_held & ~np.isin(record.x, blind) for record, is_held in zip(records, held, strict=True)]
     low, high = stop_readings(records, visible, plant, notes) if stops is None else stops
     lifted = [_on_platform(record, is_held, low, plant) for record, is_held in zip(records, visible, strict=True)]
@@ -121,7 +121,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             _flag(row_flags, record, rescaled.kind, is_held, blind, plant)
             _flag_rest(row_flags, record, on_stop, cut)
             if not lifted[number]:
-                row_flags[beyond_range(record, is_held, blind) & (row_flags & FLIES == 0)] |= np.uint16(RESTS_UNSEEN)
+                row_flags[outside_range(record, is_held, blind) & (row_flags & FLIES == 0)] |= np.uint16(RESTS_UNSEEN)
             if rescaled.kind in OPEN_LOOP:
                 # Between bounces the speed is unknown, and so is its effect on the current.
                 row_flags[row_flags & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint16(

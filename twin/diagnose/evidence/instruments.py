@@ -47,7 +47,7 @@ from twin.estimation.innovations import (
 )
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.estimation.record import BoolArray, FloatArray, runs
-from twin.estimation.structures import ALIKE
+from twin.estimation.structures import EQUAL_NOISE
 
 IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 ORDER = 5  # of the difference; the third leaves five times as much of a step of the acceleration
@@ -86,7 +86,7 @@ def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
     """The evidence with the noise of each reading; unchanged if each channel has a single level."""
     if noise is None:
         return evidence
-    ratio = ALIKE if noise.plain else noise.noise_ratio(evidence.records, evidence.series)
+    ratio = EQUAL_NOISE if noise.plain else noise.noise_ratio(evidence.records, evidence.series)
     return replace(evidence, noise=noise, noise_ratio=ratio)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from twin.diagnose import settings
 from twin.estimation.record import Record
-from twin.model.causes.catalogue import found_by
+from twin.model.causes.catalogue import cause_of_detector
 
-CAUSE = found_by("gaps")
+CAUSE = cause_of_detector("gaps")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
-from twin.estimation.contact import HELD_SAMPLES, near_converter_end
+from twin.estimation.contact import HELD_SAMPLES, partly_cut_off
 from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 
@@ -74,5 +74,5 @@ def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
     used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
     for number in np.unique(series.recording):
         readings = np.flatnonzero(known & (series.recording == number))
-        used[readings[near_converter_end(values[readings])]] = False
+        used[readings[partly_cut_off(values[readings])]] = False
     return np.asarray(used)

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.diagnose.evidence.gather import Evidence
 from twin.estimation.innovations import FOLLOWS
-from twin.estimation.structures import ALIKE
+from twin.estimation.structures import EQUAL_NOISE
 
 # Samples that stay together: twelve time constants of the unstable pole, and a whole capture.  A model with a delay
 # needs the input before its first sample.
@@ -34,5 +34,5 @@ def thinned(evidence: Evidence, share: float) -> Evidence:
         evidence,
         series=replace(series, **(columns | {"flags": flags[stays]})),
         t=evidence.t[stays],
-        noise_ratio=evidence.noise_ratio if evidence.noise_ratio is ALIKE else evidence.noise_ratio[stays],
+        noise_ratio=evidence.noise_ratio if evidence.noise_ratio is EQUAL_NOISE else evidence.noise_ratio[stays],
     )

@@ -52,7 +52,7 @@ def designed(theta: Theta, plant: Plant, tick_s: float) -> Controller:
     the ball does not fly.
     """
     p, c, x_0 = theta.base(plant), theta.vector(), 0.5 * plant.travel_m
-    y, u_0 = at_rest(p, c, x_0, shown=True)
+    y, u_0 = at_rest(p, c, x_0, as_reading=True)
     K, i_0 = np.zeros(4), 0.0
     if math.isfinite(u_0):
         i_0 = float(current_reading(c, y[I_C]))

@@ -26,7 +26,7 @@ from twin.diagnose.experiments.closed_loop import Converters, converters_of, run
 from twin.diagnose.experiments.designed_law import law_of
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.record import Capture, FloatArray, Record, intervals
-from twin.model.equilibrium import at_rest, holding_current, settled_current
+from twin.model.equilibrium import at_rest, holding_current, steady_current
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -101,14 +101,14 @@ def simulate(
         y, s, numbers = np.zeros(STATES), 0.0, None
         if schedule.closed_loop:
             numbers = law_of(controller, theta, plant, tick_s, u_max_v)
-            y, u = at_rest(theta.base(plant), theta.vector(), first, shown=True)
+            y, u = at_rest(theta.base(plant), theta.vector(), first, as_reading=True)
             s = integral_at(numbers, theta, plant, y, first, u)
         else:
             y[X] = theta.stop_low_m if clamped is None else clamped
-            y[I_C] = y[FIELD] = settled_current(theta.base(plant), theta.vector(), first)
+            y[I_C] = y[FIELD] = steady_current(theta.base(plant), theta.vector(), first)
             y[WARMTH] = y[I_C] ** 2
         run(theta, plant, numbers, steps, t, command, y, s, 0.0, tick_s, rng, out, clamped=clamped is not None)
-    is_received = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.place]
+    is_received = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.index]
     x_ref = command if schedule.closed_loop else np.full(n, np.nan)
     return [
         Record(
@@ -215,7 +215,7 @@ def _capture(
     n = np.arange(count, dtype=np.float64)
     y = np.zeros(STATES)
     y[X] = theta.stop_low_m if clamped_m is None else clamped_m
-    y[I_C] = y[FIELD] = settled_current(theta.base(plant), theta.vector(), u_from)
+    y[I_C] = y[FIELD] = steady_current(theta.base(plant), theta.vector(), u_from)
     y[WARMTH] = y[I_C] ** 2
     out = np.empty((count, 4))
     command = np.where(n < pre, u_from, u_to)
@@ -237,7 +237,7 @@ def _start(
     head = slice(piece.start, min(piece.start + _HEAD, piece.stop))
     y, speed = np.zeros(STATES), 0.0
     i = record.i_c[head][np.isfinite(record.i_c[head])]
-    y[I_C] = y[FIELD] = current_of_reading(c, float(i[0])) if len(i) else settled_current(p, c, 0.0)
+    y[I_C] = y[FIELD] = current_of_reading(c, float(i[0])) if len(i) else steady_current(p, c, 0.0)
     y[X] = theta.stop_low_m
     known = np.isfinite(record.x[head])
     if known.sum() >= 3:

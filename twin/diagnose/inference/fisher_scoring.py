@@ -13,7 +13,7 @@ from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, max_step, moved, prior_spread
 from twin.estimation import optimiser
-from twin.estimation.optimiser import CLOSE, NEAR, Slopes, active_of, covariance_of
+from twin.estimation.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 
@@ -67,7 +67,9 @@ def climb(
     With `approximate`, cheaper slopes lead near the maximum, and the fit counts as not converged.
     """
     surface = _Surface(criterion, approximate=approximate)
-    top = optimiser.climb(surface, start, free, passes=passes, done=NEAR if approximate else tolerance, patience=2)
+    top = optimiser.climb(
+        surface, start, free, passes=passes, tolerance=SLOW_TOLERANCE if approximate else tolerance, patience=2
+    )
     return Fit(
         theta=top.point,
         loglik=top.loglik + narrowing(free, top.covariance),
@@ -133,7 +135,7 @@ class _Surface:
     def moved(self, point: Theta, name: str, by: float) -> Theta:
         return moved(point, name, by, self._criterion.plant)
 
-    def most(self, name: str) -> float:
+    def max_step(self, name: str) -> float:
         return max_step(name)
 
     def visit(self, point: Theta) -> tuple[float, Results]:

@@ -110,7 +110,7 @@ class Criterion:
         Raises:
             Spent: the budget is too small.
         """
-        each = zip(thetas, reuse or [Reuse.NOTHING] * len(thetas), strict=True)
+        each = zip(thetas, reuse or [Reuse.NONE] * len(thetas), strict=True)
         self.budget.take(sum(self.pace.steps(theta.base(self.plant), theta.vector(), mode) for theta, mode in each))
 
     def close(self) -> None:
@@ -195,11 +195,11 @@ class Criterion:
         """
         known, states, _ = at.steps.slopes.shape
         reuse = [
-            mode if known and self._states(theta) == states else Reuse.NOTHING
+            mode if known and self._states(theta) == states else Reuse.NONE
             for theta, mode in zip(thetas, reuse, strict=True)
         ]
         self.pay(*thetas, reuse=reuse)
-        steps = {Reuse.NOTHING: NO_STEPS, Reuse.SLOPES: at.steps.slopes_alone, Reuse.STEPS: at.steps}
+        steps = {Reuse.NONE: NO_STEPS, Reuse.SLOPES: at.steps.jacobians, Reuse.STEPS: at.steps}
         return list(self._pool.map(lambda theta, mode: self._outputs(theta, steps[mode]), thetas, reuse))
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
@@ -297,7 +297,7 @@ class Criterion:
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             is_reused = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
             reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
-            reuse = [mode if is_allowed else Reuse.NOTHING for mode, is_allowed in zip(reuse, is_reused, strict=True)]
+            reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
             base, outs = at.innovations, self.outputs_reusing(models, at, reuse)
         change = np.empty((len(names), *base.shape))
         filtered = iter(outs)

@@ -96,7 +96,7 @@ class Theta:
         """The vector c of the causes' parameters for the kernels."""
         c = neutral()
         for name, value in self.causes:
-            c[parameter_of(name).place] = value
+            c[parameter_of(name).index] = value
         return c
 
     def base(self, plant: Plant) -> Base:
@@ -145,7 +145,7 @@ def coordinates_of(cause: str) -> tuple[str, ...]:
 
 
 _SHAPES = tuple(shape for cause in BY_NAME.values() for shape in cause.shapes)
-_PLACES = np.array([shape.place for shape in _SHAPES], np.intp)
+_PLACES = np.array([shape.index for shape in _SHAPES], np.intp)
 _NEUTRAL = np.array([shape.neutral for shape in _SHAPES])
 _SPREAD = np.array([shape.spread for shape in _SHAPES])
 

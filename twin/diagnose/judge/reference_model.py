@@ -54,7 +54,7 @@ def theta_of(model: Model, fitted: Theta) -> Theta:
             (f"{cause.name}.{name}", parameter.value)
             for cause in model.causes
             for name, parameter in cause.parameters.items()
-            if BY_NAME[cause.name].found_by != "gaps"
+            if BY_NAME[cause.name].detector != "gaps"
         ),
     )
 

@@ -86,14 +86,14 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
     s = evidence.series
     system = theta.system(plant, tick_s)
     base, c = system.base, system.c
-    c[periodic.CAUSE.strength.place] = 0.0  # a periodic force is left in the residual
+    c[periodic.CAUSE.strength.index] = 0.0  # a periodic force is left in the residual
     out, state, _, _ = run_filter(system, evidence.samples, state=True)
     modelled, positions_m = np.empty(len(s)), np.empty(len(s))
     quiet = c.copy()
     for cause in CATALOGUE:
         if cause.family == "amplifier":
             for parameter in cause.parameters:
-                quiet[parameter.place] = parameter.neutral
+                quiet[parameter.index] = parameter.neutral
     _fill_positions(base, quiet, state, s.x, positions_m)
     flies = (s.flags & FLIES != 0) & (s.flags & USE_X != 0) & np.isfinite(positions_m)
     _fill_acceleration(base, quiet, state, positions_m, s.step, s.flags, evidence.t, modelled)

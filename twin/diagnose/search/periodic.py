@@ -18,9 +18,9 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.innovations import FLIES
 from twin.estimation.record import runs
-from twin.model.causes.catalogue import found_by
+from twin.model.causes.catalogue import cause_of_detector
 
-CAUSE = found_by("spectral-line")
+CAUSE = cause_of_detector("spectral-line")
 AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
 _PAD = 1 << 16
 _MAX_ROUNDS = 4  # of the phases, at most

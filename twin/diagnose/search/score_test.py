@@ -70,7 +70,7 @@ def screen(
     trials = [
         (cause, probe, shape)
         for cause in candidates
-        if cause.name not in present and not cause.not_testable and cause.found_by == "score-test"
+        if cause.name not in present and not cause.not_testable and cause.detector == "score-test"
         for probe in probes_of(cause, criterion.evidence.series)
         for shape in shapes_of(cause)
     ]
@@ -81,7 +81,7 @@ def screen(
     change[:k] = free_change
     models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
-    reuse = [Reuse.NOTHING if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
+    reuse = [Reuse.NONE if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
     outs = criterion.outputs_reusing(models, run, reuse)
     for index, out in enumerate(outs, k):
         np.subtract(out, base, out=change[index])

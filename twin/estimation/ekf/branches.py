@@ -38,7 +38,7 @@ def spread_over_cases(f: Memory, inputs: Floats, n: int, T_s: float, cut: int) -
     """
     cases = f.G
     for case in range(CASES):
-        copy(f.moved[:], f.here[:])
+        copy(f.moved[:], f.previous[:])
         restitution = case * _MIXED % CASES / (CASES - 1)
         _run(f, f.moved[:], inputs, n, T_s, cut, case / (CASES - 1) * T_s, restitution)
         copy(cases[case], f.moved[:])

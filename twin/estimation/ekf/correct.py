@@ -122,8 +122,8 @@ def start_flight(f: Memory, reading: float) -> None:
     y[SENSOR], y[RATE] = reading, 0.0
     f.in_flight, f.readings = True, 0
     # With crosstalk the error of the current adds to that of the position.
-    shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
-    P[1, 1], P[2, 2] = r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
+    slope = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
+    P[1, 1], P[2, 2] = r_x + slope * slope * P[0, 0], SPEED_STD_M_S**2
     if f.field >= 0:
         P[f.field, f.field] = P[0, 0]
         P[0, f.field] = P[0, 0]
@@ -133,13 +133,13 @@ def start_flight(f: Memory, reading: float) -> None:
             P[f.field, k] = P[0, k]
     for k in (0, f.field):
         if k >= 0:
-            P[1, k] = -shown * P[0, k]
+            P[1, k] = -slope * P[0, k]
             P[k, 1] = P[1, k]
     for k in range(f.lasting, f.m):
-        P[1, k] = -shown * P[0, k]
+        P[1, k] = -slope * P[0, k]
         P[k, 1] = P[1, k]
     if f.x_offset >= 0:
-        P[1, 1] += P[f.x_offset, f.x_offset] + 2.0 * shown * P[0, f.x_offset]
+        P[1, 1] += P[f.x_offset, f.x_offset] + 2.0 * slope * P[0, f.x_offset]
         P[1, 0] -= P[f.x_offset, 0]
         P[0, 1] = P[1, 0]
         for k in range(f.lasting, f.m):
@@ -183,7 +183,7 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
     """
     wandered(f, f.y)
     P, m = f.P, f.m
-    n_i, n_x = i - current_shown(f), 0.0
+    n_i, n_x = i - expected_current_reading(f), 0.0
     if use_x:
         n_x = x - position_slopes(f, f.y[:], f.h_x[:])
         # The first readings of a flight determine the initial speed and the state of the sensor, so they are not
@@ -227,12 +227,12 @@ def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool
 
 
 @inlined
-def current_shown(f: Memory) -> float:
+def expected_current_reading(f: Memory) -> float:
     """The predicted reading of i_c, A."""
-    shown = current_reading(f.c[:], f.y[I_C])
+    reading = current_reading(f.c[:], f.y[I_C])
     if f.i_colour >= 0:
-        shown += f.h_i[f.i_colour] * f.y[I_COLOUR]
-    return float(shown)
+        reading += f.h_i[f.i_colour] * f.y[I_COLOUR]
+    return float(reading)
 
 
 @inlined
@@ -250,10 +250,10 @@ def position_slopes(f: Memory, y: Floats, h: Floats) -> float:
     p, c = Base(*base_of(f)), f.c[:]
     if f.x_offset >= 0:
         h[f.x_offset] = 1.0
-    shown = position_reading(p, c, y[X], y[I_C])
-    h[0] = (position_reading(p, c, y[X], y[I_C] + 1e-3) - shown) / 1e-3
-    h[1] = (position_reading(p, c, y[X] + 1e-6, y[I_C]) - shown) / 1e-6
-    return shown + noise
+    reading = position_reading(p, c, y[X], y[I_C])
+    h[0] = (position_reading(p, c, y[X], y[I_C] + 1e-3) - reading) / 1e-3
+    h[1] = (position_reading(p, c, y[X] + 1e-6, y[I_C]) - reading) / 1e-6
+    return reading + noise
 
 
 @inlined

@@ -26,7 +26,7 @@ from twin.compiled import kernel
 from twin.estimation.ekf.correct import (
     compare_at_stop,
     correct,
-    current_shown,
+    expected_current_reading,
     forget,
     measure_current,
     start_flight,
@@ -51,7 +51,7 @@ from twin.estimation.ekf.predict import (
     doubt_input,
     predict_held,
     slopes_of_colour,
-    step_along,
+    step_linearised,
 )
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
 from twin.estimation.propagate import copy, delay_s, find_input, see_delays
@@ -94,7 +94,7 @@ def fill(system: System, samples: Samples, known: Steps, results: Results) -> No
 @kernel
 def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
     t, step, u, y_i, y_x, flags, noise_ratio = samples
-    out, state, spread, found = results
+    out, state, spread, written = results
     inputs = u.copy()  # those of lost samples are estimated
     r_x, fast = f.r_x, False
     for n in range(len(u)):
@@ -111,15 +111,17 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
         f.in_flight = f.in_flight and flies and follows
         if f.in_flight:
             T_s = step[n]
-            copy(f.here[:], f.y[:])
+            copy(f.previous[:], f.y[:])
             lost = n - 1 - int(delay_s(f.c[:]) / T_s)  # its input comes into force on the way here
             unknown = lost >= f.first and flags[lost] & LOST != 0
             if unknown and use_i:
                 # About what it would be without its coloured noise.
-                shown = y_i[n] - (current_shown(f) - current_reading(f.c[:], f.y[I_C]))
-                find_input(base_of(f), f.c[:], f.here[:], inputs, lost, n, f.first, t[n - 1], T_s, shown, f.moved[:])
+                reading = y_i[n] - (expected_current_reading(f) - current_reading(f.c[:], f.y[I_C]))
+                find_input(
+                    base_of(f), f.c[:], f.previous[:], inputs, lost, n, f.first, t[n - 1], T_s, reading, f.moved[:]
+                )
             if known.after.shape[0] > 0 and not unknown:
-                step_along(f, known.slopes[n], known.before[n], known.after[n - 1], T_s)
+                step_linearised(f, known.slopes[n], known.before[n], known.after[n - 1], T_s)
             else:
                 advance(f, f.y[:], inputs, n, t[n - 1], T_s, False)
             if known.slopes.shape[0] > 0:
@@ -127,9 +129,9 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 slopes_of_colour(f, T_s)
             else:
                 differences(f, inputs, n, t[n - 1], T_s)
-            if found.slopes.shape[0] > 0:
-                copy_square(found.slopes[n], f.F, f.m)
-                copy(found.before[n], f.y[:])
+            if written.slopes.shape[0] > 0:
+                copy_square(written.slopes[n], f.F, f.m)
+                copy(written.before[n], f.y[:])
             carry(f.F, f.P, f.G, f.m)
             if unknown:
                 doubt_input(f, inputs, lost, n, t[n - 1], T_s)
@@ -153,13 +155,13 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 start_flight(f, y_x[n])
             use_x = False
         if use_i and f.in_flight and n - f.first > 1 and (flags[n - 1] | flags[n - 2]) & LOST != 0:
-            correct(f, f.h_i[:], f.r_i, y_i[n] - current_shown(f))
+            correct(f, f.h_i[:], f.r_i, y_i[n] - expected_current_reading(f))
             use_i = False
         if use_x and not f.in_flight and flags[n] & (RESTS_LOW | RESTS_HIGH) != 0:
             compare_at_stop(f, out[n], y_x[n], f.low_m if flags[n] & RESTS_LOW != 0 else f.high_m, use_i)
         take_readings(f, out[n], y_i[n], y_x[n], use_i, use_x and f.in_flight)
-        if found.after.shape[0] > 0:
-            copy(found.after[n], f.y[:])
+        if written.after.shape[0] > 0:
+            copy(written.after[n], f.y[:])
         if spread.shape[0] > 0:
             copy_square(spread[n], f.P, f.m)
         if state.shape[0] > 0:

@@ -57,7 +57,7 @@ class Memory(Protocol):
     tau_i: float  # its correlation time, s
     tau_x: float
     share_x: float  # of this noise that the instrument of a reading of x shows, 1 for the usual one
-    taken: Floats  # r_i, v_i, tau_i of other recordings, and of captures and those as fast, shape (6,)
+    noise_i_c: Floats  # r_i, v_i, tau_i of other recordings, and of captures and those as fast, shape (6,)
     q_i: float  # of the disturbance of i_c, A^2/s
     q_a: float  # of the acceleration, constant over an interval, m^2/s^4
     low_m: float  # position of the ball at the lower stop
@@ -82,7 +82,7 @@ class Memory(Protocol):
     in_flight: bool
     readings: int  # of x in this flight, after the first
     y: Floats  # the state, shape (STATES,)
-    here: Floats  # the state at the previous sample
+    previous: Floats  # the state at the previous sample
     moved: Floats  # working array
     back: Floats  # working array
     K: Floats  # Kalman gain
@@ -106,28 +106,28 @@ def _colours(noise: NoiseLevels) -> list[int]:
 
 def active_states(c: Floats) -> list[int]:
     """The states of the model that are independent under the causes c, shape (PLACES,); I_C, X, V first."""
-    own = (
+    conditions = (
         (FIELD, c[eddy_current_lag.TAU] > 0.0),
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
         (RATE, c[position_sensor_lag.TAU] > 0.0 and c[position_sensor_lag.SECOND] > 0.0),
         (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
         *((WANDER + k, c[wander] > 0.0) for k, (_, wander) in enumerate(OFFSETS)),
     )
-    return [I_C, X, V, *(state for state, lives in own if lives)]
+    return [I_C, X, V, *(state for state, lives in conditions if lives)]
 
 
 @cache
 def _fields() -> np.dtype[np.void]:
-    one, square = (STATES,), (STATES, STATES)
+    vector, square = (STATES,), (STATES, STATES)
     numbers = ("moments_s", "r_i", "r_x", "v_i", "v_x", "tau_i", "tau_x", "share_x", "q_i", "q_a", "low_m", "high_m")
     counts = ("m", *_NAMED, "lasting", "wandering", "coloured", "first", "readings")
-    vectors = ("y", "here", "moved", "back", "K", "h_i", "h_x")
+    vectors = ("y", "previous", "moved", "back", "K", "h_i", "h_x")
     fields: list[Any] = [("base", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
-    fields += [("places", np.int64, one), ("offsets", np.int64, one), ("q_w", float, one)]
-    fields += [("moments", float, (9,)), ("taken", float, (6,))]
+    fields += [("places", np.int64, vector), ("offsets", np.int64, vector), ("q_w", float, vector)]
+    fields += [("moments", float, (9,)), ("noise_i_c", float, (6,))]
     fields += [(name, np.bool_) for name in ("closed_form", "in_flight")]
-    fields += [(name, float, one) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
+    fields += [(name, float, vector) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
     return np.dtype(fields, align=True)
 
 
@@ -136,13 +136,13 @@ def memory_for(system: System) -> Memory:
     records = np.zeros(1, _fields())
     record: Any = records[0]
     c, noise, places = system.c, system.noise, active_states(system.c)
-    own = len(places)
+    coloured = len(places)
     places += _colours(noise)
     record["base"], record["closed_form"] = system.base, system.closed_form
     record["c"] = record["usual"] = c
-    record["taken"][:3] = _split(noise.sigma_i_c_a, noise.white_i_c, noise.tau_i_c_s)
-    record["taken"][3:] = _split(noise.sigma_i_c_a, noise.white_i_c_captured, noise.tau_i_c_captured_s)
-    record["r_i"], record["v_i"], record["tau_i"] = record["taken"][:3]
+    record["noise_i_c"][:3] = _split(noise.sigma_i_c_a, noise.white_i_c, noise.tau_i_c_s)
+    record["noise_i_c"][3:] = _split(noise.sigma_i_c_a, noise.white_i_c_captured, noise.tau_i_c_captured_s)
+    record["r_i"], record["v_i"], record["tau_i"] = record["noise_i_c"][:3]
     record["share_x"] = 1.0
     record["r_x"], record["v_x"], record["tau_x"] = _split(noise.sigma_x_m, noise.white_x, noise.tau_x_s)
     record["q_i"], record["q_a"] = (
@@ -154,9 +154,9 @@ def memory_for(system: System) -> Memory:
     record["places"][: len(places)] = places
     for name, state in _NAMED.items():
         record[name] = places.index(state) if state in places else -1
-    record["wandering"], record["coloured"] = sum(state < WANDER for state in places), own
+    record["wandering"], record["coloured"] = sum(state < WANDER for state in places), coloured
     record["lasting"] = record["wandering"] - (WARMTH in places)
-    for k, state in enumerate(places[record["wandering"] : own]):
+    for k, state in enumerate(places[record["wandering"] : coloured]):
         offset, wander = OFFSETS[state - WANDER]
         record["offsets"][k], record["q_w"][k] = offset, c[wander] ** 2 / MINUTE_S
     record["h_i"][0] = c[current_sensor_gain.GAIN]
@@ -178,21 +178,21 @@ def _split(sigma: float, white: float, tau_s: float) -> tuple[float, float, floa
 def wandered(f: Memory, y: Floats) -> None:
     """Set c to what the causes are in state y."""
     for k in range(f.wandering, f.coloured):
-        place = f.offsets[k - f.wandering]
-        f.c[place] = f.usual[place] + y[f.places[k]]
+        index = f.offsets[k - f.wandering]
+        f.c[index] = f.usual[index] + y[f.places[k]]
 
 
 @inlined
 def see_instrument(f: Memory, fast: bool) -> None:
     """The noise of i_c from here on: of a capture or a recording as fast, or not."""
-    place = 3 if fast else 0
-    f.r_i, f.v_i, f.tau_i = f.taken[place], f.taken[place + 1], f.taken[place + 2]
+    begin = 3 if fast else 0
+    f.r_i, f.v_i, f.tau_i = f.noise_i_c[begin], f.noise_i_c[begin + 1], f.noise_i_c[begin + 2]
 
 
 @inlined
 def scale_noise(f: Memory, fast: bool, r_x: float, ratio_i: float, ratio_x: float) -> None:
     """The noise of a reading whose instrument has these ratios of variances; `r_x`: of x, where the ratio is 1."""
-    f.r_i, f.r_x = f.taken[3 if fast else 0] * ratio_i, r_x * ratio_x
+    f.r_i, f.r_x = f.noise_i_c[3 if fast else 0] * ratio_i, r_x * ratio_x
     if f.i_colour >= 0:
         f.h_i[f.i_colour] = math.sqrt(ratio_i)
     f.share_x = math.sqrt(ratio_x)

@@ -26,7 +26,7 @@ from twin.model.extended import (
     Base,
     V,
     X,
-    amplifier_alone,
+    has_first_order_current,
 )
 
 # For the Jacobian; coloured noise needs none.
@@ -76,11 +76,11 @@ def slopes_of_colour(f: Memory, T_s: float) -> None:
 
 
 @inlined
-def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats, T_s: float) -> None:
+def step_linearised(f: Memory, slopes: Floats, before: Floats, after: Floats, T_s: float) -> None:
     """The state at n by the step of a nearby model, to first order.
 
     Args:
-        f: with the state at n - 1 in `here`.
+        f: with the state at n - 1 in `previous`.
         slopes: Jacobian of that step, shape (m, m).
         before: the state at which that step ended, before the correction, shape (STATES,).
         after: the state at which that step began, after the correction, shape (STATES,).
@@ -90,7 +90,7 @@ def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats, T_s: fl
     for row in range(f.coloured):
         total = before[f.places[row]]
         for k in range(f.coloured):
-            total += slopes[row, k] * (f.here[f.places[k]] - after[f.places[k]])
+            total += slopes[row, k] * (f.previous[f.places[k]] - after[f.places[k]])
         f.y[f.places[row]] = total
     if f.field < 0:
         f.y[FIELD] = f.y[I_C]
@@ -107,13 +107,13 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
         wide = rubs and a <= V  # dry friction is not smooth: the difference is as wide as the standard deviation
         if wide:
             delta = max(delta, math.sqrt(f.P[column, column]))
-        copy(moved, f.here[:])
+        copy(moved, f.previous[:])
         moved[a] += delta
         if a == I_C and f.field < 0:
             moved[FIELD] = moved[I_C]
         advance(f, moved, inputs, n, t, T_s, False)
         if wide:
-            copy(back, f.here[:])
+            copy(back, f.previous[:])
             back[a] -= delta
             if a == I_C and f.field < 0:
                 back[FIELD] = back[I_C]
@@ -172,10 +172,10 @@ def wander_on(f: Memory, T_s: float) -> None:
 @kernel
 def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
     """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `propagate`."""
-    wandered(f, f.here)
+    wandered(f, f.previous)
     moved, K = f.moved[:], f.K
     inputs[lost] += INPUT_DELTA_V
-    copy(moved, f.here[:])
+    copy(moved, f.previous[:])
     propagate(base_of(f), f.c[:], moved, inputs, n, f.first, t, T_s, False)
     inputs[lost] -= INPUT_DELTA_V
     for row in range(f.coloured):
@@ -200,7 +200,7 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     elif f.wandering == 3:
         i = y[I_C]
         y[I_C] = current_held(base, c, i, inputs, n, f.first, T_s, y[WARMTH], held)
-        if amplifier_alone(c):
+        if has_first_order_current(c):
             f_ii = math.exp(-T_s / p.T_A)
         else:
             moved_i = current_held(base, c, i + _DELTA[I_C], inputs, n, f.first, T_s, y[WARMTH], held)

@@ -98,7 +98,7 @@ def law_gap(record: Record, plant: Plant, c: LawNumbers) -> LawGap | None:
         share=share,
         fitted=tuple(float(value) for value in fitted),
         explained=max(1.0 - float(rest @ rest) / float(u @ u), 0.0),
-        contradicted=(share > settings.LAW_SHARE and off > settings.LAW_BETTER * left) or share > settings.LAW_MOST,
+        contradicted=(share > settings.LAW_SHARE and off > settings.LAW_BETTER * left) or share > settings.LAW_LIMIT,
     )
 
 

@@ -24,14 +24,14 @@ _ABSENT = float("nan")
 def without_dead(records: list[Record], plant: Plant) -> tuple[list[Record], list[str]]:
     """(the recordings without such channels, a sentence on each that was removed)."""
     retained: list[Record] = []
-    said: list[str] = []
+    messages: list[str] = []
     for record in records:
         if record.kind != "equilibria":
             record, constant = _without_constant(record)
-            record, still = _without_still(record, plant)
-            said += constant + still
+            record, unmoving = _without_unmoving(record, plant)
+            messages += constant + unmoving
         retained.append(record)
-    return retained, said
+    return retained, messages
 
 
 def at_rest(record: Record) -> bool:
@@ -47,12 +47,12 @@ def _constant(values: FloatArray) -> bool:
 def _without_constant(record: Record) -> tuple[Record, list[str]]:
     if at_rest(record):
         return record, []
-    said: list[str] = []
+    messages: list[str] = []
     for channel, unit in (("u_c", "V"), ("i_c", "A"), ("x", "m")):
         values = getattr(record, channel)
         if not _constant(values) or (channel == "x" and record.kind == "amplifier-step"):
             continue
-        said.append(
+        messages.append(
             f"{record.name}: {channel} is {values[np.isfinite(values)][0]:g} {unit} throughout; a constant channel "
             "tells nothing and was left out. Check its column"
         )
@@ -63,19 +63,19 @@ def _without_constant(record: Record) -> tuple[Record, list[str]]:
             record = replace(record, i_c=absent)
         else:
             record = replace(record, x=absent)
-    return record, said
+    return record, messages
 
 
-def _without_still(record: Record, plant: Plant) -> tuple[Record, list[str]]:
+def _without_unmoving(record: Record, plant: Plant) -> tuple[Record, list[str]]:
     """The recording without x if x shows no motion although the force changes, and a sentence on that."""
     if record.kind not in FLYING or not record.has("i_c", "x"):
         return record, []
-    parts = flights(record, plant, at_least=2 * round(settings.WINDOW_S / record.interval_s))
+    parts = flights(record, plant, min_samples=2 * round(settings.WINDOW_S / record.interval_s))
     if not parts:
         return record, []
     spread = float(np.sqrt(np.nanmean(np.concatenate([(record.x[p] - np.nanmean(record.x[p])) ** 2 for p in parts]))))
     known = record.x[np.isfinite(record.x)]
-    if spread > settings.STILL_SPREAD * scatter(known):
+    if spread > settings.UNMOVING_SPREAD * scatter(known):
         return record, []
     rows = force_rows([record], plant, None, settings.WINDOW_S)
     if not rows:

@@ -29,12 +29,12 @@ def input_delay(record: Record, plant: Plant) -> int:
     part = replace(record, captures=()).part(slice(0, _SAMPLES))
     values = []
     for samples in range(settings.DELAY_SAMPLES + 1):
-        late = delayed(part, samples)
-        start = amplifier_start([late])
+        shifted = delayed(part, samples)
+        start = amplifier_start([shifted])
         if start is None or start.K_A <= 0:
             return 0
-        series, _ = prepare([late], plant)
-        alone = replace(series, flags=series.flags & np.uint16(~(FLIES | USE_X) & 0xFFFF))
+        series, _ = prepare([shifted], plant)
+        current_series = replace(series, flags=series.flags & np.uint16(~(FLIES | USE_X) & 0xFFFF))
         point = Point(
             K_A=start.K_A,
             T_A=start.T_A,
@@ -45,7 +45,7 @@ def input_delay(record: Record, plant: Plant) -> int:
             process_i_c_a=0.3 * start.sigma_i_c_a,
             process_a_m_s2=0.1,
         )
-        values.append(fit(Likelihood(alone, plant, record.interval_s), point, _FREE, passes=15).loglik)
+        values.append(fit(Likelihood(current_series, plant, record.interval_s), point, _FREE, passes=15).loglik)
     best = int(np.argmax(values))
     return best if values[best] > values[0] + settings.DELAY_GAIN else 0
 

@@ -47,13 +47,13 @@ def _lengths(record: Record, plant: Plant) -> None:
             continue
         values = getattr(record, channel)
         low, high = (float(v) for v in np.nanpercentile(values, (1, 99)))
-        as_length = low > -0.3 * plant.travel_m and high < min(1.3 * plant.travel_m, settings.CURRENT_LEAST_A)
+        as_length = low > -0.3 * plant.travel_m and high < min(1.3 * plant.travel_m, settings.MIN_CURRENT_A)
         moves = float(np.nanstd(values)) > 0.01 * plant.travel_m
         if (
             as_length
             and moves
-            and 1.3 * plant.travel_m < reach < settings.CURRENT_MOST_A
-            and reach > settings.CURRENT_LEAST_A
+            and 1.3 * plant.travel_m < reach < settings.MAX_CURRENT_A
+            and reach > settings.MIN_CURRENT_A
         ):
             raise DataError(
                 f"{record.name}: {channel} stays below {high:.3g} {unit} while x reaches {reach:.3g} m; they look "
@@ -64,19 +64,19 @@ def _lengths(record: Record, plant: Plant) -> None:
 
 def _reference(record: Record) -> None:
     x, x_ref = record.x, record.x_ref
-    still = [float(np.mean(np.diff(values) == 0.0)) for values in (x, x_ref)]
-    if 0.9 < still[0] < 1.0 and still[1] < 0.5:
+    unchanged = [float(np.mean(np.diff(values) == 0.0)) for values in (x, x_ref)]
+    if 0.9 < unchanged[0] < 1.0 and unchanged[1] < 0.5:
         raise DataError(
-            f"{record.name}: x stands still for {100 * still[0]:.0f} % of the samples while x_ref moves; swapped",
+            f"{record.name}: x stands still for {100 * unchanged[0]:.0f} % of the samples while x_ref moves; swapped",
             remedy="Exchange the columns of x and x_ref",
         )
     both = np.isfinite(x) & np.isfinite(x_ref)
     if both.sum() < 200 or not scatter(x_ref[both]) > 3.0 * scatter(x[both]):
         return
     # Exchanged only if x_ref is noisier than x and also follows it.
-    most = max(round(settings.RESPONSE_S / record.interval_s), 1)
+    max_lag = max(round(settings.RESPONSE_S / record.interval_s), 1)
     smooth = np.full(5, 0.2)
-    lag, peak = _lag(np.convolve(x_ref[both], smooth, "valid"), np.convolve(x[both], smooth, "valid"), most)
+    lag, peak = _lag(np.convolve(x_ref[both], smooth, "valid"), np.convolve(x[both], smooth, "valid"), max_lag)
     if lag < 0 and peak > 0.4:
         raise DataError(
             f"{record.name}: x changes {-lag} samples before x_ref, and x_ref is the noisy one; they look swapped",
@@ -84,7 +84,7 @@ def _reference(record: Record) -> None:
         )
 
 
-def _lag(u: FloatArray, i: FloatArray, most: int = 3) -> tuple[int, float]:
+def _lag(u: FloatArray, i: FloatArray, max_lag: int = 3) -> tuple[int, float]:
     """(lag of i behind u in samples, correlation of their changes at that lag)."""
     du, di = np.diff(u), np.diff(i)
     good = np.isfinite(du) & np.isfinite(di)
@@ -95,7 +95,7 @@ def _lag(u: FloatArray, i: FloatArray, most: int = 3) -> tuple[int, float]:
     n = len(du)
     values = {
         lag: float(du[max(0, -lag) : n - max(0, lag)] @ di[max(0, lag) : n - max(0, -lag)]) / norm
-        for lag in range(-most, most + 1)
+        for lag in range(-max_lag, max_lag + 1)
     }
     best = max(values, key=lambda lag: values[lag])
     return best, values[best]

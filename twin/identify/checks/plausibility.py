@@ -55,7 +55,7 @@ def _time(record: Record) -> list[str]:
     step = record.interval_s
     if not np.isfinite(step):
         raise DataError(f"{record.name}: t never rises", remedy="Map t to the column with the time in seconds")
-    if step > settings.INTERVAL_MOST_S:
+    if step > settings.MAX_INTERVAL_S:
         unit = "milliseconds" if step < 100 else "microseconds"
         scale = "1e-3" if step < 100 else "1e-6"
         raise DataError(
@@ -70,32 +70,32 @@ def _time(record: Record) -> list[str]:
             f"{record.name}: t does not rise at {stuck} of {len(steps)} samples",
             remedy="Remove doubled rows, or give t more digits",
         )
-    said = []
+    messages = []
     if stuck:
-        said.append(f"{record.name}: t does not rise at {stuck} samples; each begins a new piece")
+        messages.append(f"{record.name}: t does not rise at {stuck} samples; each begins a new piece")
     regular = steps[(steps > 0.0) & (steps < 10.0 * step)]
     # A lost sample doubles the interval of a regular clock.
     beats = np.maximum(np.rint(regular / step), 1.0)
     missing = int((beats - 1.0).sum())
     low, high = np.percentile(regular / beats, (5, 95))
     if high - low > settings.INTERVAL_SPREAD * step:
-        said.append(
+        messages.append(
             f"{record.name}: the sampling interval varies, {low * 1e3:.4g} to {high * 1e3:.4g} ms for nine in ten; "
             "each sample is predicted over its own"
         )
     elif missing:
-        said.append(
+        messages.append(
             f"{record.name}: {missing} samples are missing beside {len(record.t)}; look for what drops them: the "
             "line, its adapter, a busy computer"
         )
-    return said
+    return messages
 
 
 def _input(record: Record) -> list[str]:
     if not record.has("u_c"):
         return []
     low, high = (float(v) for v in np.nanpercentile(record.u_c, (1, 99)))
-    if max(abs(low), abs(high)) > settings.INPUT_MOST_V:
+    if max(abs(low), abs(high)) > settings.MAX_INPUT_V:
         raise DataError(
             f"{record.name}: u_c reaches {max(abs(low), abs(high)):.4g} V; it looks like millivolts or counts",
             remedy="Write u_c = { column = ..., scale = 1e-3 }, or the volts of a count",
@@ -112,7 +112,7 @@ def _current(record: Record) -> None:
     if not record.has("i_c"):
         return
     top = float(np.nanpercentile(np.abs(record.i_c), 99))
-    if top > settings.CURRENT_MOST_A:
+    if top > settings.MAX_CURRENT_A:
         raise DataError(
             f"{record.name}: i_c reaches {top:.4g} A; it looks like milliamperes",
             remedy="Write i_c = { column = ..., scale = 1e-3 }",
@@ -173,17 +173,17 @@ def _reference(record: Record, plant: Plant) -> list[str]:
 
 
 def _idle(record: Record, plant: Plant) -> list[str]:
-    said = []
+    messages = []
     if record.kind in FLYING and not at_rest(record) and record.has("x") and not flights(record, plant):
-        said.append(
+        messages.append(
             f"{record.name}: the ball never leaves its stops, so it does not show K_c and b. Raise the amplitude"
         )
     if record.kind == "sawtooth" and record.has("x", "i_c") and not lift_offs([record], plant):
-        said.append(
+        messages.append(
             f"{record.name}: no clean lift-off (the ball stays, or creeps before it leaves), so no current for (8). "
             "Raise the end of the ramp, or steady the ball"
         )
-    return said
+    return messages
 
 
 def _law(record: Record, plant: Plant, controller: Controller) -> list[str]:

@@ -57,10 +57,10 @@ class Shape:
     sample_time_s: float
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """The residual, and its ratio to the noise or the resolution, for a message."""
         other = "the resolution" if self.resolution_a else "the noise"
-        many = f"{self.ratio:.1f} times" if self.ratio < settings.RATIO_SHOWN else "far beyond"
+        many = f"{self.ratio:.1f} times" if self.ratio < settings.MAX_RATIO else "far beyond"
         return f"{self.residual_a * 1e3:.3g} mA rms, {many} {other}"
 
 
@@ -78,8 +78,8 @@ def find_levels(records: list[Record]) -> Levels | None:
     chosen = [r for r in records if r.kind == "amplifier-step" or r.captures]
     levels = [level for record in chosen for level in _plateaus(record)]
     if len({round(level.u_v, 6) for level in levels}) < 2:
-        others = [r for r in records if r.kind in ("prbs", "free", "sawtooth") and r.has("u_c", "i_c")]
-        levels += [level for record in others for level in _plateaus(record)]
+        excited = [r for r in records if r.kind in ("prbs", "free", "sawtooth") and r.has("u_c", "i_c")]
+        levels += [level for record in excited for level in _plateaus(record)]
     if len({round(level.u_v, 6) for level in levels}) < 2:
         return None
     u = np.array([level.u_v for level in levels])
@@ -133,12 +133,12 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
         return 0.0, 0.0, 0.0
     groups = [same == value for value in values]
     mean = np.array([residual[g].mean() for g in groups])
-    own = [
+    mean_std = [
         max(float(np.sqrt(np.mean(error[g] ** 2))), float(residual[g].std()) if g.sum() > 2 else 0.0)
         / float(np.sqrt(g.sum()))
         for g in groups
     ]
-    z = np.abs(mean) / np.maximum(own, 1e-12)
+    z = np.abs(mean) / np.maximum(mean_std, 1e-12)
     if float(np.max(z)) < settings.LINE_ERRORS:
         return 0.0, 0.0, 0.0
     k = int(np.argmax(np.abs(mean)))
@@ -148,33 +148,33 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
 
 
 def _plateaus(record: Record) -> list[Level]:
-    found = []
+    levels = []
     for capture in record.captures:
         before, after = capture.i_c_a[: capture.step_index], capture.i_c_a[capture.step_index + 1 :]
         for u, part in ((capture.u_from_v, before), (capture.u_to_v, after[len(after) // 2 :])):
             level = _level(u, part)
             if level:
-                found.append(level)
+                levels.append(level)
     if not record.has("u_c", "i_c") or record.kind == "equilibria" or (record.captures and record.kind != "prbs"):
-        return found
+        return levels
     if record.kind == "closed-loop":
-        return found
+        return levels
     for piece in _constant_pieces(record):
         level = _level(float(np.median(record.u_c[piece])), record.i_c[piece][(piece.stop - piece.start) // 2 :])
         if level:
-            found.append(level)
-    return found
+            levels.append(level)
+    return levels
 
 
 def _constant_pieces(record: Record) -> list[slice]:
     _, follows = intervals(record.t)
     span = float(np.nanmax(record.u_c) - np.nanmin(record.u_c))
-    still = np.zeros(len(record.t), np.bool_)
-    still[1:] = (np.abs(np.diff(record.u_c)) <= settings.SAME_LEVEL * span) & follows[1:]
+    is_constant = np.zeros(len(record.t), np.bool_)
+    is_constant[1:] = (np.abs(np.diff(record.u_c)) <= settings.SAME_LEVEL * span) & follows[1:]
     # A slow ramp changes little from sample to sample, so the change over the whole level is tested, too.
     return [
         piece
-        for piece in runs(still, settings.LEVEL_SAMPLES)
+        for piece in runs(is_constant, settings.LEVEL_SAMPLES)
         if float(np.ptp(record.u_c[piece])) <= 2.0 * settings.SAME_LEVEL * max(span, 1e-12) or span == 0.0
     ]
 
@@ -225,12 +225,12 @@ def find_shape(records: list[Record]) -> Shape | None:
         last = min(max(int(np.ceil(6.0 * T_A / step.sample_time_s)), 4), len(residual))
         squares += float(np.sum(residual[1:last] ** 2))
         count += last - 1
-        own = minimize_scalar(
+        single_fit = minimize_scalar(
             lambda g, step=step: _first_order(step, float(np.exp(g)))[0],
             bounds=(best - 2.0, best + 2.0),
             method="bounded",
         )
-        single.append(float(np.exp(own.x)))
+        single.append(float(np.exp(single_fit.x)))
     chi2 = squares / sigma**2
     ratio = float(np.sqrt(chi2 / max(count, 1)))
     # The uncertainty of the estimated noise level adds to that of the chi-square.
@@ -260,7 +260,7 @@ def _captured_steps(record: Record) -> list[_Step]:
 def _recorded_steps(record: Record) -> list[_Step]:
     if not record.has("u_c", "i_c"):
         return []
-    found = []
+    steps = []
     for piece in _constant_pieces(record):
         start = piece.start - 1  # this sample has the new u_c but still the old i_c
         jump = abs(float(record.u_c[start] - record.u_c[start - 1])) if start > 0 else 0.0
@@ -270,8 +270,8 @@ def _recorded_steps(record: Record) -> list[_Step]:
             and len(i) >= 20
             and np.isfinite(i).all()
         ):
-            found.append(_Step(sample_time_s=record.interval_s, i=i))
-    return found
+            steps.append(_Step(sample_time_s=record.interval_s, i=i))
+    return steps
 
 
 def _tail_noise(i: FloatArray) -> float:

@@ -77,7 +77,7 @@ def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
         return None
     values = np.array([point.K_c for point in points])
     K_c = float(np.median(values))
-    own = float(np.sqrt(np.mean([point.relative_error**2 for point in points])))
+    error = float(np.sqrt(np.mean([point.relative_error**2 for point in points])))
     scatter = 1.4826 * float(np.median(np.abs(values / K_c - 1.0))) if len(values) > 2 else 0.0
     if len(values) > 2:
         scatter = max(scatter, float(np.std(values / K_c, ddof=1)) / 2.0)
@@ -96,7 +96,7 @@ def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
         shift_std = float(np.sqrt(gradient @ covariance @ gradient))
     return ForceConstant(
         K_c=K_c,
-        std=K_c * 1.2533 * float(np.hypot(own, scatter)) / float(np.sqrt(len(values))),
+        std=K_c * 1.2533 * float(np.hypot(error, scatter)) / float(np.sqrt(len(values))),
         points=tuple(points),
         scatter=scatter,
         shift_m=shift,
@@ -142,35 +142,35 @@ def _departure(
     if last - first < 12:
         return None
     rest = float(np.median(x[first : first + (last - first) // 2]))
-    still = 1.4826 * float(np.median(np.abs(x[first : first + (last - first) // 2] - rest)))
-    if still > 5.0 * noise + 1e-3 * plant.travel_m:
+    rest_scatter = 1.4826 * float(np.median(np.abs(x[first : first + (last - first) // 2] - rest)))
+    if rest_scatter > 5.0 * noise + 1e-3 * plant.travel_m:
         return None  # it was not at rest
-    above = np.flatnonzero(x[first:] > rest + settings.DEPARTURE_ERRORS * max(noise, still))
+    above = np.flatnonzero(x[first:] > rest + settings.DEPARTURE_ERRORS * max(noise, rest_scatter))
     if not above.size:
         return None
-    seen = first + int(above[0])
+    departure = first + int(above[0])
     gap = plant.x_max_m - rest
     if gap <= 0.02 * plant.travel_m:
         return None
-    begin = max(seen - max(round(settings.LINE_S / step), 10), 0)
-    slope, at_seen = np.polyfit(t[begin:seen] - t[seen], i[begin:seen], 1)
-    scatter_i = float(np.std(i[begin:seen] - at_seen - slope * (t[begin:seen] - t[seen])))
-    if not (slope > 0 and at_seen > 0):
+    begin = max(departure - max(round(settings.LINE_S / step), 10), 0)
+    slope, i_departure = np.polyfit(t[begin:departure] - t[departure], i[begin:departure], 1)
+    scatter_i = float(np.std(i[begin:departure] - i_departure - slope * (t[begin:departure] - t[departure])))
+    if not (slope > 0 and i_departure > 0):
         return None
-    end = seen
-    while end < len(x) - 1 and x[end] - rest < settings.LINEAR_SHARE * plant.travel_m and end - seen < 200:
+    end = departure
+    while end < len(x) - 1 and x[end] - rest < settings.LINEAR_SHARE * plant.travel_m and end - departure < 200:
         end += 1
-    end = max(end, seen + 2)
-    tau, rise = t[begin:end] - t[seen], x[begin:end] - rest
+    end = max(end, departure + 2)
+    tau, rise = t[begin:end] - t[departure], x[begin:end] - rest
     w = float(np.sqrt(2.0 * plant.gravity_m_s2 / gap))
 
     def misfit(t_0: float) -> float:
-        current = at_seen + slope * t_0
+        current = i_departure + slope * t_0
         if current <= 0:
             return float("inf")
         c = 2.0 * plant.gravity_m_s2 * slope / current
-        late = np.clip(tau - t_0, 0.0, 40.0 / w)
-        return float(np.sum((rise - c / w**3 * (np.sinh(w * late) - w * late)) ** 2))
+        elapsed = np.clip(tau - t_0, 0.0, 40.0 / w)
+        return float(np.sum((rise - c / w**3 * (np.sinh(w * elapsed) - w * elapsed)) ** 2))
 
     lowest = -min(6.0 / w, -float(tau[0]))
     grid = np.linspace(lowest, step, 80)
@@ -178,12 +178,12 @@ def _departure(
     t_0 = float(
         minimize_scalar(misfit, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]), method="bounded").x
     )
-    current = at_seen + slope * t_0
+    current = i_departure + slope * t_0
     # An error of half a sampling interval in t_0, and the error of the line.
-    error = float(np.hypot(0.5 * step * slope, scatter_i * 2.0 / np.sqrt(max(seen - begin, 1))))
+    error = float(np.hypot(0.5 * step * slope, scatter_i * 2.0 / np.sqrt(max(departure - begin, 1))))
     return LiftOff(
         recording=name,
-        t_s=float(t[seen] + t_0),
+        t_s=float(t[departure] + t_0),
         gap_m=gap,
         i_c_a=float(current),
         K_c=_constant(plant, gap, float(current)),

@@ -27,7 +27,7 @@ from twin.identify import settings
 _CONVOLVED = 50_000  # samples at a time
 _OVERLAP = 4  # windows begin a quarter of their length apart
 _SHORTEST, _LONGEST = 0.03, 100.0  # T_A in sampling intervals
-_MOST_SAMPLES = 5_000  # of one piece: enough for a starting value
+_MAX_SAMPLES = 5_000  # of one piece: enough for a starting value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,7 @@ def amplifier_start(records: list[Record]) -> AmplifierStart | None:
             edges = [run.start, *(run.start + int(n) for n in starts if n > 0), run.stop]
             for a, b in pairwise(edges):
                 if b - a >= 20:
-                    b = min(b, a + _MOST_SAMPLES)
+                    b = min(b, a + _MAX_SAMPLES)
                     pieces.append((record.interval_s, record.u_c[a:b], record.i_c[a:b]))
     pieces = [piece for piece in pieces if np.ptp(piece[1]) > 0.0]
     if not pieces:
@@ -142,7 +142,7 @@ def force_rows(
             continue
         step = record.interval_s
         width = max(round(window_s / step), 8)
-        whole = flights(record, plant, at_least=width + 1)
+        whole = flights(record, plant, min_samples=width + 1)
         for flight in (part for long in whole for part in _cut(long, width)):
             x = record.x[flight]
             i = record.i_c[flight]

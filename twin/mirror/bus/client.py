@@ -69,9 +69,9 @@ def hand_over(
             timeout=wait_s,
         ):
             message = parse(pb.CommandReply, reply.ok.payload.to_bytes()) if reply.ok is not None else None
-            place = topics.split(str(reply.ok.key_expr)) if reply.ok is not None else None
-            if message is not None and place is not None:
-                answers.append(Answer(board=place[1], reply=message))
+            parts = topics.split(str(reply.ok.key_expr)) if reply.ok is not None else None
+            if message is not None and parts is not None:
+                answers.append(Answer(board=parts[1], reply=message))
     if not answers:
         raise ServiceError(
             f"No twin answers for {site}/{board or '*'} at {', '.join(endpoints)}",

@@ -34,7 +34,7 @@ class DiagnosisRequest:
         self._since_s = self._last_s = math.nan  # on the board's clock
         self.active = False
 
-    def heard(self, alarm: pb.Alarm) -> pb.Alarm | None:
+    def take_alarm(self, alarm: pb.Alarm) -> pb.Alarm | None:
         """Take an alarm of the twin; the end of the request, where this was the last one."""
         if alarm.name not in ALARMS:
             return None

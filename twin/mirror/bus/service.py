@@ -80,7 +80,7 @@ class TwinService:
         self.boards: dict[str, Watched] = {}
         self.dropped = 0
         self.malformed = 0
-        self.parameters_heard = 0
+        self.parameters_received = 0
         self._belief = believe(model)  # of boards to come
         self._answered = Answered()
         self._site = site
@@ -95,7 +95,7 @@ class TwinService:
         self._hearing: zenoh.Session | None = None  # instead of the first one, once that was deaf
         self._subscribers: list[zenoh.Subscriber[None]] = []
         self.renewed = 0
-        self._heard_s: dict[str, float] = {}  # by board: the latest sample, or when it began to be missed; monotonic
+        self._sampled_s: dict[str, float] = {}  # by board: the latest sample, or when it began to be missed; monotonic
         self._stopping = threading.Event()
         self.failure: BaseException | None = None
 
@@ -113,7 +113,7 @@ class TwinService:
         self._worker.start()
         self._subscribers = self._hear(self._session)
         served = f"{self._commands}/{topics.AS}/{_MAY_HAND_OVER}/*" if self._identity is not None else self._commands
-        self._session.declare_queryable(served, self._asked)
+        self._session.declare_queryable(served, self._answer)
 
     def stop(self) -> None:
         """Answer what is queued for at most a second, then close.  Idempotent."""
@@ -157,7 +157,7 @@ class TwinService:
         except queue.Full:
             self.dropped += 1
 
-    def _asked(self, query: zenoh.Query) -> None:
+    def _answer(self, query: zenoh.Query) -> None:
         try:
             self._queue.put_nowait(query)
         except queue.Full:
@@ -198,17 +198,17 @@ class TwinService:
             log.exception("twin stopped")
 
     def _take(self, key: str, data: bytes, now: float) -> None:
-        found = topics.split(key)
-        if found is None:
+        parts = topics.split(key)
+        if parts is None:
             return
-        site, board, topic = found
+        site, board, topic = parts
         if topic == "parameters":
             parameters = encoding.parse(pb.Parameters, data)
             if parameters is None:
                 self.malformed += 1
                 return
             self._watched(site, board).mirror.parameters(parameters)
-            self.parameters_heard += 1
+            self.parameters_received += 1
             return
         if topic == "status":
             status = encoding.parse(pb.Status, data)
@@ -219,7 +219,7 @@ class TwinService:
         if batch is None:
             self.malformed += 1
             return
-        self._heard_s[board] = now
+        self._sampled_s[board] = now
         watched = self._watched(site, board)
         for state in batch.states:
             output = watched.take(state, now)
@@ -229,12 +229,12 @@ class TwinService:
     def _judge_hearing(self, board: str, status: pb.Status, now: float) -> None:
         # A stream that is thinned out may pause for longer than that.
         comes = status.link == "streaming" and status.samples_per_s * DEAF_S >= 2.0
-        if not comes or now - self._heard_s.setdefault(board, now) < DEAF_S:
+        if not comes or now - self._sampled_s.setdefault(board, now) < DEAF_S:
             if not comes:
-                self._heard_s[board] = now
+                self._sampled_s[board] = now
             return
         self.renewed += 1
-        self._heard_s.clear()
+        self._sampled_s.clear()
         log.warning(
             "board %s: its gateway sends %.0f samples/s and none came for %g s: hearing through a new session",
             board, status.samples_per_s, DEAF_S,
@@ -267,34 +267,41 @@ class TwinService:
 
     def _command(self, query: zenoh.Query) -> list[tuple[str, pb.CommandReply]]:
         """(key, reply) for each board that the query means; for none, one under the key that was asked."""
-        asked = str(query.key_expr)
-        plain, _, sender = asked.partition(f"/{topics.AS}/")
-        suffix = asked.removeprefix(plain)
+        key_expr = str(query.key_expr)
+        plain, _, sender = key_expr.partition(f"/{topics.AS}/")
+        suffix = key_expr.removeprefix(plain)
         command = read_command(query.payload.to_bytes() if query.payload is not None else b"")
         if isinstance(command, pb.CommandReply):
-            return [(asked, command)]
+            return [(key_expr, command)]
         if sender:
             command.who = sender.partition("/")[2]
-        if (before := self._answered.again(asked, command)) is not None:
+        if (before := self._answered.again(key_expr, command)) is not None:
             return before
         boards = zenoh.KeyExpr(plain)
-        own = {topics.key(one.site, one.board, "twin/command"): one for one in self.boards.values()}
-        meant = {key + suffix: one for key, one in own.items() if boards.intersects(zenoh.KeyExpr(key))}
+        watched = {
+            topics.key(watched_board.site, watched_board.board, "twin/command"): watched_board
+            for watched_board in self.boards.values()
+        }
+        addressed = {
+            key + suffix: watched_board
+            for key, watched_board in watched.items()
+            if boards.intersects(zenoh.KeyExpr(key))
+        }
         everybody = boards.includes(self._commands)
-        if not meant and not everybody:
+        if not addressed and not everybody:
             text = f"Not a board of this twin; it has {', '.join(sorted(self.boards)) or 'none seen yet'}."
-            return [(asked, refusal("unknown-board", text, command_id=command.id))]
+            return [(key_expr, refusal("unknown-board", text, command_id=command.id))]
         belief = read_model(command)
         if isinstance(belief, pb.CommandReply):
             log.warning("model refused, from %r: %s", command.who, belief.text)
-            replies = [(asked, belief)]
+            replies = [(key_expr, belief)]
         else:
-            replies = [(key, one.use(belief)) for key, one in meant.items()]
+            replies = [(key, watched_board.use(belief)) for key, watched_board in addressed.items()]
             if everybody and all(reply.accepted for _, reply in replies):
                 self._belief = belief
                 text = f"will run on {belief.title}; no board has been seen yet"
-                replies = replies or [(asked, pb.CommandReply(id=command.id, accepted=True, text=text, attempts=1))]
-        self._answered.keep(asked, command, replies)
+                replies = replies or [(key_expr, pb.CommandReply(id=command.id, accepted=True, text=text, attempts=1))]
+        self._answered.keep(key_expr, command, replies)
         return replies
 
 

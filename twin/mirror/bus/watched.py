@@ -76,13 +76,13 @@ class Watched:
         )
         self._newest: pb.State | None = None
         self._since: tuple[int, int] | None = None  # session and tick of the first sample under the belief
-        self._heard_s = 0.0  # both monotonic
-        self._told_s = -math.inf
+        self._sampled_s = 0.0  # both monotonic
+        self._repeated_s = -math.inf
 
     def take(self, state: pb.State, now_s: float) -> Output | None:
         """Answer one sample."""
         self.samples += 1
-        self._heard_s, self.silent, self._newest = now_s, False, state
+        self._sampled_s, self.silent, self._newest = now_s, False, state
         if self._since is None:
             self._since = (state.session, state.tick)
             self._repeat(now_s)
@@ -94,8 +94,8 @@ class Watched:
         self._publish("twin/divergence", output.divergence)
         for alarm in output.alarms:
             self._alarm(alarm)
-        if (wanted := self._request.sample(state, output.judges)) is not None:
-            self._alarm(wanted)
+        if (request := self._request.sample(state, output.judges)) is not None:
+            self._alarm(request)
         return output
 
     def use(self, belief: Belief) -> pb.CommandReply:
@@ -113,7 +113,7 @@ class Watched:
         newest = self._newest
         self._since = (newest.session, newest.tick + 1) if newest else None
         if self._since is not None:
-            self._tell_model()
+            self._publish_model()
         return pb.CommandReply(
             id=belief.command_id,
             accepted=True,
@@ -124,19 +124,19 @@ class Watched:
 
     def look_at_the_clock(self, now_s: float) -> None:
         """Notice silence; repeat what late subscribers need."""
-        if self.samples and not self.silent and now_s - self._heard_s > SILENT_S:
+        if self.samples and not self.silent and now_s - self._sampled_s > SILENT_S:
             self.silent = True
             for alarm in self.mirror.silence(f"no sample for {SILENT_S:g} s"):
                 self._alarm(alarm)
-        if self._since is not None and now_s - self._told_s > REPEAT_S:
+        if self._since is not None and now_s - self._repeated_s > REPEAT_S:
             self._repeat(now_s)
 
     def _repeat(self, now_s: float) -> None:
-        self._told_s = now_s
-        self._tell_model()
+        self._repeated_s = now_s
+        self._publish_model()
         self._publish("twin/alarms", pb.TwinAlarms(active=self.alarms.values()))
 
-    def _tell_model(self) -> None:
+    def _publish_model(self) -> None:
         assert self._since is not None
         session, tick = self._since
         self._publish("twin/model", self.belief.message(session=session, since_tick=tick))
@@ -151,7 +151,7 @@ class Watched:
         else:
             self.alarms.pop(alarm.name, None)
         self._publish("twin/alarm", alarm)
-        if (answered := self._request.heard(alarm)) is not None:
+        if (answered := self._request.take_alarm(alarm)) is not None:
             self._alarm(answered)
 
     def _publish(self, topic: str, message: Message) -> None:

@@ -127,11 +127,14 @@ def judge_error(
     normalised: float,
     on: float,
     off: float,
-    judged: bool,
+    is_evidence: bool,
 ) -> int:
-    """What this error does to its alarm, row `row` of ALARMS; `judged`: the sample is in step and in closed loop."""
+    """Return what this error does to its alarm, row `row` of ALARMS.
+
+    `is_evidence`: whether the sample is in step and in closed loop.
+    """
     alarm, counts = w.alarms[row], w.counts
-    if not (judged and math.isfinite(normalised)):
+    if not (is_evidence and math.isfinite(normalised)):
         return unseen(alarm, counts, row, counts[HOLD])
     counts[UNSEEN + row] = 0
     return decide(alarm, w.ring.shape[1], normalised * normalised, on, off)

@@ -77,11 +77,11 @@ def _column(
     error = i - twin_i
     difference.axhline(0.0, color=REFERENCE, lw=0.8)
     difference.plot(t, error * 1e3, color=MODEL, lw=0.7)
-    _say(difference, error * 1e3, "mA")
+    _write_rms(difference, error * 1e3, "mA")
     shade(difference, alarms, "divergence-i_c", end)
     surprise.axhline(0.0, color=REFERENCE, lw=0.8)
     surprise.plot(t, innovation * 1e6, color=MODEL, lw=0.7)
-    _say(surprise, innovation * 1e6, "µm")
+    _write_rms(surprise, innovation * 1e6, "µm")
     shade(surprise, alarms, "innovation", end)
     surprise.set_xlabel("time [s]")
     for axis in axes:
@@ -99,7 +99,7 @@ def _measured(axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64],
     axis.plot(t, twin, color=MODEL, lw=1.1, label="twin")
 
 
-def _say(axis: Axes, values: NDArray[np.float64], unit: str) -> None:
+def _write_rms(axis: Axes, values: NDArray[np.float64], unit: str) -> None:
     """Write the rms into the corner."""
     if np.isfinite(values).any():
         rms = float(np.sqrt(np.nanmean(values**2)))

@@ -35,12 +35,12 @@ class Traces:
         """One sample."""
         nan = float("nan")
         compared = twin is not None and twin.sync != OUT_OF_STEP
-        shown = twin if compared and twin is not None else None
-        judged = divergence if divergence is not None and divergence.HasField("x_m") else None
-        in_step = judged is not None and judged.sync == IN_STEP
+        visible = twin if compared and twin is not None else None
+        comparison = divergence if divergence is not None and divergence.HasField("x_m") else None
+        in_step = comparison is not None and comparison.sync == IN_STEP
         std = nan
-        if judged is not None and judged.x_m.normalised != 0.0:
-            std = abs(judged.x_m.error / judged.x_m.normalised)
+        if comparison is not None and comparison.x_m.normalised != 0.0:
+            std = abs(comparison.x_m.error / comparison.x_m.normalised)
         self.rows.append(
             (
                 state.t_s,
@@ -48,11 +48,11 @@ class Traces:
                 state.x_ref_m if state.HasField("x_ref_m") and state.mode == pb.MODE_CLOSED_LOOP else nan,
                 state.i_c_a if state.HasField("i_c_a") else nan,
                 state.u_c_v if state.HasField("u_c_v") else nan,
-                shown.x_m if shown else nan,
-                shown.i_c_a if shown else nan,
-                shown.u_c_v if shown else nan,
-                abs(judged.x_m.error) if in_step and judged else nan,
-                judged.x_m.rolling_rmse if in_step and judged else nan,
+                visible.x_m if visible else nan,
+                visible.i_c_a if visible else nan,
+                visible.u_c_v if visible else nan,
+                abs(comparison.x_m.error) if in_step and comparison else nan,
+                comparison.x_m.rolling_rmse if in_step and comparison else nan,
                 std,
                 divergence.nis_mean if divergence is not None and divergence.innovation_valid else nan,
                 divergence.innovation_x_m if divergence is not None and divergence.innovation_valid else nan,
@@ -72,8 +72,8 @@ class Traces:
             to_s = max(used) + AROUND_S if used else math.inf
         self.rows = [row for row in self.rows if from_s <= row[0] <= to_s]
         before = {name: active for t, name, active in self.alarms if t < from_s}
-        inside = [alarm for alarm in self.alarms if from_s <= alarm[0] <= to_s]
-        self.alarms = [(from_s, name, True) for name, active in before.items() if active] + inside
+        changes = [alarm for alarm in self.alarms if from_s <= alarm[0] <= to_s]
+        self.alarms = [(from_s, name, True) for name, active in before.items() if active] + changes
 
     def part(self, from_s: float, to_s: float) -> Traces:
         """A copy of a span of board time."""

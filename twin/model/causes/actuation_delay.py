@@ -12,10 +12,10 @@ from twin.model.causes.instruments import OSCILLOSCOPE
 DELAY, IN_CAPTURES = 8, 109
 
 
-def in_captures(place: int) -> CauseParameter:
+def in_captures(index: int) -> CauseParameter:
     """The share of a delay that captures show."""
     return CauseParameter(
-        name="in_captures", symbol="r", unit="", place=place, neutral=1.0, low=0.0, high=1.5, probes=(0.8,), spread=0.7
+        name="in_captures", symbol="r", unit="", index=index, neutral=1.0, low=0.0, high=1.5, probes=(0.8,), spread=0.7
     )
 
 
@@ -29,7 +29,7 @@ CAUSE = Cause(
     source="computing time between sampling and output, or an output that is latched at the next tick",
     parameters=(
         CauseParameter(
-            name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
+            name="delay_s", symbol="delay", unit="s", index=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
         ),
         in_captures(IN_CAPTURES),
     ),
@@ -39,7 +39,7 @@ CAUSE = Cause(
     confirm="trigger an oscilloscope on the board's output pin and look when i_c begins",
     cure="output right after the computation, or predict the state by that time in the law",
     needs=("u_c", "i_c"),
-    told_from={
+    deciding_measurements={
         "sampling-delay": OSCILLOSCOPE,
         "position-sensor-lag": OSCILLOSCOPE,
     },

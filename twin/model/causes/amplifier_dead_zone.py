@@ -22,7 +22,7 @@ CAUSE = Cause(
     source="threshold of the output stage; the duty table of an INTECO rig shows one of 5 %",
     parameters=(
         CauseParameter(
-            name="width_v", symbol="u_0", unit="V", place=WIDTH, neutral=0.0, low=0.0, high=2.0, probes=(0.05, 0.2)
+            name="width_v", symbol="u_0", unit="V", index=WIDTH, neutral=0.0, low=0.0, high=2.0, probes=(0.05, 0.2)
         ),
         rounding(ROUNDING),
     ),
@@ -31,7 +31,7 @@ CAUSE = Cause(
     confirm="ramp u_c up slowly from 0 and note where i_c begins",
     cure="add the width to every u_c above 0 on the board",
     needs=("u_c", "i_c"),
-    told_from={
+    deciding_measurements={
         "current-sensor-offset": CLAMP_METER,
     },
     at_rest="amplifier",

@@ -23,17 +23,17 @@ CAUSE = Cause(
     source="the coil's resistance grows by 0.4 % per kelvin; the paper neglects it on purpose",
     parameters=(
         CauseParameter(
-            name="loss_1_a2", symbol="loss", unit="1/A^2", place=LOSS, neutral=0.0, low=-0.05, high=0.3, probes=(0.02,)
+            name="loss_1_a2", symbol="loss", unit="1/A^2", index=LOSS, neutral=0.0, low=-0.05, high=0.3, probes=(0.02,)
         ),
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=30.0, low=5.0, high=600.0, probes=(30.0,)
+            name="tau_s", symbol="tau", unit="s", index=TAU, neutral=30.0, low=5.0, high=600.0, probes=(30.0,)
         ),
     ),
     signature="i_c / u_c falls over tens of seconds of high current and recovers in pauses",
     shows_in=("warm-run", "steps"),
     confirm="hold the ball low for a minute at constant u_c and watch i_c fall; let the coil cool and compare",
     cure="a current loop in the amplifier, or K_A scheduled with the mean square of i_c",
-    told_from={
+    deciding_measurements={
         "current-sensor-gain": CLAMP_METER,
     },
     traits=frozenset({"warms"}),

@@ -23,7 +23,7 @@ CAUSE = Cause(
     source="offset of the output stage; an INTECO rig gives 0.043 A at zero input",
     parameters=(
         CauseParameter(
-            name="offset_a", symbol="i_offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
+            name="offset_a", symbol="i_offset", unit="A", index=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
         rounding(ROUNDING),
     ),
@@ -32,7 +32,7 @@ CAUSE = Cause(
     confirm="measure the coil's current with a clamp meter at u_c = 0 and at one large u_c",
     cure="trim the amplifier, or take the offset off u_c on the board",
     needs=("u_c", "i_c"),
-    told_from={
+    deciding_measurements={
         "current-sensor-offset": CLAMP_METER,
         "constant-force": UNPLUGGED,
     },

@@ -38,7 +38,7 @@ from twin.model.causes import (
     sensor_crosstalk,
     slew_rate_limit,
 )
-from twin.model.causes.cause import PLACES, Cause, FoundBy, Trait
+from twin.model.causes.cause import PLACES, Cause, Detector, Trait
 from twin.model.causes.curve import CURVES
 
 CATALOGUE: tuple[Cause, ...] = (
@@ -72,7 +72,7 @@ CATALOGUE: tuple[Cause, ...] = (
 )
 BY_NAME = {cause.name: cause for cause in (*CATALOGUE, *CURVES)}
 # (place of an offset, place of its wander) for each offset that may wander.
-OFFSETS = tuple((cause.strength.place, one.place) for cause in CATALOGUE for one in cause.shapes if one.walks)
+OFFSETS = tuple((cause.strength.index, shape.index) for cause in CATALOGUE for shape in cause.shapes if shape.walks)
 
 
 def neutral() -> NDArray[np.float64]:
@@ -80,7 +80,7 @@ def neutral() -> NDArray[np.float64]:
     c = np.zeros(PLACES)
     for cause in CATALOGUE:
         for parameter in cause.parameters:
-            c[parameter.place] = parameter.neutral
+            c[parameter.index] = parameter.neutral
     return c
 
 
@@ -89,7 +89,7 @@ def with_trait(trait: Trait) -> frozenset[str]:
     return frozenset(cause.name for cause in CATALOGUE if trait in cause.traits)
 
 
-def found_by(means: FoundBy) -> Cause:
+def cause_of_detector(detector: Detector) -> Cause:
     """The cause that has a search of its own."""
-    (cause,) = (cause for cause in CATALOGUE if cause.found_by == means)
+    (cause,) = (cause for cause in CATALOGUE if cause.detector == detector)
     return cause

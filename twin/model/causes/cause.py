@@ -22,7 +22,7 @@ Trait = Literal[
     "warms",  # comes and goes with the warmth of the coil
 ]
 # In innovations, in their spectrum, in the times of samples; a curve, which is no cause, in what is left.
-FoundBy = Literal["score-test", "spectral-line", "gaps", "remainder"]
+Detector = Literal["score-test", "spectral-line", "gaps", "remainder"]
 AtRest = Literal["", "balance", "amplifier"]
 PLACES = 111
 
@@ -30,7 +30,7 @@ PLACES = 111
 class Vector(Protocol):
     """The parameters of all causes, an array of shape (PLACES,), as the kernels read it."""
 
-    def __getitem__(self, place: int, /) -> float: ...
+    def __getitem__(self, index: int, /) -> float: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class CauseParameter:
     name: str
     symbol: str
     unit: str  # empty: a pure number
-    place: int  # in the vector c
+    index: int  # in the vector c
     neutral: float  # absent; inf for limits
     low: float  # of the physical range
     high: float
@@ -109,14 +109,15 @@ class Cause:
     usual: str = ""  # the form in which all shapes are neutral
     forms: tuple[Form, ...] = ()  # the others
     traits: frozenset[Trait] = frozenset()
-    found_by: FoundBy = "score-test"
+    detector: Detector = "score-test"
     measured_probes: MeasuredProbes | None = None  # instead of the strength's own for a limit, else beside them
     same_samples_as: str = ""  # the cause that does exactly the same to the samples: fitted once
     not_simulated: str = ""  # why a simulation does without it
     # What points of rest show of it: the force balance or its sensors, or what flows where i_c was computed as K_A u_c.
     at_rest: AtRest = ""
     added_a: Callable[[float, float], float] | None = None  # of (strength, K_A): flows at rest beside K_A u_c, A
-    told_from: Mapping[str, str] = field(default_factory=dict)  # other cause: measurement beside the board that decides
+    # Name of another cause: the measurement beside the board that decides between the two.
+    deciding_measurements: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def strength(self) -> CauseParameter:
@@ -126,4 +127,4 @@ class Cause:
     @property
     def shapes(self) -> tuple[CauseParameter, ...]:
         """The parameters that tell one form of the effect from another."""
-        return tuple(one for one in self.parameters if math.isfinite(one.spread))
+        return tuple(shape for shape in self.parameters if math.isfinite(shape.spread))

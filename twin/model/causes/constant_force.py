@@ -21,7 +21,7 @@ CAUSE = Cause(
     source="a wrong mass in [plant], a tilted rig, a draught",
     parameters=(
         CauseParameter(
-            name="force_n", symbol="F_0", unit="N", place=FORCE, neutral=0.0, low=-0.05, high=0.05, probes=(0.001,)
+            name="force_n", symbol="F_0", unit="N", index=FORCE, neutral=0.0, low=-0.05, high=0.05, probes=(0.001,)
         ),
     ),
     signature="free fall is slower or faster than g, by the same at every height",

@@ -14,10 +14,10 @@ ROUNDED = Form(
 )
 
 
-def rounding(place: int) -> CauseParameter:
+def rounding(index: int) -> CauseParameter:
     """The shape of a corner: over how much of the threshold it is rounded."""
     return CauseParameter(
-        name="rounding", symbol="r", unit="", place=place, neutral=0.0, low=0.0, high=1.5, probes=(0.1,), spread=0.5
+        name="rounding", symbol="r", unit="", index=index, neutral=0.0, low=0.0, high=1.5, probes=(0.1,), spread=0.5
     )
 
 

@@ -22,16 +22,16 @@ CAUSE = Cause(
     source="a ball that touches its guide",
     parameters=(
         CauseParameter(
-            name="force_n", symbol="F_f", unit="N", place=FORCE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005, 0.004)
+            name="force_n", symbol="F_f", unit="N", index=FORCE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005, 0.004)
         ),
         CauseParameter(
-            name="extra", symbol="e", unit="", place=EXTRA, neutral=0.0, low=0.0, high=2.0, probes=(0.1,), spread=0.5
+            name="extra", symbol="e", unit="", index=EXTRA, neutral=0.0, low=0.0, high=2.0, probes=(0.1,), spread=0.5
         ),
         CauseParameter(
             name="slow_m_s",
             symbol="v_s",
             unit="m/s",
-            place=SLOW,
+            index=SLOW,
             neutral=0.01,
             low=0.001,
             high=0.1,
@@ -56,7 +56,7 @@ CAUSE = Cause(
 
 
 @kernel
-def most_at_rest(c: Vector, mass_kg: float) -> float:
+def static_friction(c: Vector, mass_kg: float) -> float:
     """The acceleration up to which friction holds the ball, m/s^2."""
     return c[FORCE] * (1.0 + c[EXTRA]) / mass_kg
 
@@ -71,40 +71,40 @@ def brakes(c: Vector, mass_kg: float, v: float, free: float) -> float:
         v: its speed, m/s.
         free: its acceleration without dry friction, m/s^2.
     """
-    most = most_at_rest(c, mass_kg)
-    if v == 0.0 and abs(free) <= most:
+    friction = static_friction(c, mass_kg)
+    if v == 0.0 and abs(free) <= friction:
         return 0.0
     if c[EXTRA] != 0.0:
         ratio = v / c[SLOW]
-        most = c[FORCE] * (1.0 + c[EXTRA] * math.exp(-ratio * ratio)) / mass_kg
-    return math.copysign(most, v if v != 0.0 else free)
+        friction = c[FORCE] * (1.0 + c[EXTRA] * math.exp(-ratio * ratio)) / mass_kg
+    return math.copysign(friction, v if v != 0.0 else free)
 
 
 @kernel
-def let_go(most: float, before: float, after: float, h: float) -> tuple[float, float]:
+def let_go(friction: float, before: float, after: float, h: float) -> tuple[float, float]:
     """(speed in m/s, path in m) of a ball h s after it stood still.
 
-    Its free acceleration goes straight from `before` to `after`; friction holds or brakes it with up to `most`, m/s^2.
+    Its free acceleration goes straight from `before` to `after`; `friction`, m/s^2, holds or brakes it at most.
     """
-    way = math.copysign(1.0, after if abs(before) <= most else before)
-    first, last = way * before - most, way * after - most
+    direction = math.copysign(1.0, after if abs(before) <= friction else before)
+    first, last = direction * before - friction, direction * after - friction
     if first < 0.0:
         if last <= 0.0:
             return 0.0, 0.0
         h *= last / (last - first)
         first = 0.0
     last = max(last, 0.0)
-    return 0.5 * way * (first + last) * h, way * (2.0 * first + last) * h * h / 6.0
+    return 0.5 * direction * (first + last) * h, direction * (2.0 * first + last) * h * h / 6.0
 
 
 @kernel
 def turned(
-    most: float, v: float, v_next: float, path: float, before: float, after: float, h: float
+    friction: float, v: float, v_next: float, path: float, before: float, after: float, h: float
 ) -> tuple[float, float]:
     """(speed in m/s, path in m) of a ball that comes to a standstill within h s, and what `let_go` makes of the rest.
 
     Args:
-        most: that friction brakes, m/s^2.
+        friction: that friction brakes, m/s^2.
         v: speed at the beginning, m/s.
         v_next: speed at the end had friction not turned round at the standstill, of the other sign.
         path: m, likewise.
@@ -114,5 +114,5 @@ def turned(
     """
     left = h * v_next / (v_next - v)
     at_rest = after + (before - after) * left / h
-    speed, further = let_go(most, at_rest, after, left)
+    speed, further = let_go(friction, at_rest, after, left)
     return speed, path - 0.5 * v_next * left + further

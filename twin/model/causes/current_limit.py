@@ -12,7 +12,7 @@ from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes,
 from twin.model.causes.instruments import CLAMP_METER
 
 LIMIT, SOFTNESS, FOLD = 2, 32, 46
-LEAST_SOFTNESS = 0.005  # below that the knee is as hard as rounding leaves it
+MIN_SOFTNESS = 0.005  # below that the knee is as hard as rounding leaves it
 
 CAUSE = Cause(
     name="current-limit",
@@ -27,7 +27,7 @@ CAUSE = Cause(
             name="limit_a",
             symbol="i_limit",
             unit="A",
-            place=LIMIT,
+            index=LIMIT,
             neutral=math.inf,
             low=0.02,
             high=20.0,
@@ -37,7 +37,7 @@ CAUSE = Cause(
             name="softness",
             symbol="s",
             unit="",
-            place=SOFTNESS,
+            index=SOFTNESS,
             neutral=0.0,
             low=0.0,
             high=0.5,
@@ -45,7 +45,7 @@ CAUSE = Cause(
             spread=0.2,
         ),
         CauseParameter(
-            name="fold", symbol="f", unit="", place=FOLD, neutral=0.0, low=0.0, high=1.0, probes=(0.1,), spread=0.3
+            name="fold", symbol="f", unit="", index=FOLD, neutral=0.0, low=0.0, high=1.0, probes=(0.1,), spread=0.3
         ),
     ),
     signature="i_c stays flat at one value while u_c still rises",
@@ -53,7 +53,7 @@ CAUSE = Cause(
     confirm="block the ball, turn u_c up slowly and watch where i_c stops rising",
     cure="a larger supply; until then u_max on the board below the limit, so that the integral does not wind up",
     needs=("u_c", "i_c"),
-    told_from={
+    deciding_measurements={
         "current-sensor-gain": CLAMP_METER,
     },
     measured_probes=MeasuredProbes(of="largest-current", times=(1.02, 1.0, 0.98, 0.93)),
@@ -85,8 +85,8 @@ def aimed_at(c: Vector, target: float) -> float:
     """The current that the amplifier aims at below its limit, A; `target`: without one, not negative."""
     if math.isinf(c[LIMIT]):
         return target
-    if c[SOFTNESS] < LEAST_SOFTNESS:
-        given = min(target, c[LIMIT])
+    if c[SOFTNESS] < MIN_SOFTNESS:
+        limited = min(target, c[LIMIT])
     else:
-        given = target / (1.0 + (target / c[LIMIT]) ** (1.0 / c[SOFTNESS])) ** c[SOFTNESS]
-    return float(max(given - c[FOLD] * (target - given), 0.0))
+        limited = target / (1.0 + (target / c[LIMIT]) ** (1.0 / c[SOFTNESS])) ** c[SOFTNESS]
+    return float(max(limited - c[FOLD] * (target - limited), 0.0))

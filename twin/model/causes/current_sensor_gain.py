@@ -20,7 +20,7 @@ CAUSE = Cause(
     equation="i_measured = gain i_c",
     source="tolerance of the shunt",
     parameters=(
-        CauseParameter(name="gain", symbol="gain", unit="", place=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.98,)),
+        CauseParameter(name="gain", symbol="gain", unit="", index=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.98,)),
     ),
     signature="none: K_A and K_c take it up exactly",
     shows_in=(),

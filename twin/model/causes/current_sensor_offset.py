@@ -22,7 +22,7 @@ CAUSE = Cause(
     source="an amplifier of the shunt that was not zeroed; that of an INTECO rig drifts by tens of mA",
     parameters=(
         CauseParameter(
-            name="offset_a", symbol="offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
+            name="offset_a", symbol="offset", unit="A", index=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
         wander(WANDER, unit="A", high=0.1, probe=0.02),
     ),

@@ -25,7 +25,7 @@ FORCE_OVER_X, FORCE_OVER_V, PULL_OVER_X, PULL_OVER_I, DRIVE_OVER_U, SENSOR_OVER_
 
 
 def _curve(
-    name: str, place: int, family: Family, title: str, over: tuple[str, str], acts_on: str, equation: str
+    name: str, index: int, family: Family, title: str, over: tuple[str, str], acts_on: str, equation: str
 ) -> Cause:
     symbol, unit = over
     ends = [
@@ -33,7 +33,7 @@ def _curve(
             name=f"{end}_{symbol}",
             symbol=f"{end} {symbol}",
             unit=unit,
-            place=place + n,
+            index=index + n,
             neutral=0.0,
             low=-1e3,
             high=1e3,
@@ -46,7 +46,7 @@ def _curve(
             name=f"k_{j + 1}",
             symbol=f"k_{j + 1}",
             unit="",
-            place=place + 2 + j,
+            index=index + 2 + j,
             neutral=0.0,
             low=-2.0,
             high=2.0,
@@ -67,7 +67,7 @@ def _curve(
         shows_in=(),
         confirm="",
         cure="find its cause; until then the extended model carries the curve",
-        found_by="remainder",
+        detector="remainder",
     )
 
 

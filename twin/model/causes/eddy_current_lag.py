@@ -13,7 +13,7 @@ from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import OSCILLOSCOPE
 
 TAU, FLUX, ORDER = 13, 34, 37
-LEAST_SHARE = 0.02  # of the middle gap: nearer to the coil the weight stays
+MIN_GAP_SHARE = 0.02  # of the middle gap: nearer to the coil the weight stays
 
 CAUSE = Cause(
     name="eddy-current-lag",
@@ -25,20 +25,20 @@ CAUSE = Cause(
     source="eddy currents in a solid core hold the field back",
     parameters=(
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
+            name="tau_s", symbol="tau", unit="s", index=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
         ),
         CauseParameter(
-            name="flux", symbol="p", unit="", place=FLUX, neutral=0.0, low=0.0, high=1.5, probes=(0.3,), spread=0.7
+            name="flux", symbol="p", unit="", index=FLUX, neutral=0.0, low=0.0, high=1.5, probes=(0.3,), spread=0.7
         ),
         CauseParameter(
-            name="order", symbol="a", unit="", place=ORDER, neutral=1.0, low=0.5, high=2.5, probes=(1.3,), spread=0.7
+            name="order", symbol="a", unit="", index=ORDER, neutral=1.0, low=0.5, high=2.5, probes=(1.3,), spread=0.7
         ),
     ),
     signature="the acceleration lags the measured current, the more the faster the current changes",
     shows_in=("prbs-reference", "prbs-open-loop"),
     confirm="put a search coil on the core and compare its integrated voltage with i_c",
     cure="a laminated core, or a lead of that time in the law",
-    told_from={
+    deciding_measurements={
         "actuation-delay": OSCILLOSCOPE,
     },
     traits=frozenset({"hidden-state"}),
@@ -63,7 +63,7 @@ CAUSE = Cause(
 @kernel
 def weight(c: Vector, gap: float, gap_mid: float) -> float:
     """What lags per current at this gap; 1 in the middle of the travel."""
-    return 1.0 if c[FLUX] == 0.0 or c[TAU] <= 0.0 else (gap_mid / max(gap, LEAST_SHARE * gap_mid)) ** c[FLUX]
+    return 1.0 if c[FLUX] == 0.0 or c[TAU] <= 0.0 else (gap_mid / max(gap, MIN_GAP_SHARE * gap_mid)) ** c[FLUX]
 
 
 @kernel

@@ -24,19 +24,19 @@ CAUSE = Cause(
     equation="d ln F_m / d ln gap = -(n + q (r - 1) + p (r - 1)^2), r = gap / gap_mid; (3) holds at r = 1",
     source="(3) is of a thin gap between flat poles; a ball below a round core is neither",
     parameters=(
-        CauseParameter(name="n", symbol="n", unit="", place=N, neutral=2.0, low=0.0, high=8.0, probes=(2.05,)),
+        CauseParameter(name="n", symbol="n", unit="", index=N, neutral=2.0, low=0.0, high=8.0, probes=(2.05,)),
         CauseParameter(
-            name="bend", symbol="q", unit="", place=BEND, neutral=0.0, low=-8.0, high=8.0, probes=(0.1,), spread=2.0
+            name="bend", symbol="q", unit="", index=BEND, neutral=0.0, low=-8.0, high=8.0, probes=(0.1,), spread=2.0
         ),
         CauseParameter(
-            name="curl", symbol="p", unit="", place=CURL, neutral=0.0, low=-8.0, high=8.0, probes=(0.2,), spread=2.0
+            name="curl", symbol="p", unit="", index=CURL, neutral=0.0, low=-8.0, high=8.0, probes=(0.2,), spread=2.0
         ),
     ),
     signature="the current that holds the ball is curved in x, where (3) has a straight line",
     shows_in=("holds", "slow-ramp", "wide-steps"),
     confirm="hold the ball at six heights and plot log i_c over log gap: the power is twice the slope",
     cure="the measured power in the model, and gains scheduled with x where steps are wide",
-    told_from={
+    deciding_measurements={
         "position-sensor-offset": SHIM,
         "position-sensor-gain": SHIM,
         "position-sensor-nonlinearity": SHIM,

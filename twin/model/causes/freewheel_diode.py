@@ -21,7 +21,7 @@ CAUSE = Cause(
     source="a PWM driver gives duty (V_s + V_D) - V_D on average while current flows, but no less than 0 at rest",
     parameters=(
         CauseParameter(
-            name="drop_v", symbol="V_D", unit="V", place=DROP, neutral=0.0, low=0.0, high=3.0, probes=(0.05, 0.5)
+            name="drop_v", symbol="V_D", unit="V", index=DROP, neutral=0.0, low=0.0, high=3.0, probes=(0.05, 0.5)
         ),
     ),
     signature="i_c falls faster than it rises, and reaches 0 in finite time, after a step of u_c to 0",

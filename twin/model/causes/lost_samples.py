@@ -22,7 +22,7 @@ CAUSE = Cause(
             name="probability",
             symbol="probability",
             unit="",
-            place=PROBABILITY,
+            index=PROBABILITY,
             neutral=0.0,
             low=0.0,
             high=0.9,
@@ -34,6 +34,6 @@ CAUSE = Cause(
     confirm="board51 info LOG lists the gaps",
     cure="a faster line, a larger stream divider, or less load on the host",
     needs=("u_c",),
-    found_by="gaps",
+    detector="gaps",
     not_simulated="it is the line's, not the rig's",
 )

@@ -9,9 +9,9 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 COUPLING, REACH = 7, 39
-LEAST_SHARE = 0.02  # of the middle gap: nearer to the coil the inductance stays
-LEAST_LEAD = 0.05  # a falling ball does not turn the coil into a generator that drives itself
-MOST_CHANGE = 0.25  # of the lead in the time that the current takes: beyond, the series is none
+MIN_GAP_SHARE = 0.02  # of the middle gap: nearer to the coil the inductance stays
+MIN_LEAD = 0.05  # a falling ball does not turn the coil into a generator that drives itself
+MAX_CHANGE = 0.25  # of the lead in the time that the current takes: beyond, the series is none
 
 CAUSE = Cause(
     name="motional-emf",
@@ -28,14 +28,14 @@ CAUSE = Cause(
             name="coupling_s_m",
             symbol="coupling",
             unit="s/m",
-            place=COUPLING,
+            index=COUPLING,
             neutral=0.0,
             low=-1.0,
             high=10.0,
             probes=(0.05,),
         ),
         CauseParameter(
-            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
+            name="reach", symbol="a", unit="", index=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
         ),
     ),
     signature="at constant u_c, i_c dips while the ball rises and swells while it falls",
@@ -60,7 +60,7 @@ def per_speed(c: Vector, gap: float, gap_mid: float) -> float:
     if c[COUPLING] == 0.0:
         return 0.0
     a = c[REACH] * gap_mid
-    ratio = (gap_mid + a) / max(gap + a, LEAST_SHARE * gap_mid)
+    ratio = (gap_mid + a) / max(gap + a, MIN_GAP_SHARE * gap_mid)
     return c[COUPLING] * ratio * ratio
 
 
@@ -71,15 +71,15 @@ def lead(swing: float) -> float:
     The voltage is proportional to i_c itself, so that the equation is solved for it: with the current of a step's
     beginning a jump of u_c would meet the voltage of the old current.
     """
-    return max(1.0 + swing, LEAST_LEAD)
+    return max(1.0 + swing, MIN_LEAD)
 
 
 @kernel
-def settled(lead: float, change: float) -> float:
+def steady_lead(lead: float, change: float) -> float:
     """What the current has settled to, once u_c stands: target over this.  It lags a lead that changes.
 
     T_A i' + lead i = target with i = target / m gives m = lead - T_A m' / m: two terms of its series in `change`, by
     how much the lead changes in T_A.
     """
-    part = min(max(change / (lead * lead), -MOST_CHANGE), MOST_CHANGE)
+    part = min(max(change / (lead * lead), -MAX_CHANGE), MAX_CHANGE)
     return lead * (1.0 - part - 2.0 * part * part)

@@ -23,17 +23,17 @@ CAUSE = Cause(
     source="floor vibration, a fan, a motor on the same table",
     parameters=(
         CauseParameter(
-            name="amplitude_n", symbol="F", unit="N", place=AMPLITUDE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005,)
+            name="amplitude_n", symbol="F", unit="N", index=AMPLITUDE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005,)
         ),
         CauseParameter(
-            name="frequency_hz", symbol="f", unit="Hz", place=FREQUENCY, neutral=7.0, low=0.5, high=100.0, probes=(7.0,)
+            name="frequency_hz", symbol="f", unit="Hz", index=FREQUENCY, neutral=7.0, low=0.5, high=100.0, probes=(7.0,)
         ),
     ),
     signature="one line in the spectrum of the prediction errors, at the same frequency in every recording",
     shows_in=("steps", "multisine", "holds"),
     confirm="switch off what turns nearby, or put the rig on another table, and see whether the line goes",
     cure="a quiet table; else a notch, or a resonator at that frequency in the law",
-    found_by="spectral-line",
+    detector="spectral-line",
     not_simulated="its phase is not known",
 )
 

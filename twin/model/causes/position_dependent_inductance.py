@@ -9,7 +9,7 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 GROWTH, REACH, VOLTAGE = 6, 38, 43
-LEAST_SHARE = 0.02  # of the middle gap: nearer to the coil the inductance stays
+MIN_GAP_SHARE = 0.02  # of the middle gap: nearer to the coil the inductance stays
 
 CAUSE = Cause(
     name="position-dependent-inductance",
@@ -23,16 +23,16 @@ CAUSE = Cause(
     source="L = L_0 + 2 K_c / gap follows from (3) by energy; the paper neglects it on purpose",
     parameters=(
         CauseParameter(
-            name="growth", symbol="growth", unit="", place=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3, 1.5)
+            name="growth", symbol="growth", unit="", index=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3, 1.5)
         ),
         CauseParameter(
-            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
+            name="reach", symbol="a", unit="", index=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
         ),
         CauseParameter(
             name="voltage",
             symbol="e",
             unit="",
-            place=VOLTAGE,
+            index=VOLTAGE,
             neutral=0.0,
             low=0.0,
             high=1.5,
@@ -69,8 +69,8 @@ def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid:
         return T_A
     a = c[REACH] * gap_mid
     bottom = 1.0 / (gap_bottom + a)
-    here = 1.0 / max(gap + a, LEAST_SHARE * gap_mid)
-    return T_A * (1.0 + c[GROWTH] * (here - bottom) / (1.0 / (gap_mid + a) - bottom))
+    inverse_gap = 1.0 / max(gap + a, MIN_GAP_SHARE * gap_mid)
+    return T_A * (1.0 + c[GROWTH] * (inverse_gap - bottom) / (1.0 / (gap_mid + a) - bottom))
 
 
 @kernel
@@ -79,5 +79,5 @@ def per_speed(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid: flo
     if c[GROWTH] == 0.0 or c[VOLTAGE] == 0.0:
         return 0.0
     a = c[REACH] * gap_mid
-    here = 1.0 / max(gap + a, LEAST_SHARE * gap_mid)
-    return c[VOLTAGE] * T_A * c[GROWTH] * here * here / (1.0 / (gap_mid + a) - 1.0 / (gap_bottom + a))
+    inverse_gap = 1.0 / max(gap + a, MIN_GAP_SHARE * gap_mid)
+    return c[VOLTAGE] * T_A * c[GROWTH] * inverse_gap * inverse_gap / (1.0 / (gap_mid + a) - 1.0 / (gap_bottom + a))

@@ -22,13 +22,13 @@ CAUSE = Cause(
     source="demodulator and anti-alias filter",
     parameters=(
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
+            name="tau_s", symbol="tau", unit="s", index=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
         ),
         CauseParameter(
             name="second",
             symbol="r",
             unit="",
-            place=SECOND,
+            index=SECOND,
             neutral=0.0,
             low=0.0,
             high=1.0,

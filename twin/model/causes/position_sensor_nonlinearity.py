@@ -25,16 +25,16 @@ CAUSE = Cause(
     source="inductive sensors are bent, and are calibrated at two points",
     parameters=(
         CauseParameter(
-            name="bow_m", symbol="bow", unit="m", place=BOW, neutral=0.0, low=-0.001, high=0.001, probes=(5e-05,)
+            name="bow_m", symbol="bow", unit="m", index=BOW, neutral=0.0, low=-0.001, high=0.001, probes=(5e-05,)
         ),
         CauseParameter(
-            name="skew", symbol="skew", unit="", place=SKEW, neutral=0.0, low=-1.0, high=1.0, probes=(0.3,), spread=0.7
+            name="skew", symbol="skew", unit="", index=SKEW, neutral=0.0, low=-1.0, high=1.0, probes=(0.3,), spread=0.7
         ),
         CauseParameter(
             name="fullness",
             symbol="fullness",
             unit="",
-            place=FULLNESS,
+            index=FULLNESS,
             neutral=0.0,
             low=-1.0,
             high=1.0,
@@ -68,5 +68,5 @@ def slope(c: Vector, x: float, travel: float) -> float:
     w = 2.0 * x / travel - 1.0
     side = 1.0 - c[SKEW] * c[SKEW] + S_SHAPE * c[SKEW] * w
     arc = (1.0 - w * w) * (1.0 + c[FULLNESS] * w * w)
-    by_w = 2.0 * w * (c[FULLNESS] - 1.0 - 2.0 * c[FULLNESS] * w * w)
-    return 1.0 + 2.0 * c[BOW] / travel * (by_w * side + arc * S_SHAPE * c[SKEW])
+    slope_w = 2.0 * w * (c[FULLNESS] - 1.0 - 2.0 * c[FULLNESS] * w * w)
+    return 1.0 + 2.0 * c[BOW] / travel * (slope_w * side + arc * S_SHAPE * c[SKEW])

@@ -26,7 +26,7 @@ CAUSE = Cause(
             name="offset_m",
             symbol="offset",
             unit="m",
-            place=OFFSET,
+            index=OFFSET,
             neutral=0.0,
             low=-0.002,
             high=0.002,
@@ -38,7 +38,7 @@ CAUSE = Cause(
     shows_in=("rest", "lift-off"),
     confirm="read x with the ball on its rest, the coil off",
     cure="zero the sensor with the ball on its rest",
-    told_from={
+    deciding_measurements={
         "constant-force": SHIM,
         "sensor-crosstalk": SHIM,
     },

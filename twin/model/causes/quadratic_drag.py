@@ -21,10 +21,10 @@ CAUSE = Cause(
     source="the paper neglects it on purpose; air alone gives 4e-5 N s^2/m^2, a narrow guide tube far more",
     parameters=(
         CauseParameter(
-            name="c_n_s2_m2", symbol="c", unit="N s^2/m^2", place=C, neutral=0.0, low=0.0, high=20.0, probes=(0.2, 2.0)
+            name="c_n_s2_m2", symbol="c", unit="N s^2/m^2", index=C, neutral=0.0, low=0.0, high=20.0, probes=(0.2, 2.0)
         ),
         CauseParameter(
-            name="power", symbol="p", unit="", place=POWER, neutral=2.0, low=1.2, high=3.0, probes=(2.1,), spread=0.5
+            name="power", symbol="p", unit="", index=POWER, neutral=2.0, low=1.2, high=3.0, probes=(2.1,), spread=0.5
         ),
     ),
     signature="fast flights are braked more than b of slow ones says, by the square of the speed",

@@ -22,14 +22,14 @@ CAUSE = Cause(
     source="remanence of core and ball",
     parameters=(
         CauseParameter(
-            name="i_r_a", symbol="i_r", unit="A", place=I_R, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
+            name="i_r_a", symbol="i_r", unit="A", index=I_R, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
     ),
     signature="the ball needs a constant current less (or more) than (3) says, at every height alike",
     shows_in=("holds", "lift-off"),
     confirm="hold a compass needle to the core with the coil off; demagnetise and measure again",
     cure="demagnetise the core, or add i_r to the current in the model and in the operating point",
-    told_from={
+    deciding_measurements={
         "current-sensor-offset": CLAMP_METER,
         "constant-force": UNPLUGGED,
         "amplifier-offset": UNPLUGGED,

@@ -20,7 +20,7 @@ CAUSE = Cause(
     source="sample-and-hold and multiplexing before conversion, or a filter in front of both",
     parameters=(
         CauseParameter(
-            name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
+            name="delay_s", symbol="delay", unit="s", index=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
         ),
         in_captures(IN_CAPTURES),
     ),

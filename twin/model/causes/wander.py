@@ -14,13 +14,13 @@ MINUTE_S = 60.0
 SOURCE = "random walk: D. W. Allan, Proceedings of the IEEE 54, 1966; A. Gelb, Applied Optimal Estimation, 1974, ch. 3"
 
 
-def wander(place: int, *, unit: str, high: float, probe: float) -> CauseParameter:
+def wander(index: int, *, unit: str, high: float, probe: float) -> CauseParameter:
     """The shape of an offset: how far it wanders in a minute (standard deviation), in its unit."""
     return CauseParameter(
         name=f"wander_{unit.lower()}",
         symbol="w",
         unit=unit,
-        place=place,
+        index=index,
         neutral=0.0,
         low=0.0,
         high=high,

@@ -67,7 +67,7 @@ def test_the_whole_question_is_unanswered_not_its_parts() -> None:
 def test_work_side_by_side_gets_equal_shares_whoever_is_first(workers: int) -> None:
     """Four runs each of three climbers: the budget pays for ten, the shares for three each."""
     evidence = gather(narrow(THETA, seconds=2.0), PLANT)
-    run = pace_of(evidence.series).steps(THETA.base(PLANT), THETA.vector(), Reuse.NOTHING)
+    run = pace_of(evidence.series).steps(THETA.base(PLANT), THETA.vector(), Reuse.NONE)
     budget = Budget(10.5 * run)
     criterion = Criterion(evidence, PLANT, TICK_S, workers=workers, budget=budget)
 

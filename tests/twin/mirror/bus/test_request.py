@@ -31,13 +31,13 @@ def asked(request: DiagnosisRequest, from_s: float, to_s: float, *, judged: bool
 def test_it_is_asked_once_per_episode_and_after_the_whole_time() -> None:
     request = DiagnosisRequest(after_s=30.0, command="board51 diagnose --live 2")
 
-    request.heard(alarm("innovation", active=True))
-    request.heard(alarm("divergence-x", active=True))
+    request.take_alarm(alarm("innovation", active=True))
+    request.take_alarm(alarm("divergence-x", active=True))
     first = asked(request, 10, 100)
-    one_left = request.heard(alarm("innovation", active=False))
-    end = request.heard(alarm("divergence-x", active=False))
+    one_left = request.take_alarm(alarm("innovation", active=False))
+    end = request.take_alarm(alarm("divergence-x", active=False))
     quiet = asked(request, 100, 200)
-    request.heard(alarm("innovation", active=True))
+    request.take_alarm(alarm("innovation", active=True))
     second = asked(request, 200, 300)
 
     assert [(one.name, one.active, one.tick, one.value) for one in first] == [(NAME, True, 80, 30.0)]
@@ -54,17 +54,17 @@ def test_alarms_that_come_and_go_and_a_lost_rig_ask_for_nothing() -> None:
     request = DiagnosisRequest(after_s=30.0, command="")
 
     for k in range(10):
-        request.heard(alarm("innovation", active=True))
+        request.take_alarm(alarm("innovation", active=True))
         assert asked(request, 20 * k, 20 * k + 19) == []
-        assert request.heard(alarm("innovation", active=False)) is None
-    request.heard(alarm("out-of-step", active=True))
+        assert request.take_alarm(alarm("innovation", active=False)) is None
+    request.take_alarm(alarm("out-of-step", active=True))
 
     assert asked(request, 300, 400) == []
 
 
 def test_time_begins_anew_with_a_board_that_was_reset() -> None:
     request = DiagnosisRequest(after_s=30.0, command="")
-    request.heard(alarm("innovation", active=True))
+    request.take_alarm(alarm("innovation", active=True))
 
     assert asked(request, 1000, 1020) == []
     assert [one.tick for one in asked(request, 0, 100)] == [60]
@@ -72,7 +72,7 @@ def test_time_begins_anew_with_a_board_that_was_reset() -> None:
 
 def test_time_without_evidence_does_not_count() -> None:
     request = DiagnosisRequest(after_s=30.0, command="")
-    request.heard(alarm("divergence-x", active=True))
+    request.take_alarm(alarm("divergence-x", active=True))
 
     assert asked(request, 10, 30) == []
     assert asked(request, 30, 130, judged=False) == []
@@ -81,7 +81,7 @@ def test_time_without_evidence_does_not_count() -> None:
 
 def test_zero_means_never() -> None:
     request = DiagnosisRequest(after_s=0.0, command="")
-    request.heard(alarm("innovation", active=True))
+    request.take_alarm(alarm("innovation", active=True))
 
     assert asked(request, 0, 1000) == []
 

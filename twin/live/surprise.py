@@ -52,30 +52,30 @@ def hand_over_and_compare(
     Raises:
         ServiceError: no twin answers.
     """
-    heard: deque[pb.Divergence] = deque(maxlen=50_000)
+    messages: deque[pb.Divergence] = deque(maxlen=50_000)
 
     def arrived(sample: zenoh.Sample) -> None:
         if (message := parse(pb.Divergence, sample.payload.to_bytes())) is not None:
-            heard.append(message)
+            messages.append(message)
 
     subscriber = session.declare_subscriber(topics.key(site, board, "twin/divergence"), arrived)
     try:
         time.sleep(SPAN_S)
         answers = hand_over(belief, site=site, board=board, endpoints=endpoints, identity=identity)
         lines = [
-            f"{site}/{one.board}: {one.reply.text}"
-            if one.reply.accepted
-            else f"{site}/{one.board}: refused: {one.reply.reason}: {one.reply.text}"
-            for one in answers
+            f"{site}/{answer.board}: {answer.reply.text}"
+            if answer.reply.accepted
+            else f"{site}/{answer.board}: refused: {answer.reply.reason}: {answer.reply.text}"
+            for answer in answers
         ]
-        if not all(one.reply.accepted for one in answers):
+        if not all(answer.reply.accepted for answer in answers):
             return False, lines
         tick = answers[0].reply.tick
-        before = surprise([one for one in list(heard) if one.tick < tick])
+        before = surprise([answer for answer in list(messages) if answer.tick < tick])
         deadline, after = time.monotonic() + PATIENCE_S, surprise([])
         while after.samples < SAMPLES and time.monotonic() < deadline:
             time.sleep(0.1)
-            after = surprise([one for one in list(heard) if one.tick >= tick])
+            after = surprise([answer for answer in list(messages) if answer.tick >= tick])
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
     return True, [*lines, f"innovation before: {before}", f"innovation after:  {after}"]
@@ -83,12 +83,12 @@ def hand_over_and_compare(
 
 def surprise(messages: list[pb.Divergence]) -> Surprise:
     """Of the valid ones."""
-    valid = [one for one in messages if one.innovation_valid]
+    valid = [message for message in messages if message.innovation_valid]
     n = len(valid)
     if not n:
         return Surprise(math.nan, math.nan, 0)
     return Surprise(
-        math.sqrt(sum(one.innovation_x_m**2 for one in valid) / n),
-        math.sqrt(sum(one.innovation_i_c_a**2 for one in valid) / n),
+        math.sqrt(sum(message.innovation_x_m**2 for message in valid) / n),
+        math.sqrt(sum(message.innovation_i_c_a**2 for message in valid) / n),
         n,
     )
