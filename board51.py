@@ -20,8 +20,8 @@ from typing import Any, NoReturn
 
 from protocol.arguments import number, whole_number
 from protocol.ending import end_is_ordered
-from protocol.errors import Board51Error, missing_extra, one_line
-from protocol.panics import is_panic, told
+from protocol.errors import Board51Error, missing_extra, single_line
+from protocol.panics import is_panic, reword
 
 DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
 OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h; systemd's Restart=on-failure and the gateway start it again
@@ -73,7 +73,8 @@ EXTRAS = {  # what a command needs beyond the core; what is not here runs withou
     "hmi": "web",
     "opcua": "opcua",
 }
-OURS = frozenset({"board51", "protocol", "gateway", "twin"})  # a module of these that is missing is no missing extra
+# A missing module of these packages is a fault of the installation, not an extra that is not installed.
+PACKAGES = frozenset({"board51", "protocol", "gateway", "twin"})
 SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record"})  # run until they are told
 PANIC_PATIENCE_S = 10.0
 
@@ -88,12 +89,12 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with 2."""
-        self.exit(2, f"{self.prog}: {one_line(message)}. `{self.prog} --help` explains.\n")
+        self.exit(2, f"{self.prog}: {single_line(message)}. `{self.prog} --help` explains.\n")
 
 
 def _parser() -> Parser:
     """Return the parser of the command's name; the commands declare their own arguments."""
-    listing = "\n".join(f"  {name:<11} {about}" for name, (_, about) in COMMANDS.items())
+    listing = "\n".join(f"  {name:<11} {summary}" for name, (_, summary) in COMMANDS.items())
     parser = Parser(
         prog="board51",
         description="Gateway and digital twin of a magnetic levitation rig.",
@@ -144,12 +145,12 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return _ending_at_a_panic(module.run, command.parse_args(arguments[1:]))
             return int(module.run(command.parse_args(arguments[1:])))
     except Board51Error as error:
-        return _told(chosen, error)
+        return _report(chosen, error)
     except ModuleNotFoundError as error:
         library = (error.name or "board51").partition(".")[0]
-        if chosen not in EXTRAS or library in OURS:
+        if chosen not in EXTRAS or library in PACKAGES:
             return _our_fault(chosen, error)
-        return _told(chosen, missing_extra(EXTRAS[chosen], library))
+        return _report(chosen, missing_extra(EXTRAS[chosen], library))
     except BrokenPipeError:  # `board51 watch | head`
         return 0
     except KeyboardInterrupt:
@@ -158,7 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _our_fault(chosen, error)
 
 
-def _told(command: str, error: Board51Error) -> int:
+def _report(command: str, error: Board51Error) -> int:
     """Exit code, after one line on stderr."""
     print(f"board51 {command}: {error}", file=sys.stderr)
     return error.exit_code
@@ -172,7 +173,7 @@ def _our_fault(command: str, error: Exception) -> int:
     """
     if os.environ.get(DEBUG):
         raise error
-    what = one_line(f"{type(error).__name__}: {error}", 300)
+    what = single_line(f"{type(error).__name__}: {error}", 300)
     print(
         f"board51 {command}: a fault of board51 ({what}). Report it with the command; {DEBUG}=1 shows where.",
         file=sys.stderr,
@@ -195,7 +196,7 @@ def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.
             for line in lines:
                 panic = is_panic(line)
                 with suppress(OSError):  # a terminal that is gone
-                    os.write(real, told(line) if panic else line)
+                    os.write(real, reword(line) if panic else line)
                 # A panic after the order to end is a line and no failure: `systemctl stop` must not leave "failed".
                 if panic and not end_is_ordered() and not panicked.is_set():
                     panicked.set()

@@ -286,10 +286,10 @@ def documented_toml() -> str:
 def _documented(kind: type[Any]) -> list[str]:
     lines: list[str] = []
     for f, hint in zip(fields(kind), keys_of(kind).values(), strict=True):
-        about = FieldInfo.from_annotation(hint).description
-        if about:
+        description = FieldInfo.from_annotation(hint).description
+        if description:
             default = {"name": "rig1", "port": "/dev/ttyUSB0"}[f.name] if f.default is MISSING else f.default
-            lines += [f"# {about}{_allowed(hint)}", f"{f.name} = {_toml(default)}"]
+            lines += [f"# {description}{_allowed(hint)}", f"{f.name} = {_toml(default)}"]
     return lines
 
 

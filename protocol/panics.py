@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 
 _PANIC = re.compile(rb"thread '[^']*'( \(\d+\))? panicked at")
-_TOLD = re.compile(rb" panicked at")
+_PANICKED = re.compile(rb" panicked at")
 
 
 def is_panic(line: bytes) -> bool:
@@ -19,6 +19,6 @@ def is_panic(line: bytes) -> bool:
     return _PANIC.search(line) is not None
 
 
-def told(line: bytes) -> bytes:
+def reword(line: bytes) -> bytes:
     """Return the line reworded, so that a parent that reads this process's stderr does not take it for a new panic."""
-    return _TOLD.sub(b" panicked, and its process ends, at", line)
+    return _PANICKED.sub(b" panicked, and its process ends, at", line)

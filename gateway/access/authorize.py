@@ -95,9 +95,9 @@ class Authorizer:
         guarded: whether the bus is guarded, so that the keys of commands contain the sender.
     """
 
-    def __init__(self, started_ns: int, tell: Callable[[str, int], None], *, guarded: bool = True) -> None:
+    def __init__(self, started_ns: int, on_flood: Callable[[str, int], None], *, guarded: bool = True) -> None:
         self.guarded = guarded
-        self._started_ns, self._tell = started_ns, tell
+        self._started_ns, self._on_flood = started_ns, on_flood
         self._lock = threading.Lock()
         self._floods: OrderedDict[str, _Flood] = OrderedDict()
 
@@ -109,11 +109,11 @@ class Authorizer:
         """The sender of a command with this key, or a refusal."""
         if not self.guarded:
             return Sender(name="", role=None, arrived_ns=arrived_ns, started_ns=self._started_ns)
-        found = topics.sender(key)
-        if found is None or found[0] not in ROLE_WORDS:
+        role_and_name = topics.sender(key)
+        if role_and_name is None or role_and_name[0] not in ROLE_WORDS:
             text = f"On this bus a command goes under .../command/as/ROLE/NAME, not under {key[-100:]}."
             return Refusal("not-allowed", text)
-        role, name = found
+        role, name = role_and_name
         return Sender(name=name, role=Role[role.upper()], arrived_ns=arrived_ns, started_ns=self._started_ns)
 
     def flooded(self, sender: Sender, now_s: float) -> bool:
@@ -134,7 +134,7 @@ class Authorizer:
             if report := now_s - flood.reported_s >= _REPORT_S:
                 flood.refused, flood.reported_s = 0, now_s
         if report:
-            self._tell(sender.name, refused)
+            self._on_flood(sender.name, refused)
         return True
 
 

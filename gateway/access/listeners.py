@@ -87,6 +87,6 @@ def nearest(endpoints: Sequence[str]) -> str:
 
 def to_reach(endpoint: str) -> str:
     """The endpoint for a process of this machine to connect to: 0.0.0.0 and [::] are replaced by loopback."""
-    for anywhere, here in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
-        endpoint = endpoint.replace(anywhere, here)
+    for anywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
+        endpoint = endpoint.replace(anywhere, loopback)
     return endpoint

@@ -88,12 +88,12 @@ class Tries:
         else:
             lane, stranger = self._lane(source), True
         lanes = (lane, self._strangers) if stranger else (lane,)
-        wait_s = max(one.wait_s(now_s) for one in lanes)
+        wait_s = max(limiter.wait_s(now_s) for limiter in lanes)
         granted = wait_s <= patience_s
         if granted:
             free = lane.wait_s(now_s) == 0.0
-            for one in lanes:
-                one.take(now_s)
+            for limiter in lanes:
+                limiter.take(now_s)
             if free and lane.wait_s(now_s) > 0.0:  # once for each flood
                 _logger.warning("many passwords are tried from %s: from now on one in %g s", source, lane.pace_s)
         return Turn(granted=granted, wait_s=wait_s, lanes=lanes)

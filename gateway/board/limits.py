@@ -153,7 +153,9 @@ class Gate:
         """Return the refusal of a command, or None if it may be sent to the board."""
         match command.WhichOneof("what"):
             case "set_reference":
-                return self.beyond(command) or self._reference(command.set_reference.x_ref_m, wire, board, now_s)
+                return self.check_configured_range(command) or self._reference(
+                    command.set_reference.x_ref_m, wire, board, now_s
+                )
             case "set_gains":
                 return self._gains(command.set_gains)
             case "excite":
@@ -166,7 +168,7 @@ class Gate:
                 return self._host_loss(command.set_host_loss.timeout_s)
         return None
 
-    def beyond(self, command: pb.Command) -> Refusal | None:
+    def check_configured_range(self, command: pb.Command) -> Refusal | None:
         """Check the configured bounds only; called before conversion to counts, whose range differs."""
         if command.WhichOneof("what") != "set_reference":
             return None
@@ -255,14 +257,14 @@ def _on_board(count: int, low: str, high: str, what: str, unit: str, board: Boar
     if lowest <= count <= highest:
         return None
 
-    def said(counts: int) -> str:
+    def with_unit(counts: int) -> str:
         s = board.scaling
         if s is None:
             return f"{counts} counts"
         return measured(s.x_m(counts) if unit == "m" else s.u_v(counts), unit)
 
-    bounds = f"{said(lowest)} .. {said(highest)}"
-    return Refusal("out-of-range", f"{what} = {said(count)} is outside the board's limits, {bounds}.")
+    bounds = f"{with_unit(lowest)} .. {with_unit(highest)}"
+    return Refusal("out-of-range", f"{what} = {with_unit(count)} is outside the board's limits, {bounds}.")
 
 
 def _needs(board: BoardView, command: pb.Command) -> Refusal | None:

@@ -17,7 +17,7 @@ _MANTISSA_MAX = 32767
 _SHIFT_MAX = 30
 _U16 = 0xFFFF
 _U32 = 0xFFFFFFFF
-_BEYOND = 2.0**53
+_EXACT_MAX = 2.0**53
 # What a rig on a bench can have, with a decade to spare; the page states it.  A scaling beyond this is not a rig but
 # flash that was erased or a wrong byte order: everything after it, limits and gains included, would be noise.
 _CHANNELS = (("i", "A", 1e3, 1e-3), ("x", "m", 1.0, 1e-5), ("u", "V", 1e3, 1e-3))  # unit, largest value, smallest span
@@ -34,8 +34,8 @@ class Refusal:
 
 def measured(value: float, unit: str) -> str:
     """Return a value as text in the units of the web page: lengths in mm."""
-    scale, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
-    return f"{value * scale:.6g} {shown}"
+    scale, display_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
+    return f"{value * scale:.6g} {display_unit}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +164,7 @@ def parameters_message(
         u_lsb_v=s.u_lsb_v,
         u_min_v=s.u_offset_v,
         from_tick=p("tick"),
-        capture_s=_most_captured(s) * s.capture_time_s,
+        capture_s=_max_capture_samples(s) * s.capture_time_s,
     )
 
 
@@ -191,7 +191,7 @@ def to_wire(command: pb.Command, scaling: Scaling) -> WireCommand | Refusal:
 
 def _nearest(number: float) -> int:
     """Round to an integer; a value beyond all fields, even an infinite one, stays beyond them."""
-    return round(min(max(number, -_BEYOND), _BEYOND))
+    return round(min(max(number, -_EXACT_MAX), _EXACT_MAX))
 
 
 def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int:
@@ -303,14 +303,14 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
     return WireCommand(name="EXCITE", values=values)
 
 
-def _most_captured(s: Scaling) -> int:
+def _max_capture_samples(s: Scaling) -> int:
     """Samples of the longest capture: what the board holds, and CAPTURE can say."""
     return min(s.capture_size, 2000)
 
 
 def _capture(command: pb.Command, s: Scaling) -> WireCommand:
     c = command.capture
-    count = _whole(c.duration_s, s.capture_time_s, "duration", 1, _most_captured(s))
+    count = _whole(c.duration_s, s.capture_time_s, "duration", 1, _max_capture_samples(s))
     pre = _whole(c.pre_s, s.capture_time_s, "pre", 0, count)
     u_from = _count(c.u_from_v, s.u_offset_v, s.u_lsb_v, "u_from", "V")
     u_to = _count(c.u_to_v, s.u_offset_v, s.u_lsb_v, "u_to", "V")

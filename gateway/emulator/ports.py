@@ -231,12 +231,12 @@ class TcpPort:
 
 
 def _write(descriptor: int, data: bytes, wait_s: float) -> int:
-    taken = 0
+    written = 0
     with contextlib.suppress(OSError):  # a disconnected host is detected by the next read
-        while taken < len(data):
+        while written < len(data):
             try:
-                taken += os.write(descriptor, data[taken:])
+                written += os.write(descriptor, data[written:])
             except BlockingIOError:
                 if not wait_s or not select.select([], [descriptor], [], wait_s)[1]:
                     break
-    return taken
+    return written

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.board.faults import COIL_MAY_BE_ON, OUTPUT_UNCONFIRMED, name_of
 from protocol.wire.events import BoardEvent
-from protocol.wire.messages import BY_NAME, FAULT_EVENTS, RESETS, VERSION, EventCode, Message, Mode
+from protocol.wire.messages import FAULT_EVENTS, RESETS, ROW_OF_NAME, VERSION, EventCode, Message, Mode
 
 _WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT, EventCode.SETTINGS_REJECTED}) | (
     RESETS - FAULT_EVENTS
@@ -30,7 +30,7 @@ _TEXT = {
 
 _POLICIES = ("the coil goes on as before", "coil off", "the reference is held")
 _LIMITED = ("input u_c", "reference")
-_SETTINGS = ("?", *(field.name for field in BY_NAME["PARAMETERS"].fields[1:18]))
+_SETTINGS = ("?", *(field.name for field in ROW_OF_NAME["PARAMETERS"].fields[1:18]))
 
 
 def _word(words: tuple[str, ...], number: int) -> str:
@@ -57,7 +57,7 @@ def of_board(event: BoardEvent) -> tuple[str, str, str]:
     return name_of(code), severity, text
 
 
-def who_is_there(identity: Message, port: str, session: int) -> str:
+def board_identity(identity: Message, port: str, session: int) -> str:
     """Return a sentence that describes a streaming board."""
     f = identity.int
     return (
@@ -74,10 +74,10 @@ def other_version(board_version: int) -> str:
     )
 
 
-def wrong_board(port: str, board_id: int, wanted: int) -> str:
+def wrong_board(port: str, board_id: int, configured: int) -> str:
     """Return a sentence about a board whose serial number differs from the configured one."""
     return (
-        f"The board at {port} has the serial number {board_id}, the configuration wants {wanted}:"
+        f"The board at {port} has the serial number {board_id}, the configuration wants {configured}:"
         " exchange the cables or correct board_id."
     )
 
@@ -90,7 +90,7 @@ def in_doubt(first_tick: int, last_tick: int, session: int) -> str:
     )
 
 
-def answers_nothing(for_s: float) -> str:
+def no_answers(for_s: float) -> str:
     """Return a sentence about a board that does not answer: the line to it may be cut."""
     return (
         f"The board has answered nothing for {for_s:g} s although its frames arrive: a STOP may not reach it."

@@ -68,7 +68,7 @@ class FromBoard:
         """Begin to wait for the first state."""
         self._state_s = now_s
 
-    def heard(self, now_s: float, *, states: bool) -> None:
+    def frames_arrived(self, now_s: float, *, states: bool) -> None:
         """Note that valid frames have arrived, with or without STATE frames."""
         if states or now_s - self._valid_s >= STANDSTILL_S:
             self._state_s = now_s

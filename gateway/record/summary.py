@@ -244,8 +244,8 @@ def _lines(summary: LogSummary) -> Iterable[str]:
     for name, board in summary.boards.items():
         assert board.gaps is not None
         known = board.parameters
-        about = f", T_s {known.sample_time_s * 1e3:g} ms, firmware {known.firmware or '-'}" if known else ""
-        yield f"\n{name}: {board.gaps.sessions} session(s), {board.resets} reset(s){about}"
+        details = f", T_s {known.sample_time_s * 1e3:g} ms, firmware {known.firmware or '-'}" if known else ""
+        yield f"\n{name}: {board.gaps.sessions} session(s), {board.resets} reset(s){details}"
         for topic, counts in board.topics.items():
             rate = f"{counts.rate_hz:10.2f} Hz" if counts.rate_hz is not None else " " * 13
             yield f"  {topic:<16}{counts.count:>10} messages {rate} {counts.bytes:>12} bytes"

@@ -218,7 +218,7 @@ class LogWriter:
         parts = topics.split(key)
         if parts is None:
             raise ValueError(f"{key!r} is not a key of the bus table")
-        message = topics.BY_NAME[parts[2]].message
+        message = topics.TOPIC_OF_NAME[parts[2]].message
         schema = Schema(name=encoding.schema_name(message), encoding=encoding.SCHEMA_ENCODING, data=self._descriptors)
         channel = Channel(key, message_encoding=encoding.MESSAGE_ENCODING, schema=schema, context=self._context)
         self._channels[key] = channel
@@ -238,13 +238,13 @@ class LogWriter:
 
     def _to_disk(self) -> None:
         memory = self._memory
-        done = 0
+        written = 0
         try:
             with memoryview(memory.held) as view:
-                while done < len(view):
-                    done += os.pwrite(self._fd, view[done:], memory.on_disk + done)
+                while written < len(view):
+                    written += os.pwrite(self._fd, view[written:], memory.on_disk + written)
         except OSError as error:
             os.ftruncate(self._fd, memory.on_disk)  # half a chunk would stop every reader there
             raise LogError(self.path, error) from None
-        memory.on_disk += done
+        memory.on_disk += written
         memory.held.clear()

@@ -96,7 +96,7 @@ def zenoh_config(
     return json.dumps(config, indent=2)
 
 
-def refused_by_router(endpoints: Sequence[str], identity: Identity | None) -> ServiceError:
+def router_refusal(endpoints: Sequence[str], identity: Identity | None) -> ServiceError:
     """Return the error for a client whose `zenoh.open` failed; zenoh itself reports only a time-out.
 
     A router that rejects this client's certificate or password cannot be told from an absent router.  The same holds

@@ -77,7 +77,9 @@ class LogReader:
     @property
     def boards(self) -> set[str]:
         """Names of the boards with a Board51 topic; complete after one pass."""
-        return {ours[1] for scan in self.scans for channel in scan.channels.values() if (ours := _ours(channel))}
+        return {
+            parts[1] for scan in self.scans for channel in scan.channels.values() if (parts := _board_topic(channel))
+        }
 
     @property
     def finished(self) -> bool:
@@ -118,7 +120,7 @@ class LogReader:
             known: dict[McapChannel, tuple[str, str, str] | None] = {}
             for channel, time_ns, data in scan.messages(start_ns=low_ns, end_ns=high_ns):
                 if channel not in known:
-                    known[channel] = _ours(channel)
+                    known[channel] = _board_topic(channel)
                 parts = known[channel]
                 if parts is None:
                     self.foreign[channel.topic] += 1
@@ -140,7 +142,7 @@ class LogReader:
         for key, site, board, topic, data, time_ns in self.raw(
             topics_=topics_, boards=boards, start_s=start_s, end_s=end_s
         ):
-            message = encoding.parse(topics.BY_NAME[topic].message, data)
+            message = encoding.parse(topics.TOPIC_OF_NAME[topic].message, data)
             if message is None:
                 self.unparsable[key] += 1
             else:
@@ -186,11 +188,12 @@ class LogReader:
             DataError: the log is damaged, or holds no Board51 messages.
         """
         self.check_damage(last_ns=last_ns)
-        ours = any(_ours(channel) for scan in self.scans for channel in scan.channels.values())
-        if not ours:
-            others = sorted({channel.topic for scan in self.scans for channel in scan.channels.values()})
+        if not self.boards:
+            foreign_topics = sorted({channel.topic for scan in self.scans for channel in scan.channels.values()})
             holds = (
-                f"only {', '.join(others[:5])}{' ...' if len(others) > 5 else ''}" if others else "no channels at all"
+                f"only {', '.join(foreign_topics[:5])}{' ...' if len(foreign_topics) > 5 else ''}"
+                if foreign_topics
+                else "no channels at all"
             )
             raise DataError(
                 f"Log {self.name} holds no Board51 messages: {holds}",
@@ -229,11 +232,11 @@ def read(
     reader.check(last_ns=last_ns)
 
 
-def _ours(channel: McapChannel) -> tuple[str, str, str] | None:
+def _board_topic(channel: McapChannel) -> tuple[str, str, str] | None:
     parts = topics.split(channel.topic)
     if parts is None or channel.message_encoding != encoding.MESSAGE_ENCODING:
         return None
     # The schema may be lost with the first chunk; the topic says the same.
     lost = channel.schema is None and channel.schema_id != 0
-    name = encoding.schema_name(topics.BY_NAME[parts[2]].message)
+    name = encoding.schema_name(topics.TOPIC_OF_NAME[parts[2]].message)
     return parts if lost or (channel.schema is not None and channel.schema.name == name) else None

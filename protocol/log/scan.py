@@ -175,7 +175,7 @@ class Scan:
                     return
                 else:
                     plain = head + content if opcode in _READ else b""
-                for message in self._inside(plain, at, end):
+                for message in self._messages_between(plain, at, end):
                     if start_ns <= message.time_ns < end_ns:
                         yield message
                 at = end
@@ -204,12 +204,12 @@ class Scan:
     def _cut_chunk(self, content: bytes, at: int) -> Iterator[McapMessage]:
         plain = unpack_prefix(content)
         retained = 0
-        for message in self._inside(plain, at, self.size, cut=True):
+        for message in self._messages_between(plain, at, self.size, cut=True):
             retained += 1
             yield message
         self._damage(at, self.size - at, f"{_CUT} a chunk ({retained} messages of it are whole)", chunk=content)
 
-    def _inside(self, plain: bytes, start: int, end: int, *, cut: bool = False) -> Iterator[McapMessage]:
+    def _messages_between(self, plain: bytes, start: int, end: int, *, cut: bool = False) -> Iterator[McapMessage]:
         """Yield the messages among the records in `plain`, the content of the file from `start` to `end`."""
         at, size = 0, len(plain)
         unpack_record, unpack_message, channels = _RECORD.unpack_from, _MESSAGE_HEAD.unpack_from, self.channels

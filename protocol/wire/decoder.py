@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from protocol.wire.codec import BODY_SIZE, decode_body
 from protocol.wire.framing import MAX_ENCODED, cobs_decode
-from protocol.wire.messages import BY_NAME, Message
+from protocol.wire.messages import ROW_OF_NAME, Message
 
 CAUSES = ("cobs", "crc", "type", "length", "range", "oversize")
 
@@ -44,7 +44,7 @@ class BadFrame:
 
 Event = State | Message | BadFrame
 
-_STATE = BY_NAME["STATE"].type
+_STATE = ROW_OF_NAME["STATE"].type
 _STATE_SIZE = BODY_SIZE["STATE"] + 2
 
 

@@ -114,7 +114,7 @@ class Field:
     type: str
     low: float | None = None
     high: float | None = None
-    about: str = ""
+    description: str = ""
     unit: str = ""
 
 
@@ -126,31 +126,31 @@ class Row:
     name: str
     to_board: bool
     fields: tuple[Field, ...]
-    about: str
+    description: str
 
 
-def _u8(name: str, unit: str, about: str, low: int = 0, high: int = 0xFF) -> Field:
-    return Field(name, "u8", low, high, about, unit)
+def _u8(name: str, unit: str, description: str, low: int = 0, high: int = 0xFF) -> Field:
+    return Field(name, "u8", low, high, description, unit)
 
 
-def _u16(name: str, unit: str, about: str, low: int = 0, high: int = 0xFFFF) -> Field:
-    return Field(name, "u16", low, high, about, unit)
+def _u16(name: str, unit: str, description: str, low: int = 0, high: int = 0xFFFF) -> Field:
+    return Field(name, "u16", low, high, description, unit)
 
 
-def _u32(name: str, unit: str, about: str) -> Field:
-    return Field(name, "u32", 0, 0xFFFFFFFF, about, unit)
+def _u32(name: str, unit: str, description: str) -> Field:
+    return Field(name, "u32", 0, 0xFFFFFFFF, description, unit)
 
 
-def _f32(name: str, unit: str, about: str) -> Field:
-    return Field(name, "f32", None, None, about, unit)
+def _f32(name: str, unit: str, description: str) -> Field:
+    return Field(name, "f32", None, None, description, unit)
 
 
-def _counts(name: str, about: str) -> Field:
-    return Field(name, "counts", 0, COUNTS_MAX, about, "count")
+def _counts(name: str, description: str) -> Field:
+    return Field(name, "counts", 0, COUNTS_MAX, description, "count")
 
 
-def _u16_counts(name: str, about: str) -> Field:
-    return _u16(name, "count", about, 0, COUNTS_MAX)
+def _u16_counts(name: str, description: str) -> Field:
+    return _u16(name, "count", description, 0, COUNTS_MAX)
 
 
 def _gains() -> tuple[Field, ...]:
@@ -288,8 +288,8 @@ ROWS: tuple[Row, ...] = (
     ), "answer to READ_CAPTURE"),
 )  # fmt: skip
 
-BY_TYPE = {row.type: row for row in ROWS}
-BY_NAME = {row.name: row for row in ROWS}
+ROW_OF_TYPE = {row.type: row for row in ROWS}
+ROW_OF_NAME = {row.name: row for row in ROWS}
 CAPTURE_BLOCK_SAMPLES = 32
 
 Value = int | float | bytes

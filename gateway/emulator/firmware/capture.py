@@ -33,7 +33,7 @@ class FirmwareCapture:
         return len(self._samples) == self._pre and self._start_us == 0
 
     @property
-    def done(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether all samples are taken and the 40 us of the last one are over."""
         return len(self._samples) == self.total and self._start_us <= 0
 

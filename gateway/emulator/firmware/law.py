@@ -62,12 +62,12 @@ class ControlLaw:
 
     def run(self, i: int, x: int, x_ref: int) -> tuple[int, bool]:
         """Run one tick: return (u_c in counts, whether it was limited), and advance the integral."""
-        wanted = self.accumulate(i, x, x_ref) + _HALF >> FRACTION_BITS
-        u = min(max(wanted, 0), COUNTS_MAX)
+        unlimited = self.accumulate(i, x, x_ref) + _HALF >> FRACTION_BITS
+        u = min(max(unlimited, 0), COUNTS_MAX)
         error = x_ref - x
         # Anti-windup: the sign of du/dsum decides which error would push u further past the limit it is at.
         rise = -self.gains.mantissas[3] if self.gains.law == Law.LQI else self.gains.mantissas[1]
-        if not (wanted > COUNTS_MAX and error * rise > 0) and not (wanted < 0 and error * rise < 0):
+        if not (unlimited > COUNTS_MAX and error * rise > 0) and not (unlimited < 0 and error * rise < 0):
             self.sum = saturate(self.sum + error, SUM_BITS)
         self._x_previous = x
-        return u, wanted != u
+        return u, unlimited != u

@@ -51,18 +51,18 @@ def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[st
     """
     program = compiler()
     if program is None:
-        asked = os.environ.get("CC")
-        looked_for = f"CC={asked} is not" if asked else "neither cc, gcc nor clang is"
+        configured = os.environ.get("CC")
+        looked_for = f"CC={configured} is not" if configured else "neither cc, gcc nor clang is"
         raise InstallError(
             f"The firmware in C needs a C compiler, and {looked_for} found",
             remedy="Install one (Debian: apt-get install gcc libc6-dev), or fly the Python firmware, the default",
         )
     command = [program, *OPTIONS, *options, *map(str, files or sources()), *_LINK_OPTIONS, "-o", str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    if done.returncode != 0:
-        said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+    process = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if process.returncode != 0:
+        message = next((line for line in process.stderr.splitlines() if "error" in line), process.stderr.strip())
         raise ServiceError(
-            f"{program} cannot compile the firmware: {said}",
+            f"{program} cannot compile the firmware: {message}",
             remedy="Install a complete C compiler (Debian: apt-get install gcc libc6-dev), or fly the Python firmware",
         )
 
@@ -74,10 +74,10 @@ def library() -> Path:
         InstallError: there is no C compiler.
         ServiceError: it fails, or the cache cannot be written.
     """
-    return kept("firmware.so", [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, _LINK_OPTIONS), compile_to)
+    return cached("firmware.so", [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, _LINK_OPTIONS), compile_to)
 
 
-def kept(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
+def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
     """Return what `make` writes to the path that it is given; call it if the cache does not have its work.
 
     Args:

@@ -58,7 +58,7 @@ class EmulatedPlant:
         self._inputs = np.zeros(length)
         self._sensed = np.zeros((length, 2))
         self.set_effects(effects)
-        self.place(0.0)
+        self.set_state(0.0)
         self.advance(0.0, 0.0)  # compiles now, so that the first tick is not delayed
 
     @property
@@ -99,7 +99,7 @@ class EmulatedPlant:
         self._current_offset = strength["current-sensor-offset"]
         self._loss_probability = strength["lost-samples"]
 
-    def place(self, x_m: float, *, v_m_s: float = 0.0, i_c_a: float = 0.0) -> None:
+    def set_state(self, x_m: float, *, v_m_s: float = 0.0, i_c_a: float = 0.0) -> None:
         """Set position and speed of the ball and the current, with lags and delays in steady state, coil cold.
 
         Raises:

@@ -96,13 +96,13 @@ def _compiled(function: Callable[P, R]) -> Callable[P, R]:
     except ImportError:
         return function
     config: Any = numba.config
-    here, config.CACHE_DIR = config.CACHE_DIR, _cache_folder()  # read while it decorates
+    default_folder, config.CACHE_DIR = config.CACHE_DIR, _cache_folder()  # read while it decorates
     try:
         return cast("Callable[P, R]", numba.njit(cache=True)(function))
     except RuntimeError:  # no directory that a cache could be written to
         return cast("Callable[P, R]", numba.njit(function))
     finally:
-        config.CACHE_DIR = here
+        config.CACHE_DIR = default_folder
 
 
 @cache
@@ -116,8 +116,8 @@ def _cache_folder() -> str:
 @_compiled
 def reading(x: float, i: float, c: Constants) -> float:
     """Return the static reading of the position sensor, m: nonlinearity, gain, offset, crosstalk."""
-    place = x / c.travel
-    return c.x_gain * (x + 4.0 * c.x_bow * place * (1.0 - place)) + c.x_offset + c.crosstalk * i
+    fraction = x / c.travel
+    return c.x_gain * (x + 4.0 * c.x_bow * fraction * (1.0 - fraction)) + c.x_offset + c.crosstalk * i
 
 
 @_compiled
@@ -161,17 +161,17 @@ def _rates(y: PlantState, t: float, u: float, free: bool, direction: float, c: C
 
 
 @_compiled
-def _along(y: PlantState, k: PlantState, h: float) -> PlantState:
+def _advanced(y: PlantState, k: PlantState, h: float) -> PlantState:
     return PlantState(y.i + h * k.i, y.f + h * k.f, y.x + h * k.x, y.v + h * k.v, y.w + h * k.w, y.s + h * k.s)
 
 
 @_compiled
 def _runge_kutta(y: PlantState, t: float, h: float, u: float, free: bool, direction: float, c: Constants) -> PlantState:
     k1 = _rates(y, t, u, free, direction, c)
-    k2 = _rates(_along(y, k1, 0.5 * h), t + 0.5 * h, u, free, direction, c)
-    k3 = _rates(_along(y, k2, 0.5 * h), t + 0.5 * h, u, free, direction, c)
-    k4 = _rates(_along(y, k3, h), t + h, u, free, direction, c)
-    z = _along(_along(_along(_along(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
+    k2 = _rates(_advanced(y, k1, 0.5 * h), t + 0.5 * h, u, free, direction, c)
+    k3 = _rates(_advanced(y, k2, 0.5 * h), t + 0.5 * h, u, free, direction, c)
+    k4 = _rates(_advanced(y, k3, h), t + h, u, free, direction, c)
+    z = _advanced(_advanced(_advanced(_advanced(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     f = z.f if c.eddy > 0.0 else z.i
     s = z.s if c.x_lag > 0.0 else reading(z.x, z.i, c)
     return PlantState(z.i, f, z.x, z.v, z.w, s)
@@ -220,16 +220,16 @@ def step(y: PlantState, t: float, h: float, u: float, c: Constants) -> PlantStat
         z = _runge_kutta(y, t, h, u, free, direction, c)
         if not (free and _event(z, direction, c)):
             return z
-        early, late = 0.0, h
+        start, end = 0.0, h
         for _ in range(_BISECTIONS):
-            middle = 0.5 * (early + late)
+            middle = 0.5 * (start + end)
             if _event(_runge_kutta(y, t, middle, u, free, direction, c), direction, c):
-                late = middle
+                end = middle
             else:
-                early = middle
-        y = _land(_runge_kutta(y, t, late, u, free, direction, c), c)
-        t += late
-        h -= late
+                start = middle
+        y = _land(_runge_kutta(y, t, end, u, free, direction, c), c)
+        t += end
+        h -= end
         if h <= 0.0:
             return y
     return _runge_kutta(y, t, h, u, False, 0.0, c)

@@ -33,7 +33,7 @@ def read_mat(path: Path) -> Table:
         path=path,
         names=tuple(columns),
         rows=next(iter(lengths.values())),
-        place=lambda row: f"sample {row + 1}",
+        label=lambda row: f"sample {row + 1}",
         cell=lambda column, row: columns[column][row].item(),  # whole numbers stay exact: times in ns have 61 bits
         unusable=unusable,
     )

@@ -24,7 +24,7 @@ from gateway.emulator.firmware.law import Gains
 from gateway.emulator.firmware.output import OutputFault
 from protocol.errors import ServiceError
 from protocol.wire.framing import cobs_decode
-from protocol.wire.messages import BY_NAME, EventCode, Mode
+from protocol.wire.messages import ROW_OF_NAME, EventCode, Mode
 
 ADC_BITS = 10
 CYCLES_PER_US = 16
@@ -35,7 +35,7 @@ _POSITION_PIN = 3
 _OUTPUT_SIZE = 4096
 _RAM_PATTERN = 0xC5  # after power-on, no mode
 _TIME_IS_OVER, _CONVERSION, _INPUT_CHANGED, _CRASHED = range(4)
-_STATE = BY_NAME["STATE"].type
+_STATE = ROW_OF_NAME["STATE"].type
 _LOST_FOR = 16  # ticks that a STATE may wait in its queue
 
 
@@ -287,13 +287,13 @@ class AvrBoard:
     def _without_lost(self, sent: bytes) -> bytes:
         """Remove the STATEs that the board loses; hold back a frame that has not ended."""
         sequences = {tick & 0xFFFF for tick in self._lost}
-        kept = b""
+        passed = b""
         while sent.startswith(b"\0") and (end := sent.find(b"\0", 1)) > 0:
             body = cobs_decode(sent[1:end])
             if not (body and body[0] == _STATE and int.from_bytes(body[1:3], "little") in sequences):
-                kept += sent[: end + 1]
+                passed += sent[: end + 1]
             sent = sent[end + 1 :]
         if not sent.startswith(b"\0"):  # the rest of a frame that began before
-            return kept + sent
+            return passed + sent
         self._held = sent
-        return kept
+        return passed
