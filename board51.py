@@ -88,7 +88,7 @@ class Parser(argparse.ArgumentParser):
         self.register("type", int, whole_number)
 
     def error(self, message: str) -> NoReturn:
-        """Exit with 2."""
+        """Write the usage error to stderr, and exit with 2."""
         self.exit(2, f"{self.prog}: {single_line(message)}. `{self.prog} --help` explains.\n")
 
 
@@ -160,13 +160,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _report(command: str, error: Board51Error) -> int:
-    """Exit code, after one line on stderr."""
+    """Write the error to stderr in one line, and return its exit code."""
     print(f"board51 {command}: {error}", file=sys.stderr)
     return error.exit_code
 
 
 def _our_fault(command: str, error: Exception) -> int:
-    """One line to report, and the exit code of a fault of board51; the whole trace where DEBUG is set.
+    """Report a fault of board51 in one line, or with its whole trace where DEBUG is set; return the exit code.
 
     It mends nothing: what a user can cause has an error of its own.  But whoever runs a plant needs one line to pass
     on, and a supervisor an exit code.

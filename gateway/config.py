@@ -65,7 +65,7 @@ def _reaches(zenoh: ZenohConfig) -> ZenohConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsConfig:
-    """What may be commanded, tighter than or equal to what the board allows; checked before the wire."""
+    """The limits of commands, at most those of the board; checked before a command is sent."""
 
     __pydantic_config__ = KEYS
 
@@ -92,7 +92,7 @@ class LimitsConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardConfig:
-    """One board: `[[board]]`."""
+    """A board: `[[board]]`."""
 
     __pydantic_config__ = KEYS
 
@@ -161,7 +161,7 @@ class LogConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SecurityConfig:
-    """Who may do what: `[security]`."""
+    """The access control: `[security]`."""
 
     __pydantic_config__ = KEYS
 
@@ -235,7 +235,7 @@ def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) 
 
 
 def changed(section: Any, where: str, **values: object) -> Any:
-    """`section` with other values, each checked like a key of the file; `where` is named in the ConfigError."""
+    """Return `section` with other values, each checked like a key of the file; `where` is named in the ConfigError."""
     known = keys_of(type(section))
     return replace(section, **{name: checked(known[name], value, where=where) for name, value in values.items()})
 
@@ -257,7 +257,7 @@ def _apply_environment(table: dict[str, Any], environment: Mapping[str, str]) ->
 
 
 def boards_from_text(item: str) -> dict[str, str]:
-    """`rig1=/dev/ttyUSB0` as a `[[board]]` table."""
+    """Return `rig1=/dev/ttyUSB0` as a `[[board]]` table."""
     name, equals, port = item.strip().partition("=")
     if not equals or not name or not port:
         raise ConfigError(f"{item.strip()!r} does not name a board", remedy="Write NAME=PORT, e.g. rig1=/dev/ttyUSB0")
@@ -265,7 +265,7 @@ def boards_from_text(item: str) -> dict[str, str]:
 
 
 def _sections() -> dict[str, type[Any]]:
-    """Every table of the file but [[board]], by name."""
+    """Return every table of the file except [[board]], by name."""
     return {f.name: type(f.default_factory()) for f in fields(GatewayConfig) if f.default_factory is not MISSING}
 
 

@@ -40,7 +40,7 @@ Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """Parameters that are known without identification: `[plant]`.
+    """The parameters that are known without identification: `[plant]`.
 
     The bounds cover the physical range of magnetic levitation rigs.  They detect a wrong unit or a wrong power of ten:
     a mass in grams instead of kilograms makes K_c a thousand times too large, and the recordings cannot reveal it.
@@ -66,7 +66,7 @@ def _with_defaults(plant: object) -> object:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperatingPoint:
-    """Operating point of the controller, eq. (13)."""
+    """The operating point of the controller, eq. (13)."""
 
     __pydantic_config__ = KEYS
 
@@ -77,7 +77,7 @@ class OperatingPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controller:
-    """Control law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
+    """The control law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
 
     __pydantic_config__ = KEYS
 
@@ -101,7 +101,7 @@ def _rising(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """Source column of a channel and its conversion to SI units: value = offset + scale * table(raw).
+    """The source column of a channel and its conversion to SI units: value = offset + scale * table(raw).
 
     The table is interpolated linearly, and extrapolated linearly beyond its ends.
     """
@@ -162,7 +162,7 @@ Columns = Annotated[Mapping[Channel, Annotated[Column, BeforeValidator(_named)]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """One recording of the campaign: `[[recording]]`."""
+    """A recording of the campaign: `[[recording]]`."""
 
     __pydantic_config__ = KEYS
 
@@ -192,14 +192,14 @@ def _fit_or_judge(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class _PlantFile:
-    """Required content of a file that describes a rig."""
+    """The required content of a file that describes a rig."""
 
     plant: Annotated[Plant, BeforeValidator(_with_defaults)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _File(_PlantFile):
-    """Content of `campaign.toml`."""
+    """The content of `campaign.toml`."""
 
     __pydantic_config__ = KEYS
 

@@ -18,7 +18,7 @@ LONGEST = 1000  # characters of a problem, and of a remedy
 
 
 class Board51Error(Exception):
-    """Base class of all errors that are raised on purpose: what is wrong, then what to do.
+    """The base class of all errors that are raised on purpose: what is wrong, then what to do.
 
     The message is a single line without control characters, whatever it quotes: see `single_line`.
 

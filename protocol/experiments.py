@@ -21,7 +21,7 @@ Expectation = Literal["rests", "lifts-off", "bounces", "flies", "is-clamped"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoilOff:
-    """Mode idle."""
+    """A pause in mode idle."""
 
     duration_s: float
     value: float = 0.0  # share of the lift-off input
@@ -60,7 +60,7 @@ class Wave:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hover:
-    """Closed loop with a constant reference."""
+    """A closed loop with a constant reference."""
 
     value: float  # share of the travel
     duration_s: float
@@ -72,7 +72,7 @@ Step = Signal | Burst
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """One recording of a campaign."""
+    """An experiment of the menu, which gives one recording of a campaign."""
 
     name: str  # also of its file
     kind: Kind
@@ -89,7 +89,7 @@ class Experiment:
 
     @property
     def closed_loop(self) -> bool:
-        """Whether the ball flies under the board's law."""
+        """Return whether the ball flies under the board's law."""
         return self.expects == "flies"
 
     @property
@@ -99,12 +99,12 @@ class Experiment:
 
     @property
     def captures(self) -> tuple[tuple[float, float], ...]:
-        """Input before and after the step of each 25 kHz capture, shares of the lift-off input."""
+        """The input before and after the step of each 25 kHz capture, shares of the lift-off input."""
         return tuple((step.u_from, step.u_to) for step in self.steps if isinstance(step, Burst))
 
     @property
     def duration_s(self) -> float:
-        """Approximate length of the recording, s."""
+        """The approximate length of the recording, s."""
         return sum(BURST_S + step.lead_s if isinstance(step, Burst) else step.duration_s for step in self.steps)
 
 

@@ -83,7 +83,7 @@ def read_small(path: Path, *, remedy: str, what: str = "", error: Refusal = Data
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Context manager around code that creates the file or folder `path`.
+    """A context manager around code that creates the file or folder `path`.
 
     Raises:
         UsageError: the operating system refused to create it.

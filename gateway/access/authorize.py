@@ -56,7 +56,7 @@ class Sender:
         return Refusal("not-allowed", refusal_text(self.name, self.role, act))
 
     def left_s(self, command: pb.Command) -> float:
-        """Remaining time in which the command may begin to act, s; infinite without a date."""
+        """Return the remaining time in which the command may begin to act, s; infinite without a date."""
         if not command.issued_ns:
             return math.inf
         valid_s = min(command.valid_s or MAX_AGE_S, MAX_AGE_S)
@@ -106,7 +106,7 @@ class Authorizer:
         self._started_ns += step_ns
 
     def sender(self, key: str, arrived_ns: int) -> Sender | Refusal:
-        """The sender of a command with this key, or a refusal."""
+        """Return the sender of a command with this key, or a refusal."""
         if not self.guarded:
             return Sender(name="", role=None, arrived_ns=arrived_ns, started_ns=self._started_ns)
         role_and_name = topics.sender(key)

@@ -52,7 +52,7 @@ MINIMUM_ROLE: dict[str, Role] = {
 
 
 def parse_role(word: str, *, where: str) -> Role:
-    """The role of that name.
+    """Return the role of that name.
 
     Raises:
         ConfigError: it is not a role; the message gives `where`, the word and the roles.
@@ -63,13 +63,13 @@ def parse_role(word: str, *, where: str) -> Role:
 
 
 def may(role: Role, act: str) -> bool:
-    """Whether `role` may perform `act`, a key of MINIMUM_ROLE."""
+    """Return whether `role` may perform `act`, a key of MINIMUM_ROLE."""
     minimum = MINIMUM_ROLE.get(act)
     return minimum is not None and role >= minimum
 
 
 def refusal_text(who: str, role: Role, act: str) -> str:
-    """One sentence for a reply with the reason `not-allowed`."""
+    """Return a sentence for a reply with the reason `not-allowed`."""
     minimum = MINIMUM_ROLE.get(act)
     needs = f"it needs the role {minimum.word}" if minimum is not None else "nobody may"
     return f"{who} ({role.word}) may not {act.replace('_', ' ')}: {needs}."

@@ -40,7 +40,7 @@ class Lane:
     due_s: float = float("-inf")
 
     def wait_s(self, now_s: float) -> float:
-        """Waiting time of an attempt at `now_s`, s."""
+        """Return the waiting time of an attempt at `now_s`, s."""
         return max(0.0, self.due_s - now_s - (self.burst - 1) * self.pace_s)
 
     def take(self, now_s: float) -> None:
@@ -62,7 +62,7 @@ class Turn:
 
 
 class Tries:
-    """All lanes of one server."""
+    """The lanes of one server."""
 
     def __init__(self) -> None:
         self._lanes: OrderedDict[Hashable, Lane] = OrderedDict()
@@ -114,7 +114,7 @@ class Tries:
 
 
 def network(host: str) -> str:
-    """The addresses that count as one machine: an IPv4 address, or the /64 network of an IPv6 address."""
+    """Return the addresses that count as one machine: an IPv4 address, or the /64 network of an IPv6 address."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:

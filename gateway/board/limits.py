@@ -40,7 +40,7 @@ MAX_ALARM = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardView:
-    """Current state of the board as needed for the checks; None where it is not known."""
+    """The current state of the board as needed for the checks; None where it is not known."""
 
     mode: Mode | None
     flags: int
@@ -131,7 +131,7 @@ class TokenBucket:
 
 
 class Gate:
-    """Limits of one board.  Call `check` for each command, and `passed` for each command that is sent."""
+    """The limits of one board.  Call `check` for each command, and `passed` for each command that is sent."""
 
     def __init__(self, limits: LimitsConfig) -> None:
         self._limits = limits

@@ -1,7 +1,7 @@
-"""The range of the reference: one place for all views.  Pure.
+"""The range of the reference: the same for all views.  Pure.
 
-The gateway checks each command (limits.py), and the board checks it again.  What both let through is the range that a
-view shows and offers.
+The gateway checks each command (limits.py), and the board checks it again.  A view shows and offers
+the range that both accept.
 """
 
 from __future__ import annotations

@@ -26,7 +26,10 @@ _SAMPLE_TIME_MAX_US = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Refusal of a command by the gateway.  `reason` is kebab-case and stable; `text` is a sentence for the user."""
+    """The refusal of a command by the gateway.
+
+    `reason` is kebab-case and stable; `text` is a sentence for the user.
+    """
 
     reason: str
     text: str
@@ -57,11 +60,11 @@ class Scaling:
         return self.i_offset_a + self.i_lsb_a * count
 
     def x_m(self, count: int) -> float:
-        """Position or reference, m, up from the sensor."""
+        """Return the position or reference, m, up from the sensor."""
         return self.x_offset_m + self.x_lsb_m * count
 
     def u_v(self, count: int) -> float:
-        """Input of the amplifier, V."""
+        """Return the input of the amplifier, V."""
         return self.u_offset_v + self.u_lsb_v * count
 
     def gain_units(self, law: int) -> tuple[float, float, float, float]:
@@ -304,7 +307,7 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
 
 
 def _max_capture_samples(s: Scaling) -> int:
-    """Samples of the longest capture: what the board holds, and CAPTURE can say."""
+    """Return the number of samples of the longest capture: the board's memory and the field of CAPTURE limit it."""
     return min(s.capture_size, 2000)
 
 

@@ -95,7 +95,7 @@ class CommandService:
 
 
 class _Reply:
-    """Answers one query."""
+    """The channel for the answer to one query."""
 
     def __init__(self, query: zenoh.Query, key: str, replies: Publisher) -> None:
         self._query, self._key, self._replies = query, key, replies

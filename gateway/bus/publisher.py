@@ -111,7 +111,7 @@ class Publisher:
 
     @property
     def waiting(self) -> int:
-        """Number of payloads in the queue."""
+        """The number of payloads in the queue."""
         return self._depth
 
     def stop(self, *, patience_s: float = 1.0) -> None:
@@ -168,7 +168,7 @@ class Publisher:
 
 
 class BoardSink:
-    """Output of one board: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
+    """The output of one board: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
 
     def __init__(
         self,
@@ -201,17 +201,17 @@ class BoardSink:
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether this board's samples have a subscriber on the bus."""
+        """Return whether this board's samples have a subscriber on the bus."""
         return has_subscriber(self._single) or has_subscriber(self._batched)
 
     @property
     def dropped(self) -> int:
-        """Number of messages of this board that the bus did not accept in time."""
+        """The number of messages of this board that the bus did not accept in time."""
         return self._count("dropped")
 
     @property
     def waiting(self) -> int:
-        """Number of messages of this board that wait for the bus."""
+        """The number of messages of this board that wait for the bus."""
         return self._count("waiting")
 
     def _count(self, name: Literal["waiting", "dropped"]) -> int:

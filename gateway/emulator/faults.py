@@ -126,7 +126,7 @@ def parse(text: str) -> Fault:
 
 
 class FaultyLine:
-    """One direction of the line, which may damage, delay or lose bytes.
+    """A direction of the line, which may damage, delay or lose bytes.
 
     Args:
         direction: `tx` (from the board) or `rx` (to the board).

@@ -26,15 +26,15 @@ class Board(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since power-on."""
+        """The number of frames for which the line had no time, since power-on."""
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
@@ -60,7 +60,7 @@ class Board(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineCounts:
-    """Counters of one board's line since power-on."""
+    """The counters of one board's line since power-on."""
 
     time_s: float
     bytes_sent: int  # by the board, before faults
@@ -100,7 +100,7 @@ class BoardLine:
 
     @property
     def time_s(self) -> float:
-        """Time of the board since power-on."""
+        """The time of the board since power-on."""
         return self._ticks * _T_S
 
     @property

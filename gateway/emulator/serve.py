@@ -157,7 +157,7 @@ class Server:
 
 
 class Emulator:
-    """Boards served by a thread of their own, for tests and demonstrations.
+    """The boards served by a thread of their own, for tests and demonstrations.
 
     Args:
         boards: How many.
@@ -236,12 +236,12 @@ class Emulator:
 
     @property
     def urls(self) -> list[str]:
-        """What to give a gateway, one per board; a pty that came back renamed has a new one."""
+        """The addresses of the ports for a gateway, one per board; a pty that came back renamed has a new one."""
         return [line.port.url for line in self._server.lines]
 
     @property
     def overdue_ticks(self) -> int:
-        """Number of ticks that were not run in time."""
+        """The number of ticks that were not run in time."""
         return self._server.overdue_ticks
 
     def advance(self, duration_s: float) -> float:

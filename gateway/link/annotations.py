@@ -3,7 +3,7 @@
 Rule 1: the gateway does not know all alarms (the twin and the views raise alarms, too), so an acknowledgement refers to
         a name: it applies to the alarm active under that name on arrival, not to a later one.
 Rule 2: the latest acknowledgement of each name is kept and repeated in `alarms`, for views that start later.  At most
-        MAX_KEPT names are kept; the oldest is discarded first.
+        MAX_RETAINED names are kept; the oldest is discarded first.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ KINDS = ("mark", "acknowledge")
 
 
 class Annotations:
-    """Remarks and acknowledgements of one board.  Written by the serial thread, read by any thread."""
+    """The remarks and acknowledgements of one board.  Written by the serial thread, read by any thread."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink

@@ -54,7 +54,7 @@ class CaptureReader:
         self.deadline_s = now_s + _SETTLE_S + self._requested * scaling.capture_time_s + _MARGIN_S
 
     def capture_completed(self, now_s: float) -> None:
-        """CAPTURE_DONE arrived."""
+        """Read the samples after CAPTURE_DONE has arrived."""
         if self._under_way and self._token is None and not self._counts:
             self._read(now_s)
 

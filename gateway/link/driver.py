@@ -39,7 +39,7 @@ _logger = logging.getLogger("gateway.link")
 
 @dataclass(slots=True)
 class LinkCounts:
-    """Counters of one board since the gateway's start."""
+    """The counters of one board since the gateway's start."""
 
     bytes_sent: int = 0
     reconnects: int = 0
@@ -49,7 +49,7 @@ class LinkCounts:
 
 
 class BoardDriver:
-    """State machine of one board's link.  All calls must come from one thread.
+    """The state machine of one board's link.  All calls must come from one thread.
 
     Args:
         config: Configuration of this board.

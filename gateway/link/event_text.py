@@ -34,7 +34,7 @@ _SETTINGS = ("?", *(field.name for field in ROW_OF_NAME["PARAMETERS"].fields[1:1
 
 
 def _word(words: tuple[str, ...], number: int) -> str:
-    """The word of a number; the number itself if it has none."""
+    """Return the word of a number; the number itself if it has none."""
     return words[number] if number < len(words) else str(number)
 
 

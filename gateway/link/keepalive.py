@@ -42,7 +42,7 @@ class Keepalive:
 
     @property
     def deadline_s(self) -> float:
-        """Time at which `poll` is due."""
+        """The time at which `poll` is due."""
         return min(self._next_ping_s, self._next_parameters_s, self._redo_s)
 
     def begin(self, now_s: float) -> None:

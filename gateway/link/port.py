@@ -30,7 +30,7 @@ _GLOB = frozenset("*?[")
 
 @dataclass(frozen=True, slots=True)
 class PortProblem:
-    """Why a port cannot be opened.  `kind` is kebab-case and stable; `text` says what to do."""
+    """The reason why a port cannot be opened.  `kind` is kebab-case and stable; `text` says what to do."""
 
     kind: str  # port-absent | port-permission | port-busy | port-failed
     text: str

@@ -27,7 +27,7 @@ _ANSWERS = frozenset({"IDENTITY", "PONG", "ACK", "NACK", "PARAMETERS", "CAPTURE_
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes that are sent together, and the tick of the last state in them (None without a state)."""
+    """The bytes that are sent together, and the tick of the last state in them (None without a state)."""
 
     time_ns: int
     data: bytes
@@ -36,7 +36,7 @@ class Piece:
 
 @dataclass(slots=True)
 class _Known:
-    """Answers of the board about itself, with the pieces from which they hold."""
+    """The answers of the board about itself, with the pieces from which they hold."""
 
     at: list[int] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)

@@ -36,7 +36,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderStats:
-    """State of the log for the status message."""
+    """The state of the log for the status message."""
 
     file: str  # name of the part being written, "" if none
     bytes: int  # of that part, on disk

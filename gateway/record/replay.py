@@ -32,7 +32,7 @@ DEFAULT_TOPICS = tuple(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayReport:
-    """Summary of a replay."""
+    """The summary of a replay."""
 
     messages: int
     passes: int
@@ -130,7 +130,7 @@ class BusReplay:
                 self._publisher(site, board, "states")
 
     def matched(self) -> bool:
-        """Whether an announced key has a subscriber."""
+        """Return whether an announced key has a subscriber."""
         return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
     def send(self, record: RawLogRecord) -> None:

@@ -57,7 +57,7 @@ class SampleGaps:
 
 @dataclass(slots=True)
 class Range:
-    """Extremes and mean of a channel, SI."""
+    """The extremes and mean of a channel, SI."""
 
     count: int = 0
     low: float = math.inf
@@ -65,7 +65,7 @@ class Range:
     total: float = 0.0
 
     def take(self, value: float) -> None:
-        """One value."""
+        """Count a value."""
         self.count += 1
         self.total += value
         self.low = min(self.low, value)
@@ -83,14 +83,14 @@ class TopicSummary:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate over the time from first to last; None for a single message."""
+        """The mean rate over the time from first to last; None for a single message."""
         span_s = (self.last_ns - self.first_ns) / 1e9
         return (self.count - 1) / span_s if span_s > 0 else None
 
 
 @dataclass(slots=True)
 class BoardSummary:
-    """One board."""
+    """The sums of one board."""
 
     topics: dict[str, TopicSummary] = field(default_factory=dict)
     ranges: dict[str, Range] = field(default_factory=dict)
@@ -104,7 +104,7 @@ class BoardSummary:
 
 @dataclass(slots=True)
 class LogSummary:
-    """Summary of a complete log."""
+    """The summary of a complete log."""
 
     parts: list[dict[str, object]]
     start_ns: int
@@ -232,7 +232,7 @@ def _board_json(board: BoardSummary) -> dict[str, object]:
 
 
 def as_text(summary: LogSummary) -> str:
-    """For people."""
+    """Return the summary as text for people."""
     return "\n".join(_lines(summary))
 
 

@@ -54,7 +54,7 @@ class LogError(ServiceError):
 
     @property
     def is_disk_full(self) -> bool:
-        """Whether the error may disappear when space becomes free."""
+        """Return whether the error may disappear when space becomes free."""
         return self.reason == "disk full"
 
 
@@ -144,7 +144,7 @@ class LogWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Bytes handed to the operating system."""
+        """The bytes handed to the operating system."""
         return self._memory.on_disk
 
     def whereabouts(self) -> Literal["here", "elsewhere", "gone"]:

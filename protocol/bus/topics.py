@@ -21,7 +21,7 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")  # no wildcards, no slashes: it 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
-    """One row of the table.
+    """A row of the table.
 
     `by` is the publisher.  `rate` is text for the documentation.  `bus` and `logged` say where messages go.
     """
@@ -86,7 +86,7 @@ def check_name(name: str, *, what: str) -> str:
 
 
 def key(site: str, board: str, topic: str) -> str:
-    """`<site>/<board>/<topic>`; the topic must be in the table (or be the liveliness token)."""
+    """Return the key `<site>/<board>/<topic>`; the topic must be in the table (or be the liveliness token)."""
     if topic != ALIVE and topic not in TOPIC_OF_NAME:
         raise ValueError(f"{topic!r} is not a topic of the table")
     return f"{site}/{board}/{topic}"

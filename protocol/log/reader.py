@@ -66,29 +66,29 @@ class LogReader:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The name of the log for messages."""
         return str(self.scans[0].path) if len(self.scans) == 1 else f"{self.scans[0].path} (+ {len(self.scans) - 1})"
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """MCAP metadata of all parts; for equal names, that of the last part."""
+        """The MCAP metadata of all parts; for equal names, that of the last part."""
         return {name: dict(values) for scan in self.scans for name, values in scan.metadata.items()}
 
     @property
     def boards(self) -> set[str]:
-        """Names of the boards with a Board51 topic; complete after one pass."""
+        """The names of the boards with a Board51 topic; complete after one pass."""
         return {
             parts[1] for scan in self.scans for channel in scan.channels.values() if (parts := _board_topic(channel))
         }
 
     @property
     def finished(self) -> bool:
-        """Whether every part has its end; valid after one pass."""
+        """Return whether every part has its end; valid after one pass."""
         return all(scan.finished for scan in self.scans)
 
     @property
     def start_ns(self) -> int:
-        """Log time of the first message: 0 s of `start_s` and `end_s`."""
+        """The log time of the first message: 0 s of `start_s` and `end_s`."""
         if self._start_ns is None:
             starts = []
             for scan in self.scans:

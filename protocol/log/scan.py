@@ -46,7 +46,7 @@ _PIECE = 1 << 20
 
 
 class McapSchema(NamedTuple):
-    """Name, encoding and description of a message type."""
+    """The name, encoding and description of a message type."""
 
     name: str
     encoding: str
@@ -82,13 +82,13 @@ class Damage:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the file ends here without its end mark: its writer was killed, or is still running."""
+        """Return whether the file ends here without its end mark: its writer was killed, or is still running."""
         return self.reason.startswith(_CUT)
 
 
 @dataclass(slots=True)
 class _Tail:
-    """Summary at the end of a finished file."""
+    """The summary at the end of a finished file."""
 
     first_ns: int | None = None
     last_ns: int | None = None
@@ -122,12 +122,12 @@ class Scan:
 
     @property
     def indexed(self) -> bool:
-        """Whether the file has its index, so that topics and times are known without a pass."""
+        """Return whether the file has its index, so that topics and times are known without a pass."""
         return self._tail is not None
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time according to the index; None without an index."""
+        """The first and last log time according to the index; None without an index."""
         tail = self._tail
         return None if tail is None or tail.first_ns is None or tail.last_ns is None else (tail.first_ns, tail.last_ns)
 

@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BadFrame:
-    """Bytes between two delimiters that are not a frame.  `cause` is one of CAUSES."""
+    """The bytes between two delimiters that are not a frame.  `cause` is one of CAUSES."""
 
     cause: str
     data: bytes  # as received, at most MAX_ENCODED + 1 bytes
@@ -60,7 +60,7 @@ class StreamDecoder:
 
     @property
     def pending(self) -> int:
-        """Number of bytes that wait for their delimiter."""
+        """The number of bytes that wait for their delimiter."""
         return len(self._pending)
 
     def feed(self, data: bytes) -> list[Event]:

@@ -51,7 +51,7 @@ class Command:
 
 
 class SendQueue:
-    """Frames to write: commands in their order, a STOP before all others."""
+    """The frames to write: commands in their order, a STOP before all others."""
 
     def __init__(self) -> None:
         self._due: deque[Command] = deque()

@@ -38,7 +38,7 @@ MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs and d
 
 @dataclass(slots=True, kw_only=True)
 class Counters:
-    """Counters of one board's sessions, over all connections."""
+    """The counters of one board's sessions, over all connections."""
 
     valid_frames: int = 0
     states: int = 0  # valid STATE frames; each is a sample, counted by the unwrapper, or ignored, see `states_ignored`
@@ -94,7 +94,7 @@ class Session:
 
     @property
     def states_ignored(self) -> dict[str, int]:
-        """Valid STATE frames that gave no sample, by cause; at most two more wait for their successor."""
+        """The valid STATE frames that gave no sample, by cause; at most two more wait for their successor."""
         unwrapper = self.unwrapper
         return {
             "no-session": self.counters.states_without_session,
@@ -105,7 +105,7 @@ class Session:
 
     @property
     def waiting(self) -> int:
-        """Number of commands that are not answered yet."""
+        """The number of commands that are not answered yet."""
         return len(self._queue) + len(self._outstanding)
 
     def connect(self, now_s: float) -> None:

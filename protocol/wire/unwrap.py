@@ -77,7 +77,7 @@ class TickUnwrapper:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether a full tick contradicts the count, so that a second full tick is needed."""
+        """Return whether a full tick contradicts the count, so that a second full tick is needed."""
         return self._claim is not None
 
     def restart(self, tick: int, now_s: float, *, sample_time_s: float | None = None) -> None:

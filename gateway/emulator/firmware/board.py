@@ -50,7 +50,7 @@ _PRIORITY = {"EVENT": Priority.EVENT, "CAPTURE_BLOCK": Priority.CAPTURE_BLOCK}
 
 
 class AnalogSide(Protocol):
-    """Analog side of the converters; `plant.EmulatedPlant` implements it."""
+    """The analog side of the converters; `plant.EmulatedPlant` implements it."""
 
     def advance(self, u_v: float, duration_s: float) -> None:
         """Advance the time with the input's pin held."""
@@ -184,27 +184,27 @@ class Firmware:
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
         return self.loop.mode
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since power-on."""
+        """The number of frames for which the line had no time, since power-on."""
         return self.outbox.dropped
 
     @property
     def integral(self) -> int:
-        """Sum of x_ref - x in the law, counts."""
+        """The sum of x_ref - x in the law, counts."""
         return self.loop.law.sum
 
     @property
     def allowance(self) -> int:
-        """Largest jump of the reference that is accepted now, counts."""
+        """The largest jump of the reference that is accepted now, counts."""
         return self.loop.reference.allowance
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
         return self._inbox.bad_frames
 
     def _advance_to(self, time_us: int) -> None:

@@ -37,7 +37,7 @@ class Reference:
 
     @property
     def allowance(self) -> int:
-        """Largest jump that is accepted now, counts."""
+        """The largest jump that is accepted now, counts."""
         return self._allowance // TICKS_PER_S
 
     def refill(self) -> None:
@@ -52,7 +52,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tick:
-    """Values of one run of the loop, for STATE."""
+    """The values of one run of the loop, for STATE."""
 
     i: int
     x: int
@@ -100,7 +100,7 @@ class ControlLoop:
 
     @property
     def capturing(self) -> bool:
-        """Whether a capture drives the coil."""
+        """Return whether a capture drives the coil."""
         return self.capture is not None and not self.capture.has_ended
 
     def set_mode(self, mode: Mode) -> None:

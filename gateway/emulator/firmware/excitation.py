@@ -51,7 +51,7 @@ class Excitation:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the duration is over, so that the signal stays at its offset."""
+        """Return whether the duration is over, so that the signal stays at its offset."""
         return self.signal.shape == Shape.NONE or 0 < self.signal.duration <= self._ticks
 
     def next(self) -> int:

@@ -22,7 +22,7 @@ _HALF = 1 << FRACTION_BITS - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """Gains of SET_GAINS: gain n is mantissas[n] * 2^-shifts[n], in counts of u_c per count."""
+    """The gains of SET_GAINS: gain n is mantissas[n] * 2^-shifts[n], in counts of u_c per count."""
 
     law: int  # messages.Law
     mantissas: tuple[int, int, int, int]
@@ -33,7 +33,7 @@ class Gains:
 
 
 class ControlLaw:
-    """Control law with its gains and its state: integral of the error, last position."""
+    """The control law with its gains and its state: integral of the error, last position."""
 
     def __init__(self, gains: Gains) -> None:
         self.gains = gains

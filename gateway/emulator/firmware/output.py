@@ -16,7 +16,7 @@ UNCOMMANDED_CURRENT_COUNTS = 512
 
 
 class OutputFault(IntEnum):
-    """What may be wrong with a converter."""
+    """The faults that a converter may have."""
 
     NONE = 0
     DEAF = 1  # it confirms nothing, and keeps its output
@@ -38,7 +38,7 @@ class InputConverter:
 
 
 class Output:
-    """What the converter has confirmed since the reset, and for how many ticks in a row it has not done its work."""
+    """The confirmations of the converter since the reset, and the number of ticks in a row in which it failed."""
 
     def __init__(self, converter: InputConverter) -> None:
         self._converter = converter
@@ -56,7 +56,7 @@ class Output:
             self.u = count
 
     def rearm(self) -> None:
-        """After SET_MODE has cleared a fault: what still lasts is raised again at this tick."""
+        """Forget the reported faults after SET_MODE: a fault that persists is raised again at this tick."""
         self._unconfirmed_ticks = min(self._unconfirmed_ticks, UNCONFIRMED_TICKS - 1)
         self._current_ticks = min(self._current_ticks, UNCOMMANDED_TICKS - 1)
 

@@ -63,22 +63,22 @@ class EmulatedPlant:
 
     @property
     def time_s(self) -> float:
-        """Physical time since the start."""
+        """The physical time since the start."""
         return self._steps * self.step_s
 
     @property
     def i_c_a(self) -> float:
-        """True coil current."""
+        """The true coil current."""
         return self._state.i
 
     @property
     def x_m(self) -> float:
-        """True position, up from the sensor."""
+        """The true position, up from the sensor."""
         return self._state.x
 
     @property
     def v_m_s(self) -> float:
-        """True speed, up."""
+        """The true speed, up."""
         return self._state.v
 
     def set_effects(self, effects: Mapping[str, float]) -> None:

@@ -40,7 +40,7 @@ _BISECTIONS = 40  # locates an event to 20 us * 2^-40 = 2e-17 s
 
 
 class PlantState(NamedTuple):
-    """State of the rig."""
+    """The state of the rig."""
 
     i: float  # coil current, A
     f: float  # current that the force sees, A
@@ -51,7 +51,7 @@ class PlantState(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Constants of the equations, from rig and effects; SI units."""
+    """The constants of the equations, from rig and effects; SI units."""
 
     mass: float
     travel: float
@@ -107,7 +107,10 @@ def _compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def _cache_folder() -> str:
-    """Of the machine code of these very lines: what lies there of a class with a former name, numba cannot read."""
+    """Return the cache folder for the machine code of this version of the file.
+
+    numba cannot read machine code that names a class by its former name, so each version has a folder.
+    """
     file = Path(__file__)
     parent = os.environ.get("NUMBA_CACHE_DIR") or file.parent / "__pycache__"
     return str(Path(parent) / f"plant-{hashlib.sha256(file.read_bytes()).hexdigest()[:16]}")
@@ -138,7 +141,7 @@ def pull(y: PlantState, t: float, c: Constants) -> float:
 
 @_compiled
 def _rates(y: PlantState, t: float, u: float, free: bool, direction: float, c: Constants) -> PlantState:
-    """Time derivative of the state; `direction` of the motion is given, so that dry friction is smooth in a step."""
+    """Return the time derivative of the state; `direction` stays the same in a step, so that dry friction is smooth."""
     target = c.K_A * (1.0 - c.gain_loss * y.w) * max(u - c.dead_zone, 0.0) + c.current_offset
     target = min(max(target, 0.0), c.current_max)
     gap = c.gap_bottom - y.x
@@ -246,7 +249,7 @@ def advance(
     inputs: FloatArray,
     sensed: FloatArray,
 ) -> PlantState:
-    """`count` steps with the input u held from step number `first` on.
+    """Integrate `count` steps with the input u held from step number `first` on.
 
     Args:
         y: State at the start of step `first`.

@@ -38,7 +38,7 @@ _FIELDS: Mapping[Channel, str] = {"u_c": "u_c_v", "i_c": "i_c_a", "x": "x_m", "x
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportReport:
-    """Summary of an import, with warnings."""
+    """The summary of an import, with warnings."""
 
     source: Path
     log: Path

@@ -205,42 +205,42 @@ class AvrBoard:
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
         return Mode(self._number(3, 1))
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since the reset."""
+        """The number of frames for which the line had no time, since the reset."""
         return self._number(1, 4)
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
         return self._number(2, 2)
 
     @property
     def integral(self) -> int:
-        """Sum of x_ref - x in the law, counts."""
+        """The sum of x_ref - x in the law, counts."""
         return self._number(4, 4, signed=True)
 
     @property
     def next_tick(self) -> int:
-        """Number of the tick that comes next."""
+        """The number of the tick that comes next."""
         return self._number(0, 4)
 
     @property
     def cycle(self) -> int:
-        """Cycles since the start, as of the last event."""
+        """The cycles since the start, as of the last event."""
         return int(self._view.cycle)
 
     @property
     def cycles_awake(self) -> int:
-        """Cycles in which the chip has not slept, since the start."""
+        """The cycles in which the chip has not slept, since the start."""
         return int(self._view.cycle - self._view.slept)
 
     @property
     def stack_free(self) -> int:
-        """Bytes of RAM that neither variables nor the stack have used since power-on."""
+        """The bytes of RAM that neither variables nor the stack have used since power-on."""
         return int(self._library.chip_untouched(self._chip, self.image.ram("_end")))
 
     def _restart(self, *, power: bool, brown_out: bool) -> None:
