@@ -119,8 +119,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
                     driver.publish_event(
                         "clock-stepped",
                         "warning",
-                        f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the time of the samples follows it with"
-                        " the next session.",
+                        f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the samples use the new time from"
+                        " the next session on.",
                     )
                 log, now_s = recorder.stats() if recorder is not None else None, time.monotonic()
                 status = maker.make(log, now_s)

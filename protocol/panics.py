@@ -1,8 +1,8 @@
 """Detection of a panic in zenoh's library, by the line that Rust writes to stderr.  Pure.
 
-After a panic in one of its threads the library keeps running without that thread: it may, for example, no longer
-receive from one peer, or hold a lock for ever.  No call or event of its API reports this (upstream issue 2624 is one
-case, with sessions that open and close).  The parent process therefore reads stderr (`board51.py`), ends a process
+After a panic in one of its threads the library keeps running without that thread.  For example, it may no longer
+receive from one peer, or may hold a lock for ever.  No call or event of its API reports this (upstream issue 2624 is
+one case, with sessions that open and close).  The parent process therefore reads stderr (`board51.py`), ends a process
 after a panic, and starts it again.
 """
 

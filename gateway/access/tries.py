@@ -3,11 +3,11 @@
 A lock on a name would let any client lock out the operator.  Here each source has a lane of its own: BURST attempts at
 once, then one in PACE_S, in the order of arrival.
 
-Rule 1: a source is an address (for IPv6 its /64 network).  After a successful login, further lanes are separate from
-        the attempts of others: one for that name from that address, and one for the browser with the cookie of its last
-        session.
-Rule 2: all sources without a successful login together are limited to one attempt in TOGETHER_PACE_S, so that a flood
-        from many addresses does not use up the processor.  Others are not delayed by it.
+Rule 1: a source is an address (for IPv6 its /64 network).  After a successful login, two more lanes are separate
+        from the attempts of others.  One is for that name from that address, one for the browser with the cookie of its
+        last session.
+Rule 2: all sources without a successful login together are limited to one attempt in TOGETHER_PACE_S.  A flood from
+        many addresses therefore does not use up the processor.  Other users are not delayed by it.
 Rule 3: an attempt that would wait longer than the caller's patience is refused at once with the waiting time, and does
         not count.  So at most patience / PACE_S attempts wait in a lane.
 Rule 4: a right password counts only RIGHT_COST of an attempt, because all clients of a plant may reconnect at once.
@@ -95,7 +95,7 @@ class Tries:
             for limiter in lanes:
                 limiter.take(now_s)
             if free and lane.wait_s(now_s) > 0.0:  # once for each flood
-                _logger.warning("many passwords are tried from %s: from now on one in %g s", source, lane.pace_s)
+                _logger.warning("many password attempts from %s: from now on one attempt per %g s", source, lane.pace_s)
         return Turn(granted=granted, wait_s=wait_s, lanes=lanes)
 
     def right(self, turn: Turn, name: str, host: str) -> None:

@@ -7,8 +7,8 @@ Rule 1: STOP is never refused: not by rate, mode, bounds or form, as long as it 
 Rule 2: every refusal has a stable kebab-case reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
         empty-command, not-finite, out-of-range, slew, wrong-mode, fault-active, flood, queue-full, not-available.
 Rule 3: the stricter of the bounds of configuration and board applies.
-Rule 4: the reference has an allowance, as on the board (protocol/README.md, rule 7): `x_ref_step_m` at once, refilled
-        at `x_ref_slew_m_s`, used up by each accepted jump.
+Rule 4: the reference has an allowance, as on the board (protocol/README.md, rule 7).  It is `x_ref_step_m` at most,
+        refills at `x_ref_slew_m_s`, and is used up by each accepted jump.
 Rule 5: ending an excitation requires only its mode: no bound prevents it, and the signal does not jump.
 """
 
@@ -144,7 +144,7 @@ class Gate:
             return None
         if self._commands.level(now_s) < 1.0:
             return Refusal(
-                "flood", f"More than {self._limits.commands_per_s:g} commands per second; STOP alone is exempt."
+                "flood", f"More than {self._limits.commands_per_s:g} commands per second; only STOP is exempt."
             )
         self._commands.take(1.0, now_s)
         return None
@@ -228,8 +228,8 @@ class Gate:
         return Refusal(
             "out-of-range",
             f"A host-loss time-out of {timeout_s:g} s is below host_loss_min_s {shortest_s:g} s: on a busy computer the"
-            " gateway itself is silent for longer now and then, and the board would act. Where this computer is never"
-            " late, its configuration may set a smaller one.",
+            " gateway is sometimes silent for longer, and the board would act. Where this computer is never late, its"
+            " configuration may set a smaller one.",
         )
 
     def _capture(self, capture: pb.Capture, wire: WireCommand, board: BoardView) -> Refusal | None:

@@ -202,7 +202,7 @@ def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int
     if not 0 <= count <= COUNTS_MAX:
         ends = sorted((offset, offset + lsb * COUNTS_MAX))
         raise _OutOfFieldError(
-            f"{what} = {measured(value, unit)} is outside what the converter covers,"
+            f"{what} = {measured(value, unit)} is outside the converter's range,"
             f" {measured(ends[0], unit)} .. {measured(ends[1], unit)}"
         )
     return count

@@ -90,7 +90,7 @@ class CommandService:
             return None
         if not full and not self._authorizer.flooded(sender, time.monotonic()):
             return None
-        text = "Too many commands at once; STOP alone is exempt."
+        text = "Too many commands at once; only STOP is exempt."
         return pb.CommandReply(id=command.id, refused_by="gateway", reason="flood", text=text)
 
 

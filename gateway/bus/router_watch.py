@@ -83,7 +83,7 @@ class RouterWatch:
             waiting = sum(publisher.waiting for publisher in self._publishers)
             dropped = sum(sink.dropped for sink in self._sinks) - self._dropped
             text = f"The router was away for {self._back_s - self._lost_s:.1f} s; {waiting} messages waited and follow"
-            text += f", the {dropped} before them are in the log alone." if dropped else "."
+            text += f", the {dropped} before them are only in the log." if dropped else "."
             self._lost_s = None
             self._hold(held=False)
             return RouterChange(name="bus-back", severity="warning" if dropped else "info", text=text)

@@ -189,7 +189,7 @@ def _number(text: str, number: str | None, default: float) -> float:
     try:
         value = float(number)
     except ValueError:
-        raise _error(text, f"{number} is no number") from None
+        raise _error(text, f"{number} is not a number") from None
     if not (math.isfinite(value) and value >= 0.0):
         raise _error(text, f"{number} must be finite and not negative")
     return value

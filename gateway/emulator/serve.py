@@ -5,13 +5,14 @@
         emulator.inject("stall=0.5")
 
 Rule 1: deadlines are absolute: tick k of every board is due at start + k * T_s / speed.  Late ticks are counted and
-        made up for, so the boards' clocks never drift from the wall's: a tenth of a second at once, more than that at
-        twice the speed.  At once, a host would have no time to answer, and its boards would call it lost.
+        made up for, so the boards' clocks never drift from the wall clock.  A delay of up to a tenth of a second is
+        made up at once, a longer one at twice the speed.  At once, a host would have no time to answer, and its boards
+        would report it as lost.
 Rule 2: one thread runs all boards; other threads schedule actions in it (`call`).
-Rule 3: with speed 0 there are no deadlines: time stands still until a host is connected, and a slow host slows the
+Rule 3: with speed 0 there are no deadlines.  Time stands still until a host is connected, and a slow host slows the
         boards instead of losing bytes.
-Rule 4: in lockstep time passes in `advance` alone.  What the host has written before is there at the first tick; what
-        it does not read in between, it loses once the port's buffer is full.
+Rule 4: in lockstep time passes only in `advance`.  Bytes that the host wrote before arrive at the first tick.  Bytes
+        that it does not read in between are lost once the port's buffer is full.
 """
 
 from __future__ import annotations

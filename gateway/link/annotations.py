@@ -1,7 +1,7 @@
 """Remarks and acknowledgements of alarms: commands that are not sent to the board.  No I/O.
 
-Rule 1: the gateway does not know all alarms (the twin and the views raise alarms, too), so an acknowledgement refers to
-        a name: it applies to the alarm active under that name on arrival, not to a later one.
+Rule 1: an acknowledgement refers to a name, because the gateway does not know all alarms: the twin and the views raise
+        alarms, too.  It applies to the alarm that is active under that name on arrival, not to a later one.
 Rule 2: the latest acknowledgement of each name is kept and repeated in `alarms`, for views that start later.  At most
         MAX_RETAINED names are kept; the oldest is discarded first.
 """

@@ -1,13 +1,13 @@
 """Passes commands from the bus to one board, and the answers back.  No I/O.
 
-Rule 1: every query is answered exactly once: accepted, refused by gateway, board or link (down, timed out, cancelled),
-        or failed by an error of the gateway (`internal-error`).
+Rule 1: every query is answered exactly once.  It is accepted, or refused by gateway, board or link (down, timed out,
+        cancelled), or it fails by an error of the gateway (`internal-error`).
 Rule 2: an id is executed at most once.  The replies of the last 256 ids, and of all of the last 20 s, are kept; the
         same command again gets the kept reply, which says until when.  The same id with other content is refused
         (`id-reused`).  A dated command expires before its id is discarded (access/authorize.py), so it is executed at
         most once in any case; an undated one at most once within one run of the gateway.
-Rule 3: the refusals `link-down`, `flood`, `queue-full` and a time-out before a byte was sent are not kept: nothing was
-        executed, and the sender may try again with the same id.
+Rule 3: the refusals `link-down`, `flood`, `queue-full` and a time-out before a byte was sent are not kept.  Nothing was
+        executed, so the sender may try again with the same id.
 Rule 4: sender, time, content and result of every command are published as a CommandRecord.
 Rule 5: on a guarded bus the sender (access/authorize.py) is written into the command, and its role and the command's
         age are checked first.  These refusals are not kept, so that senders without a right cannot fill the memory.
@@ -49,12 +49,12 @@ _NO_PORT = ("absent", "connecting")
 _logger = logging.getLogger("gateway.link")
 
 _CANCELLED = {
-    "stop": ("superseded-by-stop", "A STOP came; if the board had this command already, STOP ended what it began."),
-    "board-reset": ("board-reset", "The board restarted while this was under way; whether it acted is unknown."),
-    "disconnected": ("disconnected", "The port went away while this was under way; whether it acted is unknown."),
+    "stop": ("superseded-by-stop", "A STOP arrived. If the board already had this command, the STOP ended its effect."),
+    "board-reset": ("board-reset", "The board restarted before it answered; whether it acted is unknown."),
+    "disconnected": ("disconnected", "The port was lost before the board answered; whether it acted is unknown."),
 }
 _NACK_TEXT = {
-    Reason.OUT_OF_RANGE: "a value is outside the board's bounds; the bound in the way is {detail} counts",
+    Reason.OUT_OF_RANGE: "a value is outside the board's bounds; the bound is {detail} counts",
     Reason.SLEW: "the jump of the reference is larger than the allowance of {detail} counts",
     Reason.WRONG_MODE: "this is not possible in mode {mode}",
     Reason.BUSY: "it is busy, probably with a capture",
@@ -139,7 +139,9 @@ class CommandHandler:
             refusal = self._decide(request, now_s, link, reason, sender)
         except Exception as error:  # an internal error fails this command, which still gets its answer and its record
             _logger.exception("a command")
-            refusal = Refusal("internal-error", f"A fault of the gateway ({type(error).__name__}); its log says where.")
+            refusal = Refusal(
+                "internal-error", f"An internal error of the gateway ({type(error).__name__}); its log has the details."
+            )
         if refusal is not None:
             self._refuse(request, refusal, keep=refusal.reason not in _NOT_RETAINED)
 
@@ -325,7 +327,8 @@ def _is_stop(command: pb.Command) -> bool:
 
 def _down(link: str, reason: str) -> Refusal:
     return Refusal(
-        "link-down", f"The board is not there ({link}: {reason})." if reason else f"The board is not there ({link})."
+        "link-down",
+        f"The board is not available ({link}: {reason})." if reason else f"The board is not available ({link}).",
     )
 
 
@@ -348,15 +351,15 @@ def _content(command: pb.Command) -> bytes:
 def _timed_out(name: str, attempts: int) -> str:
     if attempts:
         return (
-            f"The board did not answer {attempts} attempts; whether it acted, or will when the line moves again,"
-            " is unknown."
+            f"The board did not answer {attempts} attempts. Whether it acted is unknown, and it may still act"
+            " when the line recovers."
         )
     if name == "STOP":
-        return "The line takes no bytes and the coil may be on. STOP goes out as soon as the line moves."
-    return "The board does not answer, and nothing of this was sent: it has not acted and never will."
+        return "The line accepts no bytes, and the coil may be on. The STOP is sent as soon as the line accepts bytes."
+    return "The board does not answer. The command was not sent, so it has not acted and never will."
 
 
 def _nack(message: Message) -> tuple[str, str]:
     reason, detail = Reason(message.int("reason")), message.int("detail")
-    text = _NACK_TEXT.get(reason, "it does not take this command").format(detail=detail, mode=mode_name(detail))
+    text = _NACK_TEXT.get(reason, "it does not accept this command").format(detail=detail, mode=mode_name(detail))
     return reason.name.lower().replace("_", "-"), f"The board refused: {text}."

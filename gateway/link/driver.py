@@ -1,8 +1,14 @@
 """State machine of the link to one board.  No I/O; `io_thread.py` moves the bytes.
 
-Link states: `absent` (no port), `connecting` (being opened), `handshake` (open, the board has not agreed yet),
-`streaming` (valid frames arrive, and states where the stream is on), `silent` (none for `stale_s`).  That is the
-direction from the board (`from_board.py`); the one to it has a state of its own, see `to_board.py`.
+Link states describe the direction from the board (`from_board.py`):
+
+    absent       no port
+    connecting   the port is being opened
+    handshake    the port is open, the board has not agreed yet
+    streaming    valid frames arrive, and states if the stream is on
+    silent       no valid frame has arrived for `stale_s`
+
+The direction to the board has a state of its own (`to_board.py`).
 
 Rule 1: each change of state or reason gives one event and one log line, with counts; repeated attempts give none.
 Rule 2: the driver never changes mode or reference: starting or ending the gateway must not drop the ball.

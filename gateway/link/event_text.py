@@ -13,8 +13,8 @@ _RESET = "The board restarted; resets since power-on: {detail}."
 _TEXT = {
     EventCode.HOST_LOST: "No frame from the host in time; the policy has acted: {policy}.",
     EventCode.HOST_BACK: "The host is back.",
-    EventCode.OVER_CURRENT: "The current converter stayed at its top, {detail} counts: coil off.",
-    EventCode.SENSOR_FAULT: "The position converter stayed at an end, {detail} counts: coil off.",
+    EventCode.OVER_CURRENT: "The current converter stayed at its maximum, {detail} counts: coil off.",
+    EventCode.SENSOR_FAULT: "The position converter stayed at an end of its range, {detail} counts: coil off.",
     EventCode.OVERRUN: "A tick took longer than T_s; late ticks since the reset: {detail}.",
     EventCode.EXCITATION_DONE: "The excitation has ended.",
     EventCode.CAPTURE_DONE: "The capture is complete.",
@@ -77,7 +77,7 @@ def other_version(board_version: int) -> str:
 def wrong_board(port: str, board_id: int, configured: int) -> str:
     """Return a sentence about a board whose serial number differs from the configured one."""
     return (
-        f"The board at {port} has the serial number {board_id}, the configuration wants {configured}:"
+        f"The board at {port} has the serial number {board_id}, the configuration requires {configured}:"
         " exchange the cables or correct board_id."
     )
 
@@ -93,6 +93,6 @@ def in_doubt(first_tick: int, last_tick: int, session: int) -> str:
 def no_answers(for_s: float) -> str:
     """Return a sentence about a board that does not answer: the line to it may be cut."""
     return (
-        f"The board has answered nothing for {for_s:g} s although its frames arrive: a STOP may not reach it."
+        f"The board has not answered for {for_s:g} s although its frames arrive: a STOP may not reach it."
         " Check the line to the board (its RX); to stop the rig now, cut its power."
     )

@@ -1,7 +1,7 @@
 """The serial thread: one selector over all boards, without blocking calls.
 
 Rule 1: a ready port is read once, completely, and the data gets one time stamp.
-Rule 2: operations that may block run elsewhere: helper threads open the ports, the publisher's threads send messages
+Rule 2: operations that may block run elsewhere.  Helper threads open the ports, the publisher's threads send messages
         and replies, the log has its own thread.
 Rule 3: there is no write buffer here: what the port does not accept stays in the session, which drops commands that
         have expired.

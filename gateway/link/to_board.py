@@ -4,8 +4,8 @@
     answering    the last frame sent was answered, or has not waited long
     unanswered   frames of the board arrive, but no answers: a STOP may not reach it
 
-Rule 1: a wait counts only while frames arrive without a pause.  A board or a host that was held up for a moment, or a
-        cut of the other direction, keeps answers back, too, and would be taken for a cut line to the board.
+Rule 1: a wait counts only while frames arrive without a pause.  A pause of the board or of the host, or a
+        cut of the other direction, also delays answers.  It must not be taken for a cut line to the board.
 Rule 2: only an answer ends `unanswered`, or another port.
 """
 

@@ -6,8 +6,8 @@ Rule 2: every part stands alone: it is closed with an index, and begins with the
 Rule 3: at most `flush_s` plus one drain of data is in memory only: that is what `kill -9` costs.
 Rule 4: a full disk or a failing one stops the log, not the caller.  It is reported once, the queue keeps the newest
         messages, and a new part begins when the disk is back; the part that was cut off is finished then, too.
-Rule 5: a part that was deleted or moved while it was written is noticed at the next drain: a new one begins, and it is
-        reported.  The content of a deleted part is lost; a moved part is completed at its new place.
+Rule 5: the next drain notices a part that was deleted or moved while it was written.  A new part begins, and the loss
+        is reported.  The content of a deleted part is lost; a moved part is completed at its new place.
 """
 
 from __future__ import annotations
@@ -217,10 +217,10 @@ class Recorder:
         self._writer = None
         if file_missing:
             lost.abandon()
-            text = f"{lost.path.name} was deleted while it was written: its {lost.messages} messages are gone"
+            text = f"{lost.path.name} was deleted while it was written: its {lost.messages} messages are lost"
         else:
             lost.close()
-            text = f"{lost.path.name} was moved or replaced while it was written; it was finished where it is now"
+            text = f"{lost.path.name} was moved or replaced while it was written; it was completed at its new place"
         self._publish_event("log-removed", "fault", f"{text}. Logging goes on in a new part.")
         self._open_part()
 
@@ -277,7 +277,7 @@ class Recorder:
     def _give_up(self, writer: LogWriter, error: LogError) -> None:
         writer.abandon()
         self._publish_event(
-            "log-failed", "fault", f"{error} It lacks its end: board51 recover {writer.path.name} restores the rest"
+            "log-failed", "fault", f"{error} Its end is missing: board51 recover {writer.path.name} restores the rest"
         )
 
     def _pause(self, error: Exception) -> None:

@@ -264,7 +264,7 @@ def _lines(summary: LogSummary) -> Iterable[str]:
         if len(board.gaps.gaps) > 10:
             yield f"    and {board.gaps.count - 10} more; --json lists them"
     for topic, count in summary.foreign.items():
-        yield f"not ours: {topic}, {count} messages"
+        yield f"foreign: {topic}, {count} messages"
     for damage in summary.damages:
         yield f"DAMAGED {damage['file']} at byte {damage['offset']}: {damage['reason']} ({damage['bytes']} bytes)"
     yield f"\nschemas: {', '.join(summary.schemas)}"

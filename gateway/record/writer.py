@@ -3,8 +3,8 @@
 Rule 1: the file grows by whole chunks only.  foxglove-sdk writes into memory; `flush` finishes the chunk and passes the
         bytes to the kernel in one call.  `kill -9` therefore loses only messages after the last `flush`.
 Rule 2: no error is silent.  When foxglove-sdk writes to a file itself, it only prints a failed write and then refuses
-        all further ones.  Here, after a failed write, the file is cut back to its last whole chunk, the bytes are kept,
-        and `flush` or `close` may be called again when the disk has space.
+        all further ones.  Here, after a failed write, the file is cut back to its last whole chunk.  The bytes are
+        kept, and `flush` or `close` may be called again when the disk has space.
 Rule 3: an existing file is never changed.
 Rule 4: chunks are small, however rarely the caller flushes, and channel descriptions are repeated between them.  Damage
         therefore affects only the chunks that contain it; the others can be read without the first chunk (with the
@@ -32,8 +32,8 @@ HELD_BYTES = 4 << 20  # without `flush` (an import), data is written to disk in 
 
 _COMPRESSION = {"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "none": None}
 _REASONS: dict[int, tuple[str, str]] = {
-    errno.ENOSPC: ("disk full", "Free space on that file system; logging goes on by itself"),
-    errno.EDQUOT: ("disk full", "Free space within the quota; logging goes on by itself"),
+    errno.ENOSPC: ("disk full", "Free space on that file system; logging then continues by itself"),
+    errno.EDQUOT: ("disk full", "Free space within the quota; logging then continues by itself"),
     errno.EROFS: ("read-only", "Choose a log directory on a writable file system"),
     errno.EACCES: ("no permission", "Give this user write permission, or choose another log directory"),
     errno.EPERM: ("no permission", "Give this user write permission, or choose another log directory"),

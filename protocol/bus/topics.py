@@ -23,7 +23,8 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")  # no wildcards, no slashes: it 
 class Topic:
     """A row of the table.
 
-    `by` is the publisher.  `rate` is text for the documentation.  `bus` and `logged` say where messages go.
+    `source` is the publisher, or the client that sends queries.  `rate` is text for the documentation.
+    `bus` and `logged` say where messages go.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """Decoding of MCAP chunks, and of the two compound types of the format: pure functions of bytes.
 
-Rule: a chunk is decompressed to the size that it states at most, and that is bounded: 32 kB of zstd may hold a
+Rule: a chunk is decompressed to the size that it states at most, and that size is bounded.  32 kB of zstd may hold a
       gigabyte, whatever the chunk and its compressed frame state.
 
 Format: mcap.dev/spec.  Integers are little-endian; a string is its length (4 bytes) and UTF-8.

@@ -1,10 +1,11 @@
 """Reads the records of a log that consists of any number of parts, finished or not.
 
-Rule 1: a part without its end (the recorder still runs, or was killed) is read to its last whole chunk, silently: that
-        is all there is of it.  Damage is not silent: everything intact is delivered first, then a DataError says how
-        far that was and points to `board51 recover`.
+Rule 1: a part without its end (the recorder still runs, or was killed) is read to its last whole chunk without an
+        error.  For damage, everything intact is delivered first.  Then a DataError says how far that was and points to
+        `board51 recover`.
 Rule 2: messages with a foreign schema or topic are skipped and counted; a log without Board51 messages is an error.
-Rule 3: order is the order of the file, which is the order of arrival: a model fed from a log sees what it saw live.
+Rule 3: records come in the order of the file, which is the order of arrival.  A model therefore gets the same input
+        from a log as live.
 """
 
 from __future__ import annotations

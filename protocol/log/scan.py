@@ -1,7 +1,7 @@
 """Reads the messages of an MCAP file in one pass, finished or damaged; raises no errors after opening.
 
-The stream reader of the `mcap` package stops with an exception at the first missing byte, and its indexed reader
-needs the end of the file, which a killed process never wrote.  This reader continues after damage.
+The stream reader of the `mcap` package stops with an exception at the first missing byte.  Its indexed reader needs the
+end of the file, which a killed process never wrote.  This reader continues after damage.
 
 Rule 1: only verified data is delivered: the CRC of each chunk is checked.  A chunk cut off by the end of the file gives
         the messages before the cut, which decompression reproduces exactly or not at all.

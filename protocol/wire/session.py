@@ -2,10 +2,10 @@
 
 Read `events.py` (the output) and `unwrap.py` (ticks of states) first; `protocol/README.md` specifies the board's side.
 
-Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it goes out at once, and whatever
-        was waiting that could move the ball is cancelled, because a command given before STOP must not act after it.
+Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it is sent at once.  It
+        cancels the waiting commands that could move the ball: a command given before STOP must not act after it.
 Rule 2: a command is repeated with the same id, at most `retries` times.  Every submitted command ends in exactly one
-        `Answer`, also when the board restarts or the connection ends (STOPs that share a token: in one for all).
+        `Answer`, also when the board restarts or the connection ends.  STOPs that share a token share one `Answer`.
 Rule 3: a reset of the board cancels all commands; the handshake is repeated and the session number increases.
 Rule 4: frames do not wait in a buffer of bytes (`outgoing.py`): a command that was given up or cancelled is not sent.
 Rule 5: a pipe may accept frames that the board reads much later.  A command that changes something is therefore sent

@@ -1,14 +1,14 @@
 """Converts the 16-bit sequence numbers of states into board ticks.  No clock: the caller passes the time.
 
 Rule 1: a tick is published once and in rising order; states that cannot be placed are counted, never guessed.
-Rule 2: a frame can be late, never early.  Since the best arrival so far says when tick 0 was, a sequence that would
-        lie in the future is either noise that passed the CRC (once in 65536) or a restarted board.
+Rule 2: a frame can be late, never early.  The earliest arrival so far bounds the time of tick 0.  A sequence that
+        would lie in the future is therefore noise that passed the CRC (once in 65536), or the board restarted.
 Rule 3: no single frame moves the count.  The one witness besides the frame itself is, for the step of the stream, the
         count so far; for any other step, the state that follows it; for a full tick (PONG, EVENT) that contradicts the
         count, another full tick.  Until then the frame is held; if the next one goes on from the old count, the held
         one was noise (`implausible`).
-Rule 4: what sequences cannot tell, the number of wraps, is not concluded from them: after half a wrap without a state
-        or a full tick, or a step forward that the host's clock does not allow, the count ends and is requested again.
+Rule 4: sequences do not contain the number of wraps, so it is not derived from them.  The count ends and is requested
+        again after half a wrap without a state or a full tick, or a step forward that the host's clock does not allow.
 Rule 5: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 

@@ -3,10 +3,13 @@
 Format: gains are 16-bit mantissas with a right shift, deviations 16-bit, the integral a saturating 24-bit integer,
 products 32 and 40 bits, the accumulator 32 bits with 8 fraction bits (Q23.8).
 
-What it costs, against the same law in floating point with the gains as designed (20 000 states over the working range,
-tests/gateway/emulator/test_firmware_law.py): before rounding to the converter at most 0.25 and 0.09 rms counts of u,
-with it 0.66 and 0.30.  Rounding alone, which no arithmetic avoids, is 0.50 and 0.29.  So fixed point adds 3 % to the
-noise of the 12-bit converter; one count is 1.22 mV.
+Error against the same law in floating point, over 20 000 states of the working range (test_firmware_law.py):
+
+    before rounding to the converter   at most 0.25 counts of u, 0.09 rms
+    with rounding                      at most 0.66 counts of u, 0.30 rms
+    rounding only (unavoidable)        at most 0.50 counts of u, 0.29 rms
+
+So fixed point adds 3 % to the noise of the 12-bit converter; one count is 1.22 mV.
 """
 
 from __future__ import annotations

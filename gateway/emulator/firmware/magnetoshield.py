@@ -70,7 +70,7 @@ class HallCurve:
         for x_m in (ground_m, ceiling_m):
             if not low < x_m < high:
                 raise UsageError(
-                    f"x = {x_m:g} m is no reading within the range of the converter, {low:g} to {high:g} m",
+                    f"x = {x_m:g} m is not within the range of the converter, {low:g} to {high:g} m",
                     remedy="At its end: turn the magnet over, and see that it lies in the tube",
                 )
         if ceiling_m - ground_m < 2e-3:

@@ -1,8 +1,8 @@
 """Compiles the firmware's core for this machine, once for each version of its sources.
 
-Rule 1: the library lies in the user's cache, under a name made of its sources and options: a change of either compiles
-        anew, and an installation needs no compiler until somebody asks for this firmware.
-Rule 2: it is complete or it is not there: processes that compile at the same time do not see each other's half.
+Rule 1: the library lies in the user's cache, under a name made of its sources and options.  A change of either compiles
+        it again.  An installation needs no compiler until this firmware is used.
+Rule 2: the file appears in the cache only when it is complete, so processes may compile it at the same time.
 """
 
 from __future__ import annotations
@@ -78,13 +78,13 @@ def library() -> Path:
 
 
 def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
-    """Return what `make` writes to the path that it is given; call it if the cache does not have its work.
+    """Return a file from the cache; if it is not there, let `make` write it.
 
     Args:
-        name: Of the file in the cache; a key made of the rest stands before its ending.
-        inputs: The files of which it is made.
-        options: How it is made.
-        make: Writes it.
+        name: Name of the file; a key made of `inputs` and `options` is inserted before its ending.
+        inputs: The source files.
+        options: The options of the compiler.
+        make: Writes the file to the given path.
 
     Raises:
         ServiceError: the cache cannot be written.

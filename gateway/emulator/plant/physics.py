@@ -9,8 +9,9 @@ All quantities in SI units; x is up from the sensor.
     sensor     tau s' = reading(x, i) - s                         (without lag: s = reading)
 
 Rule 1: the step is fixed, so the same inputs give the same bits however a span is cut into calls.
-Rule 2: a stop is an event.  The step is cut where the ball touches (bisection), the speed is reversed there, and the
-        rest of the step goes on: no stiff spring, no penetration, no dependence on where the steps happen to fall.
+Rule 2: a stop is an event.  The step is cut where the ball touches (bisection), and the speed is reversed there.  Then
+        the rest of the step follows.  A stiff spring instead would allow penetration, and its result would depend on
+        where the steps fall.
 Rule 3: a ball that rests on a stop, or is held by dry friction, keeps its x bit for bit.
 
 Classical Runge-Kutta of 4th order in between.  At 20 us and T_A = 300 us its error in i_c stays below 1e-7 of a jump,

@@ -90,7 +90,7 @@ def read_csv(path: Path) -> Table:
         raise DataError(f"{where} holds numbers instead of column names", remedy="Put the names into the first line")
     if len(set(names)) != len(names) or "" in names:
         twice = next((name for name in names if names.count(name) > 1 or not name), "")
-        raise DataError(f"{where}: column name {twice!r} is empty or there twice", remedy="Give each its own name")
+        raise DataError(f"{where}: column name {twice!r} is empty or appears twice", remedy="Give each its own name")
     rows = [_split(line, separator) for _, line in retained[1:]]
     numbers = [number for number, _ in retained[1:]]
     if not rows:

@@ -118,7 +118,7 @@ class Mcs51Board:
         """
         if fault == OutputFault.DEAF:
             raise UsageError(
-                "The 8051 has its converter on the chip, which cannot be deaf", remedy="Take the fault stuck"
+                "The converter of the 8051 is on the chip, so it cannot be deaf", remedy="Use the fault stuck"
             )
         self._stuck = fault == OutputFault.STUCK
         self._follow_input()
