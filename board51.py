@@ -20,8 +20,8 @@ from typing import Any, NoReturn
 
 from protocol.arguments import number, whole_number
 from protocol.ending import end_is_ordered
-from protocol.errors import Board51Error, missing_extra, one_line
-from protocol.panics import is_panic, told
+from protocol.errors import Board51Error, missing_extra, single_line
+from protocol.panics import is_panic, reword
 
 DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
 OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h; systemd's Restart=on-failure and the gateway start it again
@@ -36,15 +36,15 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "campaign": ("gateway.commands.campaign", "perform the paper's experiments on a live board, into a campaign"),
     "identify": ("twin.commands.identify", "a model from the recordings of a campaign"),
     "design": ("twin.commands.design", "a controller for the board from a model"),
-    "validate": ("twin.commands.validate", "does a model explain the recordings? figures, numbers, a report"),
+    "validate": ("twin.commands.validate", "compare a model with recordings: figures, numbers, a report"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
-    "diagnose": ("twin.commands.diagnose", "what the model gets wrong, the physical cause, the extended model"),
+    "diagnose": ("twin.commands.diagnose", "find the physical causes of a model's errors, and extend the model"),
     "investigate": (
         "gateway.commands.investigate",
-        "campaign and diagnose in turns on a board, until one name is left",
+        "campaign and diagnose in turns on a board, until one cause is left",
     ),
     "hmi": ("gateway.commands.views.hmi", "the control room in a browser"),
-    "security": ("gateway.commands.security", "keys, certificates, users: who may do what on a guarded bus"),
+    "security": ("gateway.commands.security", "keys, certificates and users of a guarded bus"),
     "opcua": ("gateway.commands.views.opcua", "the rigs as an OPC UA server, for SCADA systems"),
     "foxglove": ("gateway.commands.views.foxglove", "the rigs live in Foxglove; layouts for it and for PlotJuggler"),
     "router": ("gateway.commands.router", "a standalone zenoh router"),
@@ -54,10 +54,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("gateway.commands.logs.import_", "CSV or MATLAB recordings into MCAP"),
     "export": ("gateway.commands.logs.export", "MCAP into CSV, MATLAB or Parquet"),
     "replay": ("gateway.commands.logs.replay", "a log back onto the bus, or its bytes into a pty"),
-    "recover": ("gateway.commands.logs.recover", "what can be saved of a broken log"),
-    "info": ("gateway.commands.logs.info", "what a log holds"),
-    "plot": ("twin.commands.plot", "measured against twin, from a log, as a picture"),
-    "compile": ("twin.commands.compile", "the numerical kernels, at once instead of when they are needed"),
+    "recover": ("gateway.commands.logs.recover", "save the intact messages of a broken log"),
+    "info": ("gateway.commands.logs.info", "the contents of a log"),
+    "plot": ("twin.commands.plot", "plot measured values against the twin, from a log"),
+    "compile": ("twin.commands.compile", "compile the numerical kernels now instead of at their first use"),
     "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
 }
 
@@ -73,7 +73,8 @@ EXTRAS = {  # what a command needs beyond the core; what is not here runs withou
     "hmi": "web",
     "opcua": "opcua",
 }
-OURS = frozenset({"board51", "protocol", "gateway", "twin"})  # a module of these that is missing is no missing extra
+# A missing module of these packages is a fault of the installation, not an extra that is not installed.
+PACKAGES = frozenset({"board51", "protocol", "gateway", "twin"})
 SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record"})  # run until they are told
 PANIC_PATIENCE_S = 10.0
 
@@ -87,13 +88,13 @@ class Parser(argparse.ArgumentParser):
         self.register("type", int, whole_number)
 
     def error(self, message: str) -> NoReturn:
-        """Exit with 2."""
-        self.exit(2, f"{self.prog}: {one_line(message)}. `{self.prog} --help` explains.\n")
+        """Write the usage error to stderr, and exit with 2."""
+        self.exit(2, f"{self.prog}: {single_line(message)}. `{self.prog} --help` explains.\n")
 
 
 def _parser() -> Parser:
     """Return the parser of the command's name; the commands declare their own arguments."""
-    listing = "\n".join(f"  {name:<11} {about}" for name, (_, about) in COMMANDS.items())
+    listing = "\n".join(f"  {name:<11} {summary}" for name, (_, summary) in COMMANDS.items())
     parser = Parser(
         prog="board51",
         description="Gateway and digital twin of a magnetic levitation rig.",
@@ -144,12 +145,12 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return _ending_at_a_panic(module.run, command.parse_args(arguments[1:]))
             return int(module.run(command.parse_args(arguments[1:])))
     except Board51Error as error:
-        return _told(chosen, error)
+        return _report(chosen, error)
     except ModuleNotFoundError as error:
         library = (error.name or "board51").partition(".")[0]
-        if chosen not in EXTRAS or library in OURS:
+        if chosen not in EXTRAS or library in PACKAGES:
             return _our_fault(chosen, error)
-        return _told(chosen, missing_extra(EXTRAS[chosen], library))
+        return _report(chosen, missing_extra(EXTRAS[chosen], library))
     except BrokenPipeError:  # `board51 watch | head`
         return 0
     except KeyboardInterrupt:
@@ -158,21 +159,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _our_fault(chosen, error)
 
 
-def _told(command: str, error: Board51Error) -> int:
-    """Exit code, after one line on stderr."""
+def _report(command: str, error: Board51Error) -> int:
+    """Write the error to stderr in one line, and return its exit code."""
     print(f"board51 {command}: {error}", file=sys.stderr)
     return error.exit_code
 
 
 def _our_fault(command: str, error: Exception) -> int:
-    """One line to report, and the exit code of a fault of board51; the whole trace where DEBUG is set.
+    """Report a fault of board51 in one line, or with its whole trace where DEBUG is set; return the exit code.
 
     It mends nothing: what a user can cause has an error of its own.  But whoever runs a plant needs one line to pass
     on, and a supervisor an exit code.
     """
     if os.environ.get(DEBUG):
         raise error
-    what = one_line(f"{type(error).__name__}: {error}", 300)
+    what = single_line(f"{type(error).__name__}: {error}", 300)
     print(
         f"board51 {command}: a fault of board51 ({what}). Report it with the command; {DEBUG}=1 shows where.",
         file=sys.stderr,
@@ -195,7 +196,7 @@ def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.
             for line in lines:
                 panic = is_panic(line)
                 with suppress(OSError):  # a terminal that is gone
-                    os.write(real, told(line) if panic else line)
+                    os.write(real, reword(line) if panic else line)
                 # A panic after the order to end is a line and no failure: `systemctl stop` must not leave "failed".
                 if panic and not end_is_ordered() and not panicked.is_set():
                     panicked.set()

@@ -33,7 +33,7 @@ def _room(limits: LimitsConfig) -> LimitsConfig:
     if limits.x_ref_min_m >= limits.x_ref_max_m:
         raise RuleError(
             f": x_ref_min_m {limits.x_ref_min_m} is not below x_ref_max_m {limits.x_ref_max_m}",
-            remedy="Give a range with room in it",
+            remedy="Give x_ref_min_m below x_ref_max_m",
         )
     return limits
 
@@ -42,8 +42,8 @@ def _patient(board: BoardConfig) -> BoardConfig:
     if board.host_loss_timeout_s < board.limits.host_loss_min_s:
         raise RuleError(
             f": host_loss_timeout_s {board.host_loss_timeout_s:g} is below host_loss_min_s"
-            f" {board.limits.host_loss_min_s:g}: on a busy computer the gateway itself is silent for longer now and"
-            " then, and the board would act",
+            f" {board.limits.host_loss_min_s:g}: on a busy computer the gateway is sometimes silent for longer, and"
+            " the board would act",
             remedy="Give a longer one; where this computer is never late, set host_loss_min_s in [board.limits]",
         )
     return board
@@ -65,7 +65,7 @@ def _reaches(zenoh: ZenohConfig) -> ZenohConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsConfig:
-    """What may be commanded, tighter than or equal to what the board allows; checked before the wire."""
+    """The limits of commands, at most those of the board; checked before a command is sent."""
 
     __pydantic_config__ = KEYS
 
@@ -92,7 +92,7 @@ class LimitsConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardConfig:
-    """One board: `[[board]]`."""
+    """A board: `[[board]]`."""
 
     __pydantic_config__ = KEYS
 
@@ -107,10 +107,12 @@ class BoardConfig:
     baud: Annotated[Whole, key("of the UART; sockets and ptys ignore it [bit/s]", 300, 4_000_000)] = 115200
     board_id: Annotated[Whole, key("refuse any board with another serial number; 0 takes any", 0, 0xFFFFFFFF)] = 0
     stream_divider: Annotated[Whole, key("ask the board for every n-th tick", 1, 1000)] = 1
-    host_loss: Annotated[Literal["keep", "coil-off", "hold"], key("what the board does when this gateway is gone")] = (
-        "coil-off"
-    )
-    host_loss_timeout_s: Annotated[Number, key("after how long [s]", 0.05, 60.0)] = 1.0
+    host_loss: Annotated[
+        Literal["keep", "coil-off", "hold"], key("action of the board when this gateway falls silent")
+    ] = "coil-off"
+    host_loss_timeout_s: Annotated[
+        Number, key("time without a frame from the gateway before the board acts [s]", 0.05, 60.0)
+    ] = 1.0
     command_timeout_s: Annotated[Number, key("wait for an answer before repeating [s]", 0.02, 10.0)] = 0.1
     command_retries: Annotated[Whole, key("repetitions before giving up", 0, 20)] = 4
     stale_s: Annotated[Number, key("no valid frame for this long: the link is silent [s]", 0.1, 60.0)] = 1.0
@@ -161,7 +163,7 @@ class LogConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SecurityConfig:
-    """Who may do what: `[security]`."""
+    """The access control: `[security]`."""
 
     __pydantic_config__ = KEYS
 
@@ -176,7 +178,7 @@ class OpcuaConfig:
     __pydantic_config__ = KEYS
 
     listen: Annotated[
-        str, key("serve here, as a process beside the gateway, e.g. 127.0.0.1:4840; empty: not at all")
+        str, key("address of the server, a process of its own, e.g. 127.0.0.1:4840; empty: not at all")
     ] = ""
     rate_hz: Annotated[Number, key("values per second of each variable, with min and max [Hz]", 10.0, 50.0)] = 20.0
     history_s: Annotated[Number, key("how far HistoryRead goes back [s]", 10.0, 3600.0)] = 300.0
@@ -235,7 +237,7 @@ def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) 
 
 
 def changed(section: Any, where: str, **values: object) -> Any:
-    """`section` with other values, each checked like a key of the file; `where` is named in the ConfigError."""
+    """Return `section` with other values, each checked like a key of the file; `where` is named in the ConfigError."""
     known = keys_of(type(section))
     return replace(section, **{name: checked(known[name], value, where=where) for name, value in values.items()})
 
@@ -257,7 +259,7 @@ def _apply_environment(table: dict[str, Any], environment: Mapping[str, str]) ->
 
 
 def boards_from_text(item: str) -> dict[str, str]:
-    """`rig1=/dev/ttyUSB0` as a `[[board]]` table."""
+    """Return `rig1=/dev/ttyUSB0` as a `[[board]]` table."""
     name, equals, port = item.strip().partition("=")
     if not equals or not name or not port:
         raise ConfigError(f"{item.strip()!r} does not name a board", remedy="Write NAME=PORT, e.g. rig1=/dev/ttyUSB0")
@@ -265,7 +267,7 @@ def boards_from_text(item: str) -> dict[str, str]:
 
 
 def _sections() -> dict[str, type[Any]]:
-    """Every table of the file but [[board]], by name."""
+    """Return every table of the file except [[board]], by name."""
     return {f.name: type(f.default_factory()) for f in fields(GatewayConfig) if f.default_factory is not MISSING}
 
 
@@ -286,10 +288,10 @@ def documented_toml() -> str:
 def _documented(kind: type[Any]) -> list[str]:
     lines: list[str] = []
     for f, hint in zip(fields(kind), keys_of(kind).values(), strict=True):
-        about = FieldInfo.from_annotation(hint).description
-        if about:
+        description = FieldInfo.from_annotation(hint).description
+        if description:
             default = {"name": "rig1", "port": "/dev/ttyUSB0"}[f.name] if f.default is MISSING else f.default
-            lines += [f"# {about}{_allowed(hint)}", f"{f.name} = {_toml(default)}"]
+            lines += [f"# {description}{_allowed(hint)}", f"{f.name} = {_toml(default)}"]
     return lines
 
 

@@ -82,10 +82,10 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         ]
         link = LinkThread(drivers)
         guarded = bool(config.security.directory)
-        authorizer = Authorizer(time.time_ns(), partial(_tell_flood, drivers), guarded=guarded)
+        authorizer = Authorizer(time.time_ns(), partial(_publish_flood, drivers), guarded=guarded)
         queryables = [CommandService(bus, config.site, driver, link, replies, authorizer) for driver in drivers]
         if recorder is not None:
-            recorder.on_event = partial(_tell_all, drivers)
+            recorder.on_event = partial(_publish_all, drivers)
             twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
             stack.callback(twin.undeclare)
         for publisher in (messages, replies, samples, batches):
@@ -104,7 +104,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         while not stop.wait(STATUS_S):
             if watch is not None and (change := watch.look()) is not None:
                 _logger.log(logging.INFO if change.severity == "info" else logging.WARNING, "%s", change.text)
-                _tell_all(drivers, change.name, change.severity, change.text)
+                _publish_all(drivers, change.name, change.severity, change.text)
             step_ns = clock.step_ns()
             if step_ns:
                 authorizer.clock_stepped(step_ns)
@@ -113,14 +113,14 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
-                    _tell_all(drivers, "certificate-expires", "warning", text)
+                    _publish_all(drivers, "certificate-expires", "warning", text)
             for driver, sink, maker in zip(drivers, sinks, makers, strict=True):
                 if step_ns:
-                    driver.tell(
+                    driver.publish_event(
                         "clock-stepped",
                         "warning",
-                        f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the time of the samples follows it with"
-                        " the next session.",
+                        f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the samples use the new time from"
+                        " the next session on.",
                     )
                 log, now_s = recorder.stats() if recorder is not None else None, time.monotonic()
                 status = maker.make(log, now_s)
@@ -253,8 +253,8 @@ def gateway_identity(config: GatewayConfig) -> Identity:
         ConfigError: the identity is not usable.
     """
     path = Path(config.security.directory)
-    alone = (path / "identity.toml").exists()
-    identity = load_identity(path) if alone else SecurityFolder(path).identity("gateway")
+    has_identity = (path / "identity.toml").exists()
+    identity = load_identity(path) if has_identity else SecurityFolder(path).identity("gateway")
     identity.check_valid(datetime.now(UTC))
     return identity
 
@@ -288,21 +288,21 @@ def _recording(log: LogConfig) -> Iterator[Recorder]:
         recorder.close()
 
 
-def _tell_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: str) -> None:
+def _publish_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: str) -> None:
     """Publish an event of the gateway under each board, so that viewers of one board see, say, a failing log."""
     for driver in drivers:
-        driver.tell(name, severity, text)
+        driver.publish_event(name, severity, text)
 
 
-def _tell_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:
-    _tell_all(drivers, "command-flood", "warning", f"{who} sends too many commands: {count} discarded.")
+def _publish_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:
+    _publish_all(drivers, "command-flood", "warning", f"{who} sends too many commands: {count} discarded.")
 
 
 def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
     def log(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        place = topics.split(key)
-        if place is not None and topics.BY_NAME[place[2]].logged and not is_replayed(sample.attachment):
+        address = topics.split(key)
+        if address is not None and topics.TOPIC_OF_NAME[address[2]].logged and not is_replayed(sample.attachment):
             recorder.put(key, sample.payload.to_bytes(), time.time_ns())
 
     return log

@@ -20,7 +20,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from protocol.checked import KEYS, Flag, Number, RuleError, checked, key
-from protocol.errors import DataError, shown
+from protocol.errors import DataError, quoted
 from protocol.files import parse_toml, read_small
 from protocol.units import unit_of_name
 
@@ -40,7 +40,7 @@ Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """Parameters that are known without identification: `[plant]`.
+    """The parameters that are known without identification: `[plant]`.
 
     The bounds cover the physical range of magnetic levitation rigs.  They detect a wrong unit or a wrong power of ten:
     a mass in grams instead of kilograms makes K_c a thousand times too large, and the recordings cannot reveal it.
@@ -66,7 +66,7 @@ def _with_defaults(plant: object) -> object:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperatingPoint:
-    """Operating point of the controller, eq. (13)."""
+    """The operating point of the controller, eq. (13)."""
 
     __pydantic_config__ = KEYS
 
@@ -77,7 +77,7 @@ class OperatingPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controller:
-    """Control law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
+    """The control law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
 
     __pydantic_config__ = KEYS
 
@@ -101,7 +101,7 @@ def _rising(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """Source column of a channel and its conversion to SI units: value = offset + scale * table(raw).
+    """The source column of a channel and its conversion to SI units: value = offset + scale * table(raw).
 
     The table is interpolated linearly, and extrapolated linearly beyond its ends.
     """
@@ -119,7 +119,7 @@ class Column:
         """Convert one raw value to SI units."""
         return self.offset + self.scale * (self._look_up(raw) if self.table else raw)
 
-    def beyond_table(self, raw: float) -> bool:
+    def extrapolates(self, raw: float) -> bool:
         """Return whether `convert` extrapolates the table at `raw`."""
         return bool(self.table) and not self.table[0][0] <= raw <= self.table[-1][0]
 
@@ -139,7 +139,7 @@ def _in_si(columns: object) -> object:
         if unit is not None:
             si = UNITS[channel]
             raise RuleError(
-                f" = {shown(column)} is in {unit[0]} by its name, {channel} is in {si}",
+                f" = {quoted(column)} is in {unit[0]} by its name, {channel} is in {si}",
                 remedy=f"Give it scale = {unit[1]:g}, or scale = 1.0 if its values are in {si} despite its name",
                 key=channel,
             )
@@ -151,7 +151,7 @@ def _named(spec: object) -> object:
         return {"column": spec}
     if not isinstance(spec, dict | Column):
         raise RuleError(
-            f" = {shown(spec)} is not a column",
+            f" = {quoted(spec)} is not a column",
             remedy='Write the name of a column, or { column = "name", scale = 1.0, offset = 0.0 }',
         )
     return spec
@@ -162,7 +162,7 @@ Columns = Annotated[Mapping[Channel, Annotated[Column, BeforeValidator(_named)]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """One recording of the campaign: `[[recording]]`."""
+    """A recording of the campaign: `[[recording]]`."""
 
     __pydantic_config__ = KEYS
 
@@ -192,14 +192,14 @@ def _fit_or_judge(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class _PlantFile:
-    """Required content of a file that describes a rig."""
+    """The required content of a file that describes a rig."""
 
     plant: Annotated[Plant, BeforeValidator(_with_defaults)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _File(_PlantFile):
-    """Content of `campaign.toml`."""
+    """The content of `campaign.toml`."""
 
     __pydantic_config__ = KEYS
 
@@ -264,7 +264,7 @@ class Campaign:
         shared = data or (Path(os.environ["BOARD51_DATA"]) if os.environ.get("BOARD51_DATA") else None)
         folders = [folder for folder in (self.folder, shared) if folder is not None]
         candidates = [folder / recording.file for folder in folders]
-        places = [_place(candidate, folders) for candidate in candidates]
+        places = [_whereabouts(candidate, folders) for candidate in candidates]
         if "within" in places:
             return candidates[places.index("within")]
         where = " nor at ".join(str(candidate) for candidate in candidates)
@@ -275,7 +275,7 @@ class Campaign:
         )
 
 
-def _place(file: Path, folders: Sequence[Path]) -> Literal["within", "outside", "absent"]:
+def _whereabouts(file: Path, folders: Sequence[Path]) -> Literal["within", "outside", "absent"]:
     """Return whether a file lies in one of the folders, after resolving links."""
     try:
         real = file.resolve()

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, AllowInfNan, ConfigDict, Field, Strict, Typ
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from protocol.errors import ConfigError, DataError, UsageError, shown
+from protocol.errors import ConfigError, DataError, UsageError, quoted
 
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 Whole = Annotated[int, Strict()]
@@ -39,9 +39,9 @@ class RuleError(ValueError):
         self.remedy = remedy
 
 
-def key(about: str, low: float | None = None, high: float | None = None) -> Any:
+def key(description: str, low: float | None = None, high: float | None = None) -> Any:
     """Return the annotation of a key: its description with unit, and its bounds."""
-    return Field(description=about, ge=low, le=high)
+    return Field(description=description, ge=low, le=high)
 
 
 def rule(check: Callable[[Any], Any]) -> AfterValidator:
@@ -77,7 +77,7 @@ def checked(
     error: type[ConfigError] | type[DataError] = ConfigError,
     from_text: bool = False,
     remedy: str = "",
-    quote: Callable[[object], str] = shown,
+    quote: Callable[[object], str] = quoted,
 ) -> Any:
     """Validate data that was parsed from TOML or JSON, and return it as `kind`.
 
@@ -98,8 +98,8 @@ def checked(
     try:
         return adapter.validate_strings(data) if from_text else adapter.validate_python(data)
     except ValidationError as failed:
-        found = failed.errors(include_url=False)
-    problem, correction = _told(kind, data, found, key, toml=error is ConfigError, quote=quote)
+        errors = failed.errors(include_url=False)
+    problem, correction = _explain(kind, data, errors, key, toml=error is ConfigError, quote=quote)
     raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy or correction)
 
 
@@ -122,57 +122,63 @@ def plain_of(kind: Any) -> Any:
 def bounds(kind: Any) -> tuple[float | None, float | None]:
     """Return the bounds (lowest, highest) of an annotated type."""
     ends: dict[str, float] = {}
-    for one in FieldInfo.from_annotation(kind).metadata:
-        ends |= {end: getattr(one, end) for end in ("ge", "le") if hasattr(one, end)}
+    for constraint in FieldInfo.from_annotation(kind).metadata:
+        ends |= {end: getattr(constraint, end) for end in ("ge", "le") if hasattr(constraint, end)}
     return ends.get("ge"), ends.get("le")
 
 
-def _told(
-    kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml: bool, quote: Callable[[object], str]
+def _explain(
+    kind: Any, data: object, errors: list[ErrorDetails], path: str, *, toml: bool, quote: Callable[[object], str]
 ) -> tuple[str, str]:
     """Return (problem, remedy) of the first error."""
-    first, hint, keys, value = found[0], kind, {}, data
-    mistake, place = first["type"], first["loc"]
-    if mistake == "missing" and isinstance(place[-1], int):  # of four numbers: the list is wrong
-        mistake, place = "too_short", place[:-1]
-    for step in place:
+    first, hint, keys, value = errors[0], kind, {}, data
+    mistake, location = first["type"], first["loc"]
+    if mistake == "missing" and isinstance(location[-1], int):  # of four numbers: the list is wrong
+        mistake, location = "too_short", location[:-1]
+    for step in location:
         if step == "[key]":
             mistake = _UNKNOWN
             continue
-        value, inner = _inside(value, step), get_args(plain_of(hint))
+        value, inner = _item(value, step), get_args(plain_of(hint))
         if isinstance(step, int):
-            label = _inside(value, "file") or _inside(value, "name")
+            label = _item(value, "file") or _item(value, "name")
             path += f" {step + 1}" + (f" ({label})" if isinstance(label, str) else "")
             hint = inner[0]
         else:
             path += f".{step}" if path else step
             keys = keys_of(hint)
             hint = keys.get(step) or (inner or (str,))[-1]
-    name, wanted, about = path.rpartition(".")[2], _expected(hint), FieldInfo.from_annotation(hint).description
+    name, expected, description = path.rpartition(".")[2], _expected(hint), FieldInfo.from_annotation(hint).description
     if mistake == "value_error":
         objection = first["ctx"]["error"]
         return f"{path}{objection.problem}".removeprefix("."), objection.remedy
     if mistake == _UNKNOWN:
         return f"{path} = {quote(value)} is not a key", _nearest(name, list(keys))
     add = (
-        {"a table": f"Add [{path}]", "a list of tables": f"Add at least one [[{name}]]"}.get(wanted)
+        {"a table": f"Add [{path}]", "a list of tables": f"Add at least one [[{name}]]"}.get(expected)
         if path and toml
         else None
     )
     if mistake == "missing":
-        others = [str(one["loc"][-1]) for one in found if one["type"] == _UNKNOWN and one["loc"][:-1] == place[:-1]]
-        near = [
-            f"{other} is not a key; its unit is the end of {name}" for other in others if _stem(other) == _stem(name)
+        unknown_keys = [
+            str(error["loc"][-1])
+            for error in errors
+            if error["type"] == _UNKNOWN and error["loc"][:-1] == location[:-1]
         ]
-        return f"{path} is missing ({about or wanted})", (*near, add or f"Add {name}")[0]
-    told, range_ = f"{path} = {quote(value if place else first['input'])} is not", _range(hint)
-    remedy = f"Give {range_ or wanted}" + (f": {about}" if about else "")
+        hints = [
+            f"{other} is not a key; its unit is the end of {name}"
+            for other in unknown_keys
+            if _stem(other) == _stem(name)
+        ]
+        return f"{path} is missing ({description or expected})", (*hints, add or f"Add {name}")[0]
+    problem, range_ = f"{path} = {quote(value if location else first['input'])} is not", _range(hint)
+    remedy = f"Give {range_ or expected}" + (f": {description}" if description else "")
     if mistake in ("greater_than_equal", "less_than_equal"):
-        return f"{told} {'in ' * ('..' in range_)}{range_}", f"{remedy}; check the unit and the power of ten"
-    return f"{told} {wanted}", "Choose one of them" if "|" in wanted else add or remedy
+        return f"{problem} {'in ' * ('..' in range_)}{range_}", f"{remedy}; check the unit and the power of ten"
+    return f"{problem} {expected}", "Choose one of them" if "|" in expected else add or remedy
 
 
-def _inside(value: object, step: str | int) -> object:
+def _item(value: object, step: str | int) -> object:
     try:
         return value[step]  # type: ignore[index]  # only tables and lists have items
     except (TypeError, LookupError):
@@ -190,9 +196,11 @@ def _expected(hint: Any) -> str:
         return "a table"
     item = _expected(options[0])
     items = {"text": "texts", "a table": "tables"}.get(item, "lists" if item.startswith("a list") else "numbers")
-    least = max((getattr(one, "min_length", 0) for one in FieldInfo.from_annotation(hint).metadata), default=0)
+    min_length = max(
+        (getattr(constraint, "min_length", 0) for constraint in FieldInfo.from_annotation(hint).metadata), default=0
+    )
     count = f"{len(options)} " if len(options) > 1 and Ellipsis not in options else ""
-    return f"a list of {f'at least {least} ' if least > 1 else count}{items}"
+    return f"a list of {f'at least {min_length} ' if min_length > 1 else count}{items}"
 
 
 def _range(hint: Any) -> str:
@@ -201,8 +209,8 @@ def _range(hint: Any) -> str:
 
 
 def _nearest(key: str, keys: list[str]) -> str:
-    near = difflib.get_close_matches(key, keys, 1) or [other for other in keys if _stem(other) == _stem(key)]
-    return f"Did you mean {near[0]}" if near else f"Remove it; the keys are {', '.join(keys)}"
+    matches = difflib.get_close_matches(key, keys, 1) or [other for other in keys if _stem(other) == _stem(key)]
+    return f"Did you mean {matches[0]}" if matches else f"Remove it; the keys are {', '.join(keys)}"
 
 
 def _stem(key: str) -> str:

@@ -1,8 +1,10 @@
-"""The order to end, which SIGTERM and SIGINT give to a service.  One place hears it, so that others can ask for it.
+"""The order to end, which SIGTERM and SIGINT give to a service.
 
-zenoh may panic while its session closes: a transport that closes at the same moment finds its tables empty (seen in
-12 of 160 ends of a router with three clients, zenoh 1.10).  By then nothing can be lost any more.  `board51.py`
-therefore asks `end_is_ordered` before it makes a failure of a panic.
+This module handles both signals; other modules ask it whether the end is ordered.
+
+zenoh may panic while its session closes: a transport that closes at the same moment finds its tables empty.  This
+happened in 12 of 160 ends of a router with three clients (zenoh 1.10).  By then nothing can be lost any more.
+`board51.py` therefore asks `end_is_ordered` before it makes a failure of a panic.
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ LONGEST = 1000  # characters of a problem, and of a remedy
 
 
 class Board51Error(Exception):
-    """Base class of all errors that are raised on purpose: what is wrong, then what to do.
+    """The base class of all errors that are raised on purpose: what is wrong, then what to do.
 
-    The message is a single line without control characters, whatever it quotes: see `one_line`.
+    The message is a single line without control characters, whatever it quotes: see `single_line`.
 
     Args:
         problem: What is wrong and where, with the offending value; no full stop.
@@ -30,8 +30,8 @@ class Board51Error(Exception):
     exit_code = 1
 
     def __init__(self, problem: str, *, remedy: str) -> None:
-        self.problem = one_line(problem)
-        self.remedy = one_line(remedy)
+        self.problem = single_line(problem)
+        self.remedy = single_line(remedy)
         super().__init__(f"{self.problem}. {self.remedy}.")
 
 
@@ -76,16 +76,16 @@ def require(extra: str, *libraries: str) -> None:
             raise missing_extra(extra, library)
 
 
-def one_line(text: str, longest: int = LONGEST) -> str:
+def single_line(text: str, longest: int = LONGEST) -> str:
     """Return `text` with line breaks and control characters escaped, and its middle removed if it is long.
 
     Errors quote files and bus messages: the quoted text must not control the terminal or hide the rest of the message.
     """
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    escaped = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     half = (longest - 5) // 2
-    return shown if len(shown) <= longest else f"{shown[:half]} ... {shown[-half:]}"
+    return escaped if len(escaped) <= longest else f"{escaped[:half]} ... {escaped[-half:]}"
 
 
-def shown(value: object) -> str:
+def quoted(value: object) -> str:
     """Return a value for an error message, shortened to 80 characters."""
-    return one_line(repr(value), 80)
+    return single_line(repr(value), 80)

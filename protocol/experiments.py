@@ -21,7 +21,7 @@ Expectation = Literal["rests", "lifts-off", "bounces", "flies", "is-clamped"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoilOff:
-    """Mode idle."""
+    """A pause in mode idle."""
 
     duration_s: float
     value: float = 0.0  # share of the lift-off input
@@ -60,7 +60,7 @@ class Wave:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hover:
-    """Closed loop with a constant reference."""
+    """A closed loop with a constant reference."""
 
     value: float  # share of the travel
     duration_s: float
@@ -72,12 +72,12 @@ Step = Signal | Burst
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """One recording of a campaign."""
+    """An experiment of the menu, which gives one recording of a campaign."""
 
     name: str  # also of its file
     kind: Kind
     use: Use
-    about: str  # its purpose, one sentence
+    purpose: str  # its purpose, one sentence
     expects: Expectation
     steps: tuple[Step, ...]
     standard: bool = True  # part of the default run
@@ -89,7 +89,7 @@ class Experiment:
 
     @property
     def closed_loop(self) -> bool:
-        """Whether the ball flies under the board's law."""
+        """Return whether the ball flies under the board's law."""
         return self.expects == "flies"
 
     @property
@@ -99,12 +99,12 @@ class Experiment:
 
     @property
     def captures(self) -> tuple[tuple[float, float], ...]:
-        """Input before and after the step of each 25 kHz capture, shares of the lift-off input."""
+        """The input before and after the step of each 25 kHz capture, shares of the lift-off input."""
         return tuple((step.u_from, step.u_to) for step in self.steps if isinstance(step, Burst))
 
     @property
     def duration_s(self) -> float:
-        """Approximate length of the recording, s."""
+        """The approximate length of the recording, s."""
         return sum(BURST_S + step.lead_s if isinstance(step, Burst) else step.duration_s for step in self.steps)
 
 
@@ -144,105 +144,105 @@ _SAME_STEPS = Wave(shape="rectangle", low=0.42, high=0.58, period_s=1.0, duratio
 MENU: tuple[Experiment, ...] = (
     Experiment(
         name=LIFT_OFF, kind="sawtooth", use="fit", expects="lifts-off", quick=0.34,
-        about="the current that just lifts the ball: K_c by eq. (8); measures the lift-off input for all that follows",
+        purpose="the current that just lifts the ball: K_c by eq. (8); measures the lift-off input for the others",
         instruction="raise u_c slowly from 0 to {high} until the ball leaves its rest, several times",
         steps=(Wave(shape="sawtooth", low=0.0, high=1.1, period_s=3.0, duration_s=10.0),),
     ),
     Experiment(
         name="rest", kind="amplifier-step", use="fit", expects="rests",
-        about="noise of both sensors with the coil off and under constant currents, the ball at rest",
+        purpose="noise of both sensors with the coil off and under constant currents, the ball at rest",
         instruction="record the ball at rest with the coil off and at two constant inputs up to {high}",
         steps=(CoilOff(duration_s=1.5), *_levels(0.3, 0.6, each_s=1.5)),
     ),
     Experiment(
         name="amplifier-steps", kind="amplifier-step", use="fit", expects="rests", quick=1.0,
-        about="25 kHz steps up and down below lift-off: K_A from the levels, T_A from the way there, eq. (1)",
+        purpose="25 kHz steps up and down below lift-off: K_A from the levels, T_A from the way there, eq. (1)",
         instruction="step u_c between {low} and {high}, the ball at rest, and capture i_c at 25 kHz",
         steps=_bursts((0.0, 0.1), (0.1, 0.35), (0.35, 0.6), (0.6, 0.85), (0.85, 0.35), (0.6, 0.35), (0.1, 0.85),
                       (0.35, 0.1)),
     ),
     Experiment(
         name="amplifier-steps-judge", kind="amplifier-step", use="judge", expects="rests", quick=0.0,
-        about="other 25 kHz steps, to judge the amplifier",
+        purpose="other 25 kHz steps, to judge the amplifier",
         steps=_bursts((0.2, 0.75), (0.75, 0.45), (0.45, 0.2)),
     ),
     Experiment(
         name="prbs-open-loop", kind="prbs", use="fit", expects="bounces",
-        about="the ball flies between the stops: K_c and b by eq. (7) without a controller",
+        purpose="the ball flies between the stops: K_c and b by eq. (7) without a controller",
         instruction="let a random u_c between {low} and {high} throw the ball from stop to stop for {duration}",
         steps=_bouncing(8.0, salt=1),
     ),
     Experiment(
         name="prbs-open-loop-judge", kind="prbs", use="judge", expects="bounces", quick=0.0,
-        about="the same with another sequence, to judge",
+        purpose="the same with another sequence, to judge",
         steps=_bouncing(4.0, salt=2),
     ),
     Experiment(
         name="steps", kind="closed-loop", use="fit", expects="flies",
-        about="small reference steps around the middle: fig. 12 of the paper, the loop near its operating point",
+        purpose="small reference steps around the middle: fig. 12 of the paper, the loop near its operating point",
         instruction="step the reference between {low} and {high} for {duration}",
         steps=_reference("rectangle", 0.42, 0.58, 1.0, 8.0),
     ),
     Experiment(
         name="steps-judge", kind="closed-loop", use="judge", expects="flies", quick=0.0,
-        about="small steps of another size and period, to judge",
+        purpose="small steps of another size and period, to judge",
         steps=_reference("rectangle", 0.44, 0.6, 1.4, 7.0),
     ),
     Experiment(
         name="wide-steps", kind="closed-loop", use="fit", expects="flies",
-        about="reference steps over half the travel: the force law over the gap",
+        purpose="reference steps over half the travel: the force law over the gap",
         instruction="step the reference over half the travel, between {low} and {high}, for {duration}",
         steps=_reference("rectangle", 0.27, 0.73, 1.4, 8.4),
     ),
     Experiment(
         name="wide-steps-judge", kind="closed-loop", use="judge", expects="flies", quick=0.45,
-        about="wide steps of another size and period, to judge",
+        purpose="wide steps of another size and period, to judge",
         steps=_reference("rectangle", 0.3, 0.7, 1.2, 6.0),
     ),
     Experiment(
         name="multisine", kind="closed-loop", use="fit", expects="flies",
-        about="eight frequencies at once on the reference: K_c and b without a favoured frequency",
+        purpose="eight frequencies at once on the reference: K_c and b without a favoured frequency",
         instruction="let the reference follow eight sines at once between {low} and {high} for {duration}",
         steps=_reference("multisine", 0.35, 0.65, 2.0, 10.0, salt=3),
     ),
     Experiment(
         name="multisine-judge", kind="closed-loop", use="judge", expects="flies", quick=0.0,
-        about="other signs, shift and amplitude, to judge",
+        purpose="other signs, shift and amplitude, to judge",
         steps=_reference("multisine", 0.38, 0.62, 2.0, 6.0, salt=40),
     ),
     Experiment(
         name="prbs-reference", kind="closed-loop", use="fit", expects="flies",
-        about="a random reference: fast motion, where the drag shows",
+        purpose="a random reference: fast motion, where the drag shows",
         instruction="let the reference jump at random between {low} and {high} for {duration}",
         steps=_reference("prbs", 0.42, 0.58, 0.08, 8.0, salt=5),
     ),
     Experiment(
         name="prbs-reference-judge", kind="closed-loop", use="judge", expects="flies", quick=0.0,
-        about="another sequence and amplitude, to judge",
+        purpose="another sequence and amplitude, to judge",
         steps=_reference("prbs", 0.43, 0.57, 0.1, 6.0, salt=6),
     ),
     Experiment(
         name="chirp", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
-        about="a sine from 0.5 to 10 Hz on the reference: lags and resonances by frequency",
+        purpose="a sine from 0.5 to 10 Hz on the reference: lags and resonances by frequency",
         instruction="let the reference swing between {low} and {high}, from 0.5 Hz up to 10 Hz in {duration}",
         steps=_fly(0.5, Wave(shape="chirp", low=0.47, high=0.53, period_s=2.0, period_end_s=0.1, duration_s=15.0,
                              on_reference=True)),
     ),
     Experiment(
         name="holds", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
-        about="seven positions over the travel, each held: force law and sensor against position, at rest",
+        purpose="seven positions over the travel, each held: force law and sensor against position, at rest",
         instruction="hold the ball for 2.5 s at each of seven heights from {low} to {high}",
         steps=tuple(Hover(value=x, duration_s=2.5) for x in (0.1, 0.22, 0.35, 0.48, 0.61, 0.74, 0.87)),
     ),
     Experiment(
         name="slow-ramp", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
-        about="the reference rises slowly and falls back: every position passed, almost at rest",
+        purpose="the reference rises slowly and falls back: every position passed, almost at rest",
         instruction="raise the reference slowly from {low} to {high}, two times in {duration}",
         steps=_reference("sawtooth", 0.28, 0.72, 10.0, 20.0),
     ),
     Experiment(
         name="warm-run", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
-        about="steps, 60 s held low under a high current, the same steps again: what warming up changes",
+        purpose="steps, 60 s held low under a high current, the same steps again: what warming up changes",
         instruction="step the reference, hold the ball at {low} for a minute so that the coil warms up, step again",
         warms=True, stationary=False,
         steps=_fly(0.5, _SAME_STEPS, Hover(value=0.1, duration_s=60.0), Hover(value=0.5, duration_s=0.5), _SAME_STEPS),
@@ -250,9 +250,9 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="blocked-ball", kind="amplifier-step", use="fit", expects="is-clamped", standard=False, quick=1.0,
         person="Clamp the ball so that it cannot move (a shim between ball and coil housing).",
-        about="steps of u_c with the ball clamped: the amplifier alone, up to inputs at which a free ball would fly",
+        purpose="steps of u_c with the ball clamped: the amplifier alone, up to inputs at which a free ball would fly",
         instruction="clamp the ball (a shim between ball and coil housing) and step u_c between {low} and {high}",
         steps=(*_levels(0.2, 0.6, 1.1, 0.8, 0.4, each_s=1.0), *_bursts((0.1, 1.1), (1.1, 0.5), (0.5, 0.1))),
     ),
 )  # fmt: skip
-BY_NAME = {experiment.name: experiment for experiment in MENU}
+EXPERIMENT_OF_NAME = {experiment.name: experiment for experiment in MENU}

@@ -83,7 +83,7 @@ def read_small(path: Path, *, remedy: str, what: str = "", error: Refusal = Data
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Context manager around code that creates the file or folder `path`.
+    """A context manager around code that creates the file or folder `path`.
 
     Raises:
         UsageError: the operating system refused to create it.
@@ -156,10 +156,12 @@ def _check_depth(value: object) -> None:
     level: list[object] = [value]
     for _ in range(DEEPEST):
         inner: list[object] = []
-        for one in level:
-            items: Iterable[object] = one.values() if isinstance(one, dict) else one if isinstance(one, list) else ()
+        for container in level:
+            items: Iterable[object] = (
+                container.values() if isinstance(container, dict) else container if isinstance(container, list) else ()
+            )
             inner += items
-            if isinstance(one, int) and not -_INTEGER <= one < _INTEGER:
+            if isinstance(container, int) and not -_INTEGER <= container < _INTEGER:
                 raise ValueError("an integer has more than 64 bits")
         if not inner:
             return

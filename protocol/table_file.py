@@ -106,8 +106,8 @@ def read_mat(
         if not name.startswith("__"):
             collect(name, value, columns, unusable)
     if not columns:
-        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
-        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
+        reasons = "".join(f"; {name}: {why}" for name, why in unusable.items())
+        raise DataError(f"{path} holds no numeric vectors{reasons}", remedy="Save t, x, ... as vectors of equal length")
     return columns, unusable
 
 

@@ -18,7 +18,7 @@ SCALES: Mapping[str, Mapping[str, float]] = {
     "x_ref": _METRES,
 }
 # Largest plausible value of a laboratory rig; for t, the largest time between two samples.
-MOST: Mapping[str, float] = {"t": 0.2, "u_c": 400.0, "i_c": 30.0, "x": 0.5, "x_ref": 0.5}
+MAX_PLAUSIBLE: Mapping[str, float] = {"t": 0.2, "u_c": 400.0, "i_c": 30.0, "x": 0.5, "x_ref": 0.5}
 # A value beyond this is not a measurement: it is a marker for "no value", or another kind of number.
 NOT_MEASURED: Mapping[str, float] = {"t": 9e9, "u_c": 1e6, "i_c": 1e6, "x": 1e6, "x_ref": 1e6}
 _UNIT = re.compile(r"(?:^|[_\s\[(/.])([^\W\d_]+)[\])]?\s*$")
@@ -26,13 +26,13 @@ _UNIT = re.compile(r"(?:^|[_\s\[(/.])([^\W\d_]+)[\])]?\s*$")
 
 def unit_of_name(column: str, channel: str) -> tuple[str, float] | None:
     """Return (unit, its SI value) if the name of a column ends with a unit other than the channel's SI unit."""
-    found = _UNIT.search(column)
-    scale = SCALES[channel].get(found[1].lower()) if found is not None else None
-    return None if found is None or scale is None else (found[1], scale)
+    match = _UNIT.search(column)
+    scale = SCALES[channel].get(match[1].lower()) if match is not None else None
+    return None if match is None or scale is None else (match[1], scale)
 
 
 def scale_of_size(largest: float, channel: str) -> float | None:
     """Return the power of 1000 that makes `largest` (for t: the step) plausible; None if it is plausible already."""
-    if largest <= MOST[channel]:
+    if largest <= MAX_PLAUSIBLE[channel]:
         return None
-    return next((scale for scale in (1e-3, 1e-6) if largest * scale <= MOST[channel]), 1e-9)
+    return next((scale for scale in (1e-3, 1e-6) if largest * scale <= MAX_PLAUSIBLE[channel]), 1e-9)

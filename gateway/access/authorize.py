@@ -56,7 +56,7 @@ class Sender:
         return Refusal("not-allowed", refusal_text(self.name, self.role, act))
 
     def left_s(self, command: pb.Command) -> float:
-        """Remaining time in which the command may begin to act, s; infinite without a date."""
+        """Return the remaining time in which the command may begin to act, s; infinite without a date."""
         if not command.issued_ns:
             return math.inf
         valid_s = min(command.valid_s or MAX_AGE_S, MAX_AGE_S)
@@ -69,14 +69,16 @@ class Sender:
         if not command.issued_ns:
             if self.role is None:
                 return None
-            return Refusal("not-fresh", "On a guarded bus a command says when it was issued (issued_ns, Unix time).")
+            return Refusal(
+                "not-fresh", "On a guarded bus a command must state when it was issued (issued_ns, Unix time)."
+            )
         age_s = (self.arrived_ns - command.issued_ns) * 1e-9
         if age_s < -MAX_AHEAD_S or self.left_s(command) < 0:
             valid_s = self.left_s(command) + age_s
             when = f"{age_s:.1f} s ago" if age_s > 0 else f"{-age_s:.1f} s in the future"
             return Refusal(
                 "not-fresh",
-                f"The command was issued {when}; it is good for {valid_s:g} s. If it is not a repeated old one,"
+                f"The command was issued {when}; it is valid for {valid_s:g} s. If it is not a repeated old one,"
                 " the clocks of its sender and of the gateway differ: set them.",
             )
         if command.issued_ns < self.started_ns + MAX_AHEAD_S * 1e9:
@@ -95,9 +97,9 @@ class Authorizer:
         guarded: whether the bus is guarded, so that the keys of commands contain the sender.
     """
 
-    def __init__(self, started_ns: int, tell: Callable[[str, int], None], *, guarded: bool = True) -> None:
+    def __init__(self, started_ns: int, on_flood: Callable[[str, int], None], *, guarded: bool = True) -> None:
         self.guarded = guarded
-        self._started_ns, self._tell = started_ns, tell
+        self._started_ns, self._on_flood = started_ns, on_flood
         self._lock = threading.Lock()
         self._floods: OrderedDict[str, _Flood] = OrderedDict()
 
@@ -106,14 +108,14 @@ class Authorizer:
         self._started_ns += step_ns
 
     def sender(self, key: str, arrived_ns: int) -> Sender | Refusal:
-        """The sender of a command with this key, or a refusal."""
+        """Return the sender of a command with this key, or a refusal."""
         if not self.guarded:
             return Sender(name="", role=None, arrived_ns=arrived_ns, started_ns=self._started_ns)
-        found = topics.sender(key)
-        if found is None or found[0] not in ROLE_WORDS:
+        role_and_name = topics.sender(key)
+        if role_and_name is None or role_and_name[0] not in ROLE_WORDS:
             text = f"On this bus a command goes under .../command/as/ROLE/NAME, not under {key[-100:]}."
             return Refusal("not-allowed", text)
-        role, name = found
+        role, name = role_and_name
         return Sender(name=name, role=Role[role.upper()], arrived_ns=arrived_ns, started_ns=self._started_ns)
 
     def flooded(self, sender: Sender, now_s: float) -> bool:
@@ -134,7 +136,7 @@ class Authorizer:
             if report := now_s - flood.reported_s >= _REPORT_S:
                 flood.refused, flood.reported_s = 0, now_s
         if report:
-            self._tell(sender.name, refused)
+            self._on_flood(sender.name, refused)
         return True
 
 

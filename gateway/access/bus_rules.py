@@ -24,7 +24,7 @@ LARGEST_MESSAGE = 16_000_000  # bytes of a fragmented message
 
 _WITHOUT_CERTIFICATES = ("tcp", "udp", "ws", "serial", "unixsock-stream", "unixpipe", "vsock")  # zenoh's names
 _READ = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
-_TOLD = ("put", "delete", "reply", "liveliness_token")
+_DELIVERED = ("put", "delete", "reply", "liveliness_token")
 _SERVED = ("query", "declare_subscriber", "declare_queryable")  # messages that a publisher or queryable must receive
 
 
@@ -36,13 +36,13 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
         people: role of each user, by name.
     """
     published = {
-        who: [topics.key(site, "*", t.name) for t in topics.TOPICS if t.bus and t.by == who]
+        who: [topics.key(site, "*", t.name) for t in topics.TOPICS if t.bus and t.source == who]
         for who in ("gateway", "twin")
     }
     everything = [f"{site}/**"]
     rules = [
         _rule("read", "ingress", _READ, everything),
-        _rule("told", "egress", _TOLD, everything),
+        _rule("told", "egress", _DELIVERED, everything),
         _rule("served", "egress", _SERVED, everything),
     ]
     policies: list[dict[str, Any]] = []

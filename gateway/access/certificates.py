@@ -120,7 +120,7 @@ def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> 
         )
     if now < certificate.not_valid_before_utc:
         raise ConfigError(
-            f"{what} {path} is valid from {certificate.not_valid_before_utc:%Y-%m-%d} only",
+            f"{what} {path} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d}",
             remedy="Set this machine's clock right",
         )
     return (certificate.not_valid_after_utc - now).total_seconds() / 86400

@@ -62,7 +62,7 @@ class SecurityFolder:
 
     @property
     def passwords(self) -> Path:
-        """Names and passwords of the bus, in zenoh's format."""
+        """The names and passwords of the bus, in zenoh's format."""
         return self.path / "bus" / "passwords.txt"
 
     @property

@@ -1,4 +1,4 @@
-"""Which listeners may be opened: loopback always, others only if protected or with an explicit `--insecure`.
+"""The rules for opening listeners: loopback always, others only if protected or with an explicit `--insecure`.
 
 The gateway, the router, OPC UA and the web page use these checks.
 """
@@ -16,7 +16,7 @@ _logger = logging.getLogger("gateway.access")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` is a loopback address or localhost; other names are not resolved."""
+    """Return whether `host` is a loopback address or localhost; other names are not resolved."""
     bare = host.strip("[]").partition("%")[0]
     try:
         address = ipaddress.ip_address(bare)
@@ -87,6 +87,6 @@ def nearest(endpoints: Sequence[str]) -> str:
 
 def to_reach(endpoint: str) -> str:
     """The endpoint for a process of this machine to connect to: 0.0.0.0 and [::] are replaced by loopback."""
-    for anywhere, here in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
-        endpoint = endpoint.replace(anywhere, here)
+    for anywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
+        endpoint = endpoint.replace(anywhere, loopback)
     return endpoint

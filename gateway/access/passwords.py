@@ -34,7 +34,7 @@ def hash_password(password: str) -> str:
 
 
 def matches(password: str, line: str) -> bool:
-    """Whether `password` has the hash `line`; a wrong one takes as long."""
+    """Return whether `password` has the hash `line`; a wrong one takes as long."""
     n, r, p, salt, key = _parts(line)
     if len(password) > LONGEST:
         return False
@@ -42,7 +42,7 @@ def matches(password: str, line: str) -> bool:
 
 
 def is_line(text: str) -> bool:
-    """Whether `text` is a valid hash."""
+    """Return whether `text` is a valid hash."""
     try:
         n, r, p, salt, key = _parts(text)
     except ValueError:

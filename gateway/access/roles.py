@@ -1,4 +1,4 @@
-"""The table of rights: the least role for each action.  Pure.
+"""The table of rights: the minimum role for each action.  Pure.
 
 Rule 1: all decisions about rights (gateway, OPC UA, web page, the router's access control) use this table.
 Rule 2: an action that is not in the table is not allowed.
@@ -29,7 +29,7 @@ class Role(enum.IntEnum):
 ROLE_WORDS = tuple(role.word for role in Role)
 
 # Commands by the name of their field in pb.Command and pb.TwinCommand, then actions of views that are not commands.
-LEAST_ROLE: dict[str, Role] = {
+MINIMUM_ROLE: dict[str, Role] = {
     "read": Role.VIEWER,  # published data, logs, reports
     "ping": Role.VIEWER,
     "stop": Role.VIEWER,
@@ -52,7 +52,7 @@ LEAST_ROLE: dict[str, Role] = {
 
 
 def parse_role(word: str, *, where: str) -> Role:
-    """The role of that name.
+    """Return the role of that name.
 
     Raises:
         ConfigError: it is not a role; the message gives `where`, the word and the roles.
@@ -63,13 +63,13 @@ def parse_role(word: str, *, where: str) -> Role:
 
 
 def may(role: Role, act: str) -> bool:
-    """Whether `role` may perform `act`, a key of LEAST_ROLE."""
-    least = LEAST_ROLE.get(act)
-    return least is not None and role >= least
+    """Return whether `role` may perform `act`, a key of MINIMUM_ROLE."""
+    minimum = MINIMUM_ROLE.get(act)
+    return minimum is not None and role >= minimum
 
 
 def refusal_text(who: str, role: Role, act: str) -> str:
-    """One sentence for a reply with the reason `not-allowed`."""
-    least = LEAST_ROLE.get(act)
-    needs = f"it needs the role {least.word}" if least is not None else "nobody may"
+    """Return a sentence for a reply with the reason `not-allowed`."""
+    minimum = MINIMUM_ROLE.get(act)
+    needs = f"it needs the role {minimum.word}" if minimum is not None else "nobody may"
     return f"{who} ({role.word}) may not {act.replace('_', ' ')}: {needs}."

@@ -3,11 +3,11 @@
 A lock on a name would let any client lock out the operator.  Here each source has a lane of its own: BURST attempts at
 once, then one in PACE_S, in the order of arrival.
 
-Rule 1: a source is an address (for IPv6 its /64 network).  After a successful login, further lanes are separate from
-        the attempts of others: one for that name from that address, and one for the browser with the cookie of its last
-        session.
-Rule 2: all sources without a successful login together are limited to one attempt in TOGETHER_PACE_S, so that a flood
-        from many addresses does not use up the processor.  Others are not delayed by it.
+Rule 1: a source is an address (for IPv6 its /64 network).  After a successful login, two more lanes are separate
+        from the attempts of others.  One is for that name from that address, one for the browser with the cookie of its
+        last session.
+Rule 2: all sources without a successful login together are limited to one attempt in TOGETHER_PACE_S.  A flood from
+        many addresses therefore does not use up the processor.  Other users are not delayed by it.
 Rule 3: an attempt that would wait longer than the caller's patience is refused at once with the waiting time, and does
         not count.  So at most patience / PACE_S attempts wait in a lane.
 Rule 4: a right password counts only RIGHT_COST of an attempt, because all clients of a plant may reconnect at once.
@@ -40,7 +40,7 @@ class Lane:
     due_s: float = float("-inf")
 
     def wait_s(self, now_s: float) -> float:
-        """Waiting time of an attempt at `now_s`, s."""
+        """Return the waiting time of an attempt at `now_s`, s."""
         return max(0.0, self.due_s - now_s - (self.burst - 1) * self.pace_s)
 
     def take(self, now_s: float) -> None:
@@ -62,7 +62,7 @@ class Turn:
 
 
 class Tries:
-    """All lanes of one server."""
+    """The lanes of one server."""
 
     def __init__(self) -> None:
         self._lanes: OrderedDict[Hashable, Lane] = OrderedDict()
@@ -88,14 +88,14 @@ class Tries:
         else:
             lane, stranger = self._lane(source), True
         lanes = (lane, self._strangers) if stranger else (lane,)
-        wait_s = max(one.wait_s(now_s) for one in lanes)
+        wait_s = max(limiter.wait_s(now_s) for limiter in lanes)
         granted = wait_s <= patience_s
         if granted:
             free = lane.wait_s(now_s) == 0.0
-            for one in lanes:
-                one.take(now_s)
+            for limiter in lanes:
+                limiter.take(now_s)
             if free and lane.wait_s(now_s) > 0.0:  # once for each flood
-                _logger.warning("many passwords are tried from %s: from now on one in %g s", source, lane.pace_s)
+                _logger.warning("many password attempts from %s: from now on one attempt per %g s", source, lane.pace_s)
         return Turn(granted=granted, wait_s=wait_s, lanes=lanes)
 
     def right(self, turn: Turn, name: str, host: str) -> None:
@@ -114,7 +114,7 @@ class Tries:
 
 
 def network(host: str) -> str:
-    """The addresses that count as one machine: an IPv4 address, or the /64 network of an IPv6 address."""
+    """Return the addresses that count as one machine: an IPv4 address, or the /64 network of an IPv6 address."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:

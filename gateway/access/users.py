@@ -104,7 +104,7 @@ class Users:
         try:
             self._entries = _read(self._path)
         except ConfigError as error:
-            _logger.error("the users stay as they were: %s", error)
+            _logger.error("the users do not change: %s", error)
         else:
             _logger.info("%s has changed: %d users", self._path, len(self._entries))
 

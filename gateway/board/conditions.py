@@ -32,10 +32,10 @@ class Standing:
 
     def __init__(self) -> None:
         self._since_ns: dict[str, int] = {}
-        self._told: bytes = b""
-        self._told_s = -math.inf
+        self._published: bytes = b""
+        self._published_s = -math.inf
 
-    def tell(
+    def due_message(
         self,
         holding: Mapping[str, Condition],
         acknowledged: Sequence[pb.Acknowledgement],
@@ -58,8 +58,8 @@ class Standing:
         for name, condition in holding.items():
             message.active.add(name=name, active=True, text=condition.text, host_time_ns=self._since_ns[name])
         content = message.SerializeToString()
-        if content == self._told and now_s - self._told_s < EVERY_S:
+        if content == self._published and now_s - self._published_s < EVERY_S:
             return None
-        self._told, self._told_s = content, now_s
+        self._published, self._published_s = content, now_s
         message.host_time_ns = host_ns
         return message

@@ -1,6 +1,6 @@
-"""Faults of a board: their names and what to tell of them.
+"""Faults of a board: their names and texts.
 
-Rule: a fault of COIL_FAULTS is one that the board cannot end.  Nobody says of it that the coil is off.
+Rule: a fault of COIL_FAULTS is one that the board cannot end.  No text about it says that the coil is off.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ Rule 1: STOP is never refused: not by rate, mode, bounds or form, as long as it 
 Rule 2: every refusal has a stable kebab-case reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
         empty-command, not-finite, out-of-range, slew, wrong-mode, fault-active, flood, queue-full, not-available.
 Rule 3: the stricter of the bounds of configuration and board applies.
-Rule 4: the reference has an allowance, as on the board (protocol/README.md, rule 7): `x_ref_step_m` at once, refilled
-        at `x_ref_slew_m_s`, used up by each accepted jump.
+Rule 4: the reference has an allowance, as on the board (protocol/README.md, rule 7).  It is `x_ref_step_m` at most,
+        refills at `x_ref_slew_m_s`, and is used up by each accepted jump.
 Rule 5: ending an excitation requires only its mode: no bound prevents it, and the signal does not jump.
 """
 
@@ -40,7 +40,7 @@ MAX_ALARM = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardView:
-    """Current state of the board as needed for the checks; None where it is not known."""
+    """The current state of the board as needed for the checks; None where it is not known."""
 
     mode: Mode | None
     flags: int
@@ -131,7 +131,7 @@ class TokenBucket:
 
 
 class Gate:
-    """Limits of one board.  Call `check` for each command, and `passed` for each command that is sent."""
+    """The limits of one board.  Call `check` for each command, and `passed` for each command that is sent."""
 
     def __init__(self, limits: LimitsConfig) -> None:
         self._limits = limits
@@ -144,7 +144,7 @@ class Gate:
             return None
         if self._commands.level(now_s) < 1.0:
             return Refusal(
-                "flood", f"More than {self._limits.commands_per_s:g} commands per second; STOP alone is exempt."
+                "flood", f"More than {self._limits.commands_per_s:g} commands per second; only STOP is exempt."
             )
         self._commands.take(1.0, now_s)
         return None
@@ -153,7 +153,9 @@ class Gate:
         """Return the refusal of a command, or None if it may be sent to the board."""
         match command.WhichOneof("what"):
             case "set_reference":
-                return self.beyond(command) or self._reference(command.set_reference.x_ref_m, wire, board, now_s)
+                return self.check_configured_range(command) or self._reference(
+                    command.set_reference.x_ref_m, wire, board, now_s
+                )
             case "set_gains":
                 return self._gains(command.set_gains)
             case "excite":
@@ -166,7 +168,7 @@ class Gate:
                 return self._host_loss(command.set_host_loss.timeout_s)
         return None
 
-    def beyond(self, command: pb.Command) -> Refusal | None:
+    def check_configured_range(self, command: pb.Command) -> Refusal | None:
         """Check the configured bounds only; called before conversion to counts, whose range differs."""
         if command.WhichOneof("what") != "set_reference":
             return None
@@ -226,8 +228,8 @@ class Gate:
         return Refusal(
             "out-of-range",
             f"A host-loss time-out of {timeout_s:g} s is below host_loss_min_s {shortest_s:g} s: on a busy computer the"
-            " gateway itself is silent for longer now and then, and the board would act. Where this computer is never"
-            " late, its configuration may set a smaller one.",
+            " gateway is sometimes silent for longer, and the board would act. Where this computer is never late, its"
+            " configuration may set a smaller one.",
         )
 
     def _capture(self, capture: pb.Capture, wire: WireCommand, board: BoardView) -> Refusal | None:
@@ -255,14 +257,14 @@ def _on_board(count: int, low: str, high: str, what: str, unit: str, board: Boar
     if lowest <= count <= highest:
         return None
 
-    def said(counts: int) -> str:
+    def with_unit(counts: int) -> str:
         s = board.scaling
         if s is None:
             return f"{counts} counts"
         return measured(s.x_m(counts) if unit == "m" else s.u_v(counts), unit)
 
-    bounds = f"{said(lowest)} .. {said(highest)}"
-    return Refusal("out-of-range", f"{what} = {said(count)} is outside the board's limits, {bounds}.")
+    bounds = f"{with_unit(lowest)} .. {with_unit(highest)}"
+    return Refusal("out-of-range", f"{what} = {with_unit(count)} is outside the board's limits, {bounds}.")
 
 
 def _needs(board: BoardView, command: pb.Command) -> Refusal | None:

@@ -1,7 +1,7 @@
-"""The range of the reference: one place for all views.  Pure.
+"""The range of the reference: the same for all views.  Pure.
 
-The gateway checks each command (limits.py), and the board checks it again.  What both let through is the range that a
-view shows and offers.
+The gateway checks each command (limits.py), and the board checks it again.  A view shows and offers
+the range that both accept.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from protocol.bus import board51_pb2 as pb
 # A value that was typed in mm and converted to m may differ from the limit in its last bits: 5.2 * 1e-3 > 5.2e-3.  The
 # same holds for volts.  One nanometre is far below a count of any converter.
 SLACK = 1e-9
-_SHOWN = 1e-6  # m: the resolution of what a view shows
+_RESOLUTION_M = 1e-6  # m: the resolution of what a view shows
 
 
 def reference_range(parameters: pb.Parameters) -> tuple[float, float]:
@@ -27,4 +27,4 @@ def reference_range(parameters: pb.Parameters) -> tuple[float, float]:
 def reference_range_mm(parameters: pb.Parameters) -> tuple[float, float]:
     """Return the range as a view shows it: mm with three decimals, rounded inwards, so that both ends are accepted."""
     low, high = reference_range(parameters)
-    return math.ceil((low - SLACK) / _SHOWN) / 1e3, math.floor((high + SLACK) / _SHOWN) / 1e3
+    return math.ceil((low - SLACK) / _RESOLUTION_M) / 1e3, math.floor((high + SLACK) / _RESOLUTION_M) / 1e3

@@ -17,7 +17,7 @@ _MANTISSA_MAX = 32767
 _SHIFT_MAX = 30
 _U16 = 0xFFFF
 _U32 = 0xFFFFFFFF
-_BEYOND = 2.0**53
+_EXACT_MAX = 2.0**53
 # What a rig on a bench can have, with a decade to spare; the page states it.  A scaling beyond this is not a rig but
 # flash that was erased or a wrong byte order: everything after it, limits and gains included, would be noise.
 _CHANNELS = (("i", "A", 1e3, 1e-3), ("x", "m", 1.0, 1e-5), ("u", "V", 1e3, 1e-3))  # unit, largest value, smallest span
@@ -26,7 +26,10 @@ _SAMPLE_TIME_MAX_US = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Refusal of a command by the gateway.  `reason` is kebab-case and stable; `text` is a sentence for the user."""
+    """The refusal of a command by the gateway.
+
+    `reason` is kebab-case and stable; `text` is a sentence for the user.
+    """
 
     reason: str
     text: str
@@ -34,8 +37,8 @@ class Refusal:
 
 def measured(value: float, unit: str) -> str:
     """Return a value as text in the units of the web page: lengths in mm."""
-    scale, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
-    return f"{value * scale:.6g} {shown}"
+    scale, display_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
+    return f"{value * scale:.6g} {display_unit}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,11 +60,11 @@ class Scaling:
         return self.i_offset_a + self.i_lsb_a * count
 
     def x_m(self, count: int) -> float:
-        """Position or reference, m, up from the sensor."""
+        """Return the position or reference, m, up from the sensor."""
         return self.x_offset_m + self.x_lsb_m * count
 
     def u_v(self, count: int) -> float:
-        """Input of the amplifier, V."""
+        """Return the input of the amplifier, V."""
         return self.u_offset_v + self.u_lsb_v * count
 
     def gain_units(self, law: int) -> tuple[float, float, float, float]:
@@ -164,7 +167,7 @@ def parameters_message(
         u_lsb_v=s.u_lsb_v,
         u_min_v=s.u_offset_v,
         from_tick=p("tick"),
-        capture_s=_most_captured(s) * s.capture_time_s,
+        capture_s=_max_capture_samples(s) * s.capture_time_s,
     )
 
 
@@ -191,7 +194,7 @@ def to_wire(command: pb.Command, scaling: Scaling) -> WireCommand | Refusal:
 
 def _nearest(number: float) -> int:
     """Round to an integer; a value beyond all fields, even an infinite one, stays beyond them."""
-    return round(min(max(number, -_BEYOND), _BEYOND))
+    return round(min(max(number, -_EXACT_MAX), _EXACT_MAX))
 
 
 def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int:
@@ -199,7 +202,7 @@ def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int
     if not 0 <= count <= COUNTS_MAX:
         ends = sorted((offset, offset + lsb * COUNTS_MAX))
         raise _OutOfFieldError(
-            f"{what} = {measured(value, unit)} is outside what the converter covers,"
+            f"{what} = {measured(value, unit)} is outside the converter's range,"
             f" {measured(ends[0], unit)} .. {measured(ends[1], unit)}"
         )
     return count
@@ -303,14 +306,14 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
     return WireCommand(name="EXCITE", values=values)
 
 
-def _most_captured(s: Scaling) -> int:
-    """Samples of the longest capture: what the board holds, and CAPTURE can say."""
+def _max_capture_samples(s: Scaling) -> int:
+    """Return the number of samples of the longest capture: the board's memory and the field of CAPTURE limit it."""
     return min(s.capture_size, 2000)
 
 
 def _capture(command: pb.Command, s: Scaling) -> WireCommand:
     c = command.capture
-    count = _whole(c.duration_s, s.capture_time_s, "duration", 1, _most_captured(s))
+    count = _whole(c.duration_s, s.capture_time_s, "duration", 1, _max_capture_samples(s))
     pre = _whole(c.pre_s, s.capture_time_s, "pre", 0, count)
     u_from = _count(c.u_from_v, s.u_offset_v, s.u_lsb_v, "u_from", "V")
     u_to = _count(c.u_to_v, s.u_offset_v, s.u_lsb_v, "u_to", "V")

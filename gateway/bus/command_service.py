@@ -57,11 +57,11 @@ class CommandService:
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        asked = str(query.key_expr)
-        sender = self._authorizer.sender(asked, time.time_ns())
+        query_key = str(query.key_expr)
+        sender = self._authorizer.sender(query_key, time.time_ns())
         if isinstance(sender, Refusal):
             refusal = pb.CommandReply(refused_by="gateway", reason=sender.reason, text=sender.text)
-            _Reply(query, asked, self._replies)(refusal)
+            _Reply(query, query_key, self._replies)(refusal)
             return
         role = sender.role
         key = self._key if role is None else f"{self._key}/{topics.AS}/{role.word}/{sender.name}"
@@ -73,12 +73,12 @@ class CommandService:
         with self._lock:
             self._posted += 1
 
-        def done(answer: pb.CommandReply) -> None:
+        def finish(answer: pb.CommandReply) -> None:
             with self._lock:
                 self._posted -= 1
             reply(answer)
 
-        self._link.command(self._driver, payload, done, sender)
+        self._link.command(self._driver, payload, finish, sender)
 
     def _flood(self, payload: bytes, sender: Sender) -> pb.CommandReply | None:
         """Return the refusal of a command beyond the rate, before it loads the serial thread; None if accepted."""
@@ -90,12 +90,12 @@ class CommandService:
             return None
         if not full and not self._authorizer.flooded(sender, time.monotonic()):
             return None
-        text = "Too many commands at once; STOP alone is exempt."
+        text = "Too many commands at once; only STOP is exempt."
         return pb.CommandReply(id=command.id, refused_by="gateway", reason="flood", text=text)
 
 
 class _Reply:
-    """Answers one query."""
+    """The channel for the answer to one query."""
 
     def __init__(self, query: zenoh.Query, key: str, replies: Publisher) -> None:
         self._query, self._key, self._replies = query, key, replies

@@ -57,8 +57,8 @@ class PublishQueue:
 
     def take_latencies_s(self) -> list[float]:
         """Return the latencies recorded since the last call, s."""
-        taken, self._latencies_s = self._latencies_s, []
-        return taken
+        latencies_s, self._latencies_s = self._latencies_s, []
+        return latencies_s
 
 
 class Publisher:
@@ -111,7 +111,7 @@ class Publisher:
 
     @property
     def waiting(self) -> int:
-        """Number of payloads in the queue."""
+        """The number of payloads in the queue."""
         return self._depth
 
     def stop(self, *, patience_s: float = 1.0) -> None:
@@ -155,20 +155,20 @@ class Publisher:
         with self._condition:
             if self.held or not self._queue:  # held, or dropped, while this thread gathered
                 return ()
-            taken = [self._queue.popleft() for _ in range(1 if self._join is None else len(self._queue))]
-            for channel, payloads, _ in taken:
+            entries = [self._queue.popleft() for _ in range(1 if self._join is None else len(self._queue))]
+            for channel, payloads, _ in entries:
                 self._depth -= len(payloads)
                 channel.waiting -= len(payloads)
         if self._join is None:
-            return taken
+            return entries
         gathered: dict[PublishQueue, list[bytes]] = {}
-        for channel, payloads, _ in taken:
+        for channel, payloads, _ in entries:
             gathered.setdefault(channel, []).extend(payloads)
         return ((channel, payloads, 0) for channel, payloads in gathered.items())
 
 
 class BoardSink:
-    """Output of one board: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
+    """The output of one board: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
 
     def __init__(
         self,
@@ -191,7 +191,7 @@ class BoardSink:
                 congestion_control=zenoh.CongestionControl.BLOCK,
             )
             for topic in topics.TOPICS
-            if topic.by == "gateway" and topic.bus
+            if topic.source == "gateway" and topic.bus
         }
         self._single, self._batched = publishers["state"], publishers["states"]
         self._channels = {name: PublishQueue(publisher) for name, publisher in publishers.items()}
@@ -200,18 +200,18 @@ class BoardSink:
         self._alive_channel = PublishQueue(_Token(session, topics.key(site, board, topics.ALIVE)))
 
     @property
-    def wanted(self) -> bool:
-        """Whether this board's samples have a subscriber on the bus."""
+    def has_subscribers(self) -> bool:
+        """Return whether this board's samples have a subscriber on the bus."""
         return has_subscriber(self._single) or has_subscriber(self._batched)
 
     @property
     def dropped(self) -> int:
-        """Number of messages of this board that the bus did not accept in time."""
+        """The number of messages of this board that the bus did not accept in time."""
         return self._count("dropped")
 
     @property
     def waiting(self) -> int:
-        """Number of messages of this board that wait for the bus."""
+        """The number of messages of this board that wait for the bus."""
         return self._count("waiting")
 
     def _count(self, name: Literal["waiting", "dropped"]) -> int:
@@ -232,7 +232,7 @@ class BoardSink:
 
     def send(self, topic: str, message: ProtoMessage, host_time_ns: int) -> None:
         """Send one message to bus and log, according to the table of topics."""
-        row, payload = topics.BY_NAME[topic], message.SerializeToString()
+        row, payload = topics.TOPIC_OF_NAME[topic], message.SerializeToString()
         if row.bus:
             self._messages.put(self._channels[topic], [payload])
         if row.logged and self._recorder is not None:

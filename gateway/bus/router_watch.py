@@ -56,7 +56,7 @@ class RouterWatch:
         self._joined = False  # ever
         self._lost_s: float | None = now_s()  # None: not paused
         self._back_s = self._lost_s
-        self._told = False
+        self._loss_reported = False
         self._dropped = 0  # count of the sinks at the start of the pause
         self._hold(held=True)
         self._listener = session.info.declare_transport_events_listener(self._changed, history=True)
@@ -72,18 +72,18 @@ class RouterWatch:
         with self._lock:
             if self._lost_s is None:
                 return None
-            if not self._told:
-                self._told = True
+            if not self._loss_reported:
+                self._loss_reported = True
                 text = f"No router at {self._where}: messages wait, the newest are kept, and the log has them all."
                 return RouterChange(name="bus-lost", severity="warning", text=text)
             back_s = now_s - self._back_s
-            wanted = back_s >= PATIENCE_S or any(sink.wanted for sink in self._sinks)
-            if not self._routers or back_s < SETTLE_S or not wanted:
+            may_resume = back_s >= PATIENCE_S or any(sink.has_subscribers for sink in self._sinks)
+            if not self._routers or back_s < SETTLE_S or not may_resume:
                 return None
             waiting = sum(publisher.waiting for publisher in self._publishers)
             dropped = sum(sink.dropped for sink in self._sinks) - self._dropped
             text = f"The router was away for {self._back_s - self._lost_s:.1f} s; {waiting} messages waited and follow"
-            text += f", the {dropped} before them are in the log alone." if dropped else "."
+            text += f", the {dropped} before them are only in the log." if dropped else "."
             self._lost_s = None
             self._hold(held=False)
             return RouterChange(name="bus-back", severity="warning" if dropped else "info", text=text)
@@ -101,7 +101,7 @@ class RouterWatch:
                 return
             self._routers -= 1
             if not self._routers and self._lost_s is None:
-                self._lost_s, self._told = now_s, False
+                self._lost_s, self._loss_reported = now_s, False
                 self._dropped = sum(sink.dropped for sink in self._sinks)
                 self._hold(held=True)
 

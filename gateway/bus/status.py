@@ -94,8 +94,8 @@ class StatusMaker:
             holding |= fault_condition(driver.fault, sample.state.u_c)
         if log is not None and log.state not in ("writing", "off"):
             holding[LOG] = Condition(text=f"The log is not written: {log.state}.")
-        seen = driver.handler.annotations.acknowledged
-        return self._standing.tell(holding, seen, host_ns=driver.host_ns(), now_s=now_s)
+        acknowledged = driver.handler.annotations.acknowledged
+        return self._standing.due_message(holding, acknowledged, host_ns=driver.host_ns(), now_s=now_s)
 
 
 def fault_condition(event: pb.Event | None, u_c: int) -> dict[str, Condition]:

@@ -22,7 +22,7 @@ from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recor
 from protocol.campaign_text import emit
 from protocol.checked import Flag, Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
-from protocol.experiments import BY_NAME, MENU, Experiment
+from protocol.experiments import EXPERIMENT_OF_NAME, MENU, Experiment
 from protocol.files import parse_json, read_small, replace_text
 
 RUN_FILE = "run.json"
@@ -120,7 +120,7 @@ class Folder:
         table = parse_json(read_small(file, remedy=_READABLE), where=str(file), remedy=_READABLE)
         known: _File = checked(_File, table, where=str(file), error=DataError, remedy=_READABLE)
         self.lift_off_v, self._identity = known.lift_off_v, known.identity
-        self.retained = {name: retained for name, retained in known.recordings.items() if name in BY_NAME}
+        self.retained = {name: retained for name, retained in known.recordings.items() if name in EXPERIMENT_OF_NAME}
         self.left, self.quick = known.left, known.quick
         if (self.path / "campaign.toml").exists():
             self._identity["plant"] = asdict(load_plant(self.path))

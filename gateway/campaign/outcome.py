@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from protocol.campaign import Plant
-from protocol.experiments import BY_NAME, LIFT_OFF, Experiment
+from protocol.experiments import EXPERIMENT_OF_NAME, LIFT_OFF, Experiment
 
 Standing = Literal["recorded", "already-there", "given-up", "impossible", "skipped", "interrupted", "not-reached"]
 
@@ -53,7 +53,7 @@ class Wishes:
 
     experiments: tuple[Experiment, ...]
     plant: Plant
-    lift_off: Experiment = BY_NAME[LIFT_OFF]  # recorded first if its result is needed and unknown
+    lift_off: Experiment = EXPERIMENT_OF_NAME[LIFT_OFF]  # recorded first if its result is needed and unknown
     seed: int = 1
     quick: bool = False
     u_max_v: float | None = None

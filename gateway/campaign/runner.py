@@ -176,7 +176,7 @@ class Runner:
                 self._say(f"[{number}/{total}] {e.name}: given up, the lift-off input is not known")
                 continue
             left = sum(_about_s(o.experiment) for o in summary.outcomes[number - 1 :] if o.standing == "not-reached")
-            self._say(f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.about} (about {left:.0f} s left)")
+            self._say(f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)")
             outcome.standing = "interrupted"
             self._repeat(outcome)
             summary.lift_off_v = self._folder.lift_off_v

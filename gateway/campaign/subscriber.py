@@ -82,7 +82,7 @@ class BoardSubscriber:
         place = topics.split(key)
         if place is None or place[2] not in _RECORDED:
             return
-        message = parse(topics.BY_NAME[place[2]].message, data)
+        message = parse(topics.TOPIC_OF_NAME[place[2]].message, data)
         if message is None:
             return
         with self.changed:

@@ -20,7 +20,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
-from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, refused_by_router, zenoh_config
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, router_refusal, zenoh_config
 from protocol.bus.identity import HELP, Identity
 
 JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be older than itself (access/authorize.py)
@@ -60,7 +60,7 @@ def open_bus(connect: str, identity: Identity | None = None) -> Iterator[zenoh.S
     try:
         session = zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=[connect], identity=identity)))
     except zenoh.ZError:
-        raise refused_by_router([connect], identity) from None
+        raise router_refusal([connect], identity) from None
     with session:
         yield session
 

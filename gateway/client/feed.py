@@ -106,7 +106,7 @@ class _Waiting:
                 key, data = self._messages.popleft()
             place = topics.split(key)
             if place is not None:
-                return Arrival(key, parse(topics.BY_NAME[place[2]].message, data), len(data))
+                return Arrival(key, parse(topics.TOPIC_OF_NAME[place[2]].message, data), len(data))
 
 
 def _undeclare(subscribers: list[zenoh.Subscriber[None]]) -> None:
@@ -121,6 +121,10 @@ def check_topic(name: str) -> None:
     Raises:
         UsageError: it cannot; the message lists the topics.
     """
-    if name not in topics.BY_NAME or topics.BY_NAME[name].by == "client" or not topics.BY_NAME[name].bus:
-        there = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.by != "client")
+    if (
+        name not in topics.TOPIC_OF_NAME
+        or topics.TOPIC_OF_NAME[name].source == "client"
+        or not topics.TOPIC_OF_NAME[name].bus
+    ):
+        there = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.source != "client")
         raise UsageError(f"{name!r} is no topic to listen to", remedy=f"Choose among {there}")

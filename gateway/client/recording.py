@@ -122,10 +122,10 @@ class Recording:
             return
         key, data = str(sample.key_expr), sample.payload.to_bytes()
         place = topics.split(key)
-        if place is None or not topics.BY_NAME[place[2]].logged:
+        if place is None or not topics.TOPIC_OF_NAME[place[2]].logged:
             return
         _, board, topic = place
-        message = parse(topics.BY_NAME[topic].message, data)
+        message = parse(topics.TOPIC_OF_NAME[topic].message, data)
         # Log time is the gateway's, as in its own log.  Messages without a time (twin/*) get that of the board's newest
         # message, as the clock of this host may differ.
         own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))

@@ -73,7 +73,7 @@ def _positive(text: str) -> float:
 def run(args: argparse.Namespace) -> int:
     """0 when everything asked for is in the folder, 1 when not."""
     from gateway.campaign.selection import chosen
-    from protocol.experiments import BY_NAME
+    from protocol.experiments import EXPERIMENT_OF_NAME
 
     if args.list:
         _print_menu(as_json=args.json)
@@ -82,9 +82,9 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("FOLDER and --board are needed", remedy="board51 campaign run FOLDER --board NAME")
     check_name(args.board, what="--board")
     check_name(args.site, what="--site")
-    unknown = next((name for name in args.experiment if name not in BY_NAME), None)
+    unknown = next((name for name in args.experiment if name not in EXPERIMENT_OF_NAME), None)
     if unknown is not None:
-        raise UsageError(f"There is no experiment {unknown!r}", remedy=f"Choose from {', '.join(BY_NAME)}")
+        raise UsageError(f"There is no experiment {unknown!r}", remedy=f"Choose from {', '.join(EXPERIMENT_OF_NAME)}")
     if not 0 <= args.seed <= 600:
         raise UsageError(f"--seed {args.seed} is out of range", remedy="Give a number from 0 to 600")
     return _perform(args, chosen(tuple(args.experiment), quick=args.quick))
@@ -149,7 +149,7 @@ def _print_menu(*, as_json: bool) -> None:
 
     if as_json:
         rows = [
-            {"name": e.name, "kind": e.kind, "use": e.use, "about": e.about, "duration_s": e.duration_s,
+            {"name": e.name, "kind": e.kind, "use": e.use, "about": e.purpose, "duration_s": e.duration_s,
              "default": e.standard, "quick": e.standard and e.quick > 0.0, "person": e.person}
             for e in MENU
         ]  # fmt: skip
@@ -158,7 +158,7 @@ def _print_menu(*, as_json: bool) -> None:
     print(f"{'name':<22}{'kind':<16}{'use':<7}{'s':>4}  what for")
     for e in MENU:
         mark = "" if e.standard else "  (only by --experiment)"
-        print(f"{e.name:<22}{e.kind:<16}{e.use:<7}{e.duration_s:>4.0f}  {e.about}{mark}")
+        print(f"{e.name:<22}{e.kind:<16}{e.use:<7}{e.duration_s:>4.0f}  {e.purpose}{mark}")
     seconds = sum(e.duration_s for e in MENU if e.standard)
     print(f"\nThe default run has {seconds:.0f} s of data.")
 

@@ -135,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
         server.close()
 
     for n, line in enumerate(lines):
-        counts = asdict(line.counts) | {"late_ticks": server.late_ticks, "worst_lateness_s": server.worst_lateness_s}
+        counts = asdict(line.counts) | {"late_ticks": server.overdue_ticks, "worst_lateness_s": server.worst_lateness_s}
         if args.json:
             print(json.dumps({"board_id": args.board_id + n, "counts": counts}))
         else:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.link.port import PortProblem, open_port
-from protocol.errors import InstallError, ServiceError, UsageError, one_line
+from protocol.errors import InstallError, ServiceError, UsageError, single_line
 from protocol.files import writing
 
 if TYPE_CHECKING:
@@ -141,4 +141,4 @@ def _write(command: list[str]) -> int:
     said = next(
         (line for line in lines if "not in sync" in line or "error" in line.lower()), lines[-1] if lines else ""
     )
-    raise ServiceError(f"avrdude fails ({done.returncode}): {one_line(said, 200)}", remedy=_AGAIN)
+    raise ServiceError(f"avrdude fails ({done.returncode}): {single_line(said, 200)}", remedy=_AGAIN)

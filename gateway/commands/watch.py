@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topic",
         action="append",
-        choices=[t.name for t in topics.TOPICS if t.bus and t.by != "client"],
+        choices=[t.name for t in topics.TOPICS if t.bus and t.source != "client"],
         help="only this topic; repeat for more (default: those slower than the tick)",
     )
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="at most one line per key in this time")
@@ -56,7 +56,7 @@ def _shown(value: object) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """0 when something came, 1 when nothing did before the time-out."""
-    rare = [t.name for t in topics.TOPICS if t.bus and t.by != "client" and not t.rate.startswith(_OFTEN)]
+    rare = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and not t.rate.startswith(_OFTEN)]
     wanted = args.topic or rare
     printed, last = 0, dict[str, float]()
     end = time.monotonic() + args.timeout if args.timeout else None

@@ -41,10 +41,10 @@ EVENTS = {
 HELP = "\n".join(
     [
         "faults (--fault NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION], repeatable; times in seconds of the board):",
-        *(f"  {name + '=P':<14} {about}, with probability P per byte" for name, about in RATES.items()),
-        *(f"  {name + '=S':<14} {about}; lasts S s" for name, about in SPANS.items()),
-        *(f"  {name + '=S':<14} {about}; lasts S s" for name, about in OUTPUTS.items()),
-        *(f"  {name:<14} {about}" for name, about in EVENTS.items()),
+        *(f"  {name + '=P':<14} {description}, with probability P per byte" for name, description in RATES.items()),
+        *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in SPANS.items()),
+        *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in OUTPUTS.items()),
+        *(f"  {name:<14} {description}" for name, description in EVENTS.items()),
         "  @START         begins then (default 0); @START+LENGTH ends a rate after LENGTH s",
         "  /EVERY         comes again every EVERY s after START",
         "  :tx :rx        only bytes from the board, only bytes to it (default both ways)",
@@ -126,7 +126,7 @@ def parse(text: str) -> Fault:
 
 
 class FaultyLine:
-    """One direction of the line, which may damage, delay or lose bytes.
+    """A direction of the line, which may damage, delay or lose bytes.
 
     Args:
         direction: `tx` (from the board) or `rx` (to the board).
@@ -189,7 +189,7 @@ def _number(text: str, number: str | None, default: float) -> float:
     try:
         value = float(number)
     except ValueError:
-        raise _error(text, f"{number} is no number") from None
+        raise _error(text, f"{number} is not a number") from None
     if not (math.isfinite(value) and value >= 0.0):
         raise _error(text, f"{number} must be finite and not negative")
     return value

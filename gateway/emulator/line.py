@@ -26,15 +26,15 @@ class Board(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since power-on."""
+        """The number of frames for which the line had no time, since power-on."""
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
@@ -60,7 +60,7 @@ class Board(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineCounts:
-    """Counters of one board's line since power-on."""
+    """The counters of one board's line since power-on."""
 
     time_s: float
     bytes_sent: int  # by the board, before faults
@@ -93,14 +93,14 @@ class BoardLine:
         self._rest = b""  # of the frame on the line
         self._output_fault = OutputFault.NONE
         self._plugged = True
-        self._unplugged_by_hand = False
+        self._disconnected = False
         self._renames = False  # the port opens under its other name
-        self._sent = self._received = self._not_taken = 0
+        self._sent = self._received = self._undelivered = 0
         port.open()
 
     @property
     def time_s(self) -> float:
-        """Time of the board since power-on."""
+        """The time of the board since power-on."""
         return self._ticks * _T_S
 
     @property
@@ -110,7 +110,7 @@ class BoardLine:
             time_s=self.time_s,
             bytes_sent=self._sent,
             bytes_received=self._received,
-            bytes_not_taken=self._not_taken,
+            bytes_not_taken=self._undelivered,
             bytes_damaged=sum(wire.damaged for wire in self._wires.values()),
             frames_dropped=self.firmware.dropped,
         )
@@ -121,12 +121,12 @@ class BoardLine:
 
     def disconnect(self) -> None:
         """Close the port until `reconnect`."""
-        self._unplugged_by_hand = True
+        self._disconnected = True
         self._follow_plug()
 
     def reconnect(self, *, renamed: bool = False) -> None:
         """Open the port again."""
-        self._unplugged_by_hand = False
+        self._disconnected = False
         self._follow_plug(renamed=renamed)
 
     def power_cycle(self) -> None:
@@ -171,7 +171,7 @@ class BoardLine:
 
     def _follow_plug(self, *, renamed: bool = False) -> None:
         active = [fault for fault in self._faults if fault.name == "disconnect" and fault.active(self.time_s)]
-        plugged = not active and not self._unplugged_by_hand
+        plugged = not active and not self._disconnected
         if plugged == self._plugged:
             return
         self._plugged = plugged
@@ -201,4 +201,4 @@ class BoardLine:
         self._sent += len(data)
         data = self._wires["tx"].convey(data, time_s, self._faults)
         if data:
-            self._not_taken += len(data) - self.port.write(data, wait_s)
+            self._undelivered += len(data) - self.port.write(data, wait_s)

@@ -23,11 +23,11 @@ _SEND_BUFFER = 16384  # bytes; a stalled host must lose bytes, as on a serial li
 
 
 class EmulatedPort(Protocol):
-    """One end of a board's line."""
+    """A port: the host's connection to a board."""
 
     @property
     def url(self) -> str:
-        """URL for pyserial's `serial_for_url`."""
+        """The URL for pyserial's `serial_for_url`."""
 
     def open(self, *, renamed: bool = False) -> None:
         """Open the port, under another name if `renamed` and supported."""
@@ -61,7 +61,7 @@ class PtyPort:
 
     @property
     def url(self) -> str:
-        """Path of the link."""
+        """The path of the link."""
         return str(self._link)
 
     def open(self, *, renamed: bool = False) -> None:
@@ -99,7 +99,7 @@ class PtyPort:
         self._present = False
 
     def connected(self) -> bool:
-        """Whether a process has the slave open."""
+        """Return whether a process has the slave open."""
         if self._master < 0:
             return False
         poll = select.poll()
@@ -107,7 +107,7 @@ class PtyPort:
         return not any(state & select.POLLHUP for _, state in poll.poll(0))
 
     def read(self, limit: int) -> bytes:
-        """At most `limit` bytes."""
+        """Return at most `limit` bytes."""
         if self._master < 0:
             return b""
         try:
@@ -123,7 +123,7 @@ class PtyPort:
         return data
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
-        """Bytes taken; 0 without a host."""
+        """Write to the host; return the number of bytes accepted, 0 without a host."""
         if self._master < 0 or not self._present:
             return 0
         return _write(self._master, data, wait_s)
@@ -146,7 +146,7 @@ class TcpPort:
 
     @property
     def url(self) -> str:
-        """As socket://HOST:PORT."""
+        """The address as socket://HOST:PORT."""
         return f"socket://{f'[{self._host}]' if ':' in self._host else self._host}:{self._port}"
 
     def open(self, *, renamed: bool = False) -> None:
@@ -188,7 +188,7 @@ class TcpPort:
         return self._client is not None
 
     def read(self, limit: int) -> bytes:
-        """At most `limit` bytes."""
+        """Return at most `limit` bytes."""
         self._reads += 1
         if self._client is not None and self._reads % 50 == 0:
             second = self._accept()
@@ -207,7 +207,7 @@ class TcpPort:
         return data
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
-        """Bytes taken; 0 without a host."""
+        """Write to the host; return the number of bytes accepted, 0 without a host."""
         if self._client is None:
             return 0
         return _write(self._client.fileno(), data, wait_s)
@@ -231,12 +231,12 @@ class TcpPort:
 
 
 def _write(descriptor: int, data: bytes, wait_s: float) -> int:
-    taken = 0
+    written = 0
     with contextlib.suppress(OSError):  # a disconnected host is detected by the next read
-        while taken < len(data):
+        while written < len(data):
             try:
-                taken += os.write(descriptor, data[taken:])
+                written += os.write(descriptor, data[written:])
             except BlockingIOError:
                 if not wait_s or not select.select([], [descriptor], [], wait_s)[1]:
                     break
-    return taken
+    return written

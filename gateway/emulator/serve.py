@@ -5,13 +5,14 @@
         emulator.inject("stall=0.5")
 
 Rule 1: deadlines are absolute: tick k of every board is due at start + k * T_s / speed.  Late ticks are counted and
-        made up for, so the boards' clocks never drift from the wall's: a tenth of a second at once, more than that at
-        twice the speed.  At once, a host would have no time to answer, and its boards would call it lost.
+        made up for, so the boards' clocks never drift from the wall clock.  A delay of up to a tenth of a second is
+        made up at once, a longer one at twice the speed.  At once, a host would have no time to answer, and its boards
+        would report it as lost.
 Rule 2: one thread runs all boards; other threads schedule actions in it (`call`).
-Rule 3: with speed 0 there are no deadlines: time stands still until a host is connected, and a slow host slows the
+Rule 3: with speed 0 there are no deadlines.  Time stands still until a host is connected, and a slow host slows the
         boards instead of losing bytes.
-Rule 4: in lockstep time passes in `advance` alone.  What the host has written before is there at the first tick; what
-        it does not read in between, it loses once the port's buffer is full.
+Rule 4: in lockstep time passes only in `advance`.  Bytes that the host wrote before arrive at the first tick.  Bytes
+        that it does not read in between are lost once the port's buffer is full.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class Server:
 
     def __init__(self, lines: list[BoardLine], *, speed: float | None = 1.0) -> None:
         self.lines = lines
-        self.late_ticks = 0
+        self.overdue_ticks = 0
         self.worst_lateness_s = 0.0
         self._speed = speed
         self._calls: deque[Callable[[], None]] = deque()
@@ -108,38 +109,38 @@ class Server:
     def _run_in_time(self, ticks: int | None, speed: float) -> None:
         period_ns = _T_NS / speed
         start_ns = time.monotonic_ns()
-        done, allowed, before_ns = 0, 0.0, start_ns
-        while not self._stopped and done != ticks:
+        ticks_run, allowed, before_ns = 0, 0.0, start_ns
+        while not self._stopped and ticks_run != ticks:
             now_ns = time.monotonic_ns()
             allowed = min(allowed + _CATCH_UP * (now_ns - before_ns) / period_ns, _BURST)
             before_ns = now_ns
-            behind_ns = now_ns - start_ns - int((done + 1) * period_ns)
+            behind_ns = now_ns - start_ns - int((ticks_run + 1) * period_ns)
             early_ns = max(-behind_ns, (1.0 - allowed) * period_ns / _CATCH_UP)
             self._rest(max(early_ns, 0.0) * 1e-9)
             if early_ns > 0:
                 continue
             due = 1 + int(behind_ns / period_ns)
-            now = min(due, int(allowed), ticks - done if ticks is not None else due)
+            now = min(due, int(allowed), ticks - ticks_run if ticks is not None else due)
             allowed -= now
             if due > 1:
-                self.late_ticks += min(due - 1, now)
+                self.overdue_ticks += min(due - 1, now)
                 self.worst_lateness_s = max(self.worst_lateness_s, behind_ns * 1e-9)
             for _ in range(now):
                 for line in self.lines:
                     line.step()
-            done += now
+            ticks_run += now
 
     def _run_flat_out(self, ticks: int | None) -> None:
-        done = 0
-        while not self._stopped and done != ticks:
+        ticks_run = 0
+        while not self._stopped and ticks_run != ticks:
             if not any(line.port.connected() for line in self.lines):
                 self._rest(0.005)
                 continue
             self._rest(0.0)
-            for _ in range(_BURST if ticks is None else min(_BURST, ticks - done)):
+            for _ in range(_BURST if ticks is None else min(_BURST, ticks - ticks_run)):
                 for line in self.lines:
                     line.step(wait_s=_PATIENCE_S)
-                done += 1
+                ticks_run += 1
 
     def _rest(self, timeout_s: float | None) -> None:
         """Sleep until the next deadline or a wake-up, then do what other threads asked for."""
@@ -157,7 +158,7 @@ class Server:
 
 
 class Emulator:
-    """Boards served by a thread of their own, for tests and demonstrations.
+    """The boards served by a thread of their own, for tests and demonstrations.
 
     Args:
         boards: How many.
@@ -236,13 +237,13 @@ class Emulator:
 
     @property
     def urls(self) -> list[str]:
-        """What to give a gateway, one per board; a pty that came back renamed has a new one."""
+        """The addresses of the ports for a gateway, one per board; a pty that came back renamed has a new one."""
         return [line.port.url for line in self._server.lines]
 
     @property
-    def late_ticks(self) -> int:
-        """Number of ticks that were not run in time."""
-        return self._server.late_ticks
+    def overdue_ticks(self) -> int:
+        """The number of ticks that were not run in time."""
+        return self._server.overdue_ticks
 
     def advance(self, duration_s: float) -> float:
         """Advance all boards by `duration_s` in lockstep; return their time since power-on, s.
@@ -256,13 +257,13 @@ class Emulator:
         lines, ticks = self._server.lines, round(duration_s * 1_000_000 / T_S_US)
 
         def work(_first: BoardLine) -> None:
-            there = [line for line in lines if line.port.connected()]
-            lost = sum(line.counts.bytes_not_taken for line in there)
+            connected = [line for line in lines if line.port.connected()]
+            lost = sum(line.counts.bytes_not_taken for line in connected)
             for _ in range(ticks):
                 for line in lines:
                     line.step()
-            lost = sum(line.counts.bytes_not_taken for line in there) - lost
-            if lost and all(line.port.connected() for line in there):
+            lost = sum(line.counts.bytes_not_taken for line in connected) - lost
+            if lost and all(line.port.connected() for line in connected):
                 raise ServiceError(
                     f"The host has not read, and has lost {lost} bytes of the {duration_s:g} s",
                     remedy="Advance by 0.1 s at most, and read in between",
@@ -293,7 +294,7 @@ class Emulator:
         self._do(lambda line: line.reconnect(renamed=renamed), board)
 
     def _do(self, action: Callable[[BoardLine], None], board: int, *, patience_s: float = 10.0) -> None:
-        line, done = self._server.lines[board], threading.Event()
+        line, completed = self._server.lines[board], threading.Event()
         failures: list[Exception] = []
 
         def work() -> None:
@@ -301,10 +302,10 @@ class Emulator:
                 action(line)
             except Exception as error:  # handed to the caller below
                 failures.append(error)
-            done.set()
+            completed.set()
 
         self._server.call(work)
-        if not done.wait(patience_s):
+        if not completed.wait(patience_s):
             raise ServiceError("The emulator's thread does not answer", remedy="Use it inside its `with` block")
         if failures:
             raise failures[0]

@@ -24,7 +24,7 @@ def menu_of(*, quick: bool) -> dict[str, Offer]:
         (made,) = chosen((experiment.name,), quick=quick)
         seconds = made.duration_s + OVERHEAD_S[made.closed_loop]
         needs = LIFT_OFF if needs_lift_off(made) else ""
-        offers[made.name] = Offer(about=made.about, seconds=seconds, by_hand=made.person, needs=needs)
+        offers[made.name] = Offer(about=made.purpose, seconds=seconds, by_hand=made.person, needs=needs)
     return offers
 
 

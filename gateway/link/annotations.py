@@ -1,9 +1,9 @@
 """Remarks and acknowledgements of alarms: commands that are not sent to the board.  No I/O.
 
-Rule 1: the gateway does not know all alarms (the twin and the views raise alarms, too), so an acknowledgement refers to
-        a name: it applies to the alarm active under that name on arrival, not to a later one.
+Rule 1: an acknowledgement refers to a name, because the gateway does not know all alarms: the twin and the views raise
+        alarms, too.  It applies to the alarm that is active under that name on arrival, not to a later one.
 Rule 2: the latest acknowledgement of each name is kept and repeated in `alarms`, for views that start later.  At most
-        MAX_KEPT names are kept; the oldest is discarded first.
+        MAX_RETAINED names are kept; the oldest is discarded first.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ KINDS = ("mark", "acknowledge")
 
 
 class Annotations:
-    """Remarks and acknowledgements of one board.  Written by the serial thread, read by any thread."""
+    """The remarks and acknowledgements of one board.  Written by the serial thread, read by any thread."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -26,18 +26,18 @@ class Annotations:
         """Execute a command of KINDS at the given tick of the board, and return the reply."""
         who = command.who or "unknown"
         if command.WhichOneof("what") == "mark":
-            name, said = "mark", command.mark.text
+            name, remark = "mark", command.mark.text
         else:
             name = "acknowledged"
-            said = " ".join(part for part in (command.acknowledge.alarm, command.acknowledge.comment) if part)
+            remark = " ".join(part for part in (command.acknowledge.alarm, command.acknowledge.comment) if part)
             self._keep(command.acknowledge, who, host_ns)
-        text = "".join(c if c.isprintable() else " " for c in f"{who}: {said}")
+        text = "".join(c if c.isprintable() else " " for c in f"{who}: {remark}")
         event = pb.Event(host_time_ns=host_ns, tick=tick, session=session, source="gateway", severity="info")
         event.name, event.text = name, text
         self._sink.send("event", event, host_ns)
         return pb.CommandReply(id=command.id, accepted=True, tick=tick)
 
-    def _keep(self, seen: pb.Acknowledge, who: str, host_ns: int) -> None:
-        others = [one for one in self.acknowledged if one.alarm != seen.alarm][-(MAX_RETAINED - 1) :]
-        new = pb.Acknowledgement(alarm=seen.alarm, who=who, host_time_ns=host_ns, comment=seen.comment)
-        self.acknowledged = (*others, new)
+    def _keep(self, acknowledge: pb.Acknowledge, who: str, host_ns: int) -> None:
+        remaining = [entry for entry in self.acknowledged if entry.alarm != acknowledge.alarm][-(MAX_RETAINED - 1) :]
+        new = pb.Acknowledgement(alarm=acknowledge.alarm, who=who, host_time_ns=host_ns, comment=acknowledge.comment)
+        self.acknowledged = (*remaining, new)

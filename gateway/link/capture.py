@@ -40,7 +40,7 @@ class CaptureReader:
         """Begin a capture that the board has accepted as `wire`; a previous one is abandoned."""
         self.interrupt("another one")
         self._scaling = scaling
-        self._wanted = int(wire.values["count"])
+        self._requested = int(wire.values["count"])
         self._record = pb.CaptureRecord(
             session=self._session.number,
             sample_time_s=scaling.capture_time_s,
@@ -51,10 +51,10 @@ class CaptureReader:
         self._counts: list[int] = []
         self._failures = 0
         self._under_way = True
-        self.deadline_s = now_s + _SETTLE_S + self._wanted * scaling.capture_time_s + _MARGIN_S
+        self.deadline_s = now_s + _SETTLE_S + self._requested * scaling.capture_time_s + _MARGIN_S
 
-    def board_says_done(self, now_s: float) -> None:
-        """CAPTURE_DONE arrived."""
+    def capture_completed(self, now_s: float) -> None:
+        """Read the samples after CAPTURE_DONE has arrived."""
         if self._under_way and self._token is None and not self._counts:
             self._read(now_s)
 
@@ -86,7 +86,7 @@ class CaptureReader:
         self._token = self._session.submit("READ_CAPTURE", now_s, index=len(self._counts))
 
     def _block(self, block: Message, now_s: float) -> None:
-        total = min(block.int("total"), self._wanted)
+        total = min(block.int("total"), self._requested)
         if not self._counts:
             self._record.tick = block.int("tick")
         elif block.int("tick") != self._record.tick:

@@ -24,7 +24,7 @@ class HostClock:
         self, wall_ns: Callable[[], int] = time.time_ns, mono_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
         self._wall_ns, self._mono_ns = wall_ns, mono_ns
-        self._seen_offset_ns = self.offset_ns()
+        self._last_offset_ns = self.offset_ns()
 
     def offset_ns(self) -> int:
         """Return the current Unix time minus monotonic time, ns."""
@@ -36,6 +36,6 @@ class HostClock:
     def step_ns(self) -> int:
         """Return the step of the wall clock since the last call, or 0.  Call it about once a second."""
         offset = self.offset_ns()
-        step = offset - self._seen_offset_ns
-        self._seen_offset_ns = offset
+        step = offset - self._last_offset_ns
+        self._last_offset_ns = offset
         return step if abs(step) >= STEP_NS else 0

@@ -1,13 +1,13 @@
 """Passes commands from the bus to one board, and the answers back.  No I/O.
 
-Rule 1: every query is answered exactly once: accepted, refused by gateway, board or link (down, timed out, cancelled),
-        or failed by an error of the gateway (`internal-error`).
+Rule 1: every query is answered exactly once.  It is accepted, or refused by gateway, board or link (down, timed out,
+        cancelled), or it fails by an error of the gateway (`internal-error`).
 Rule 2: an id is executed at most once.  The replies of the last 256 ids, and of all of the last 20 s, are kept; the
         same command again gets the kept reply, which says until when.  The same id with other content is refused
         (`id-reused`).  A dated command expires before its id is discarded (access/authorize.py), so it is executed at
         most once in any case; an undated one at most once within one run of the gateway.
-Rule 3: the refusals `link-down`, `flood`, `queue-full` and a time-out before a byte was sent are not kept: nothing was
-        executed, and the sender may try again with the same id.
+Rule 3: the refusals `link-down`, `flood`, `queue-full` and a time-out before a byte was sent are not kept.  Nothing was
+        executed, so the sender may try again with the same id.
 Rule 4: sender, time, content and result of every command are published as a CommandRecord.
 Rule 5: on a guarded bus the sender (access/authorize.py) is written into the command, and its role and the command's
         age are checked first.  These refusals are not kept, so that senders without a right cannot fill the memory.
@@ -38,7 +38,7 @@ from protocol.wire.messages import Flag, Message, Mode, Reason
 from protocol.wire.session import Session
 
 RETAINED_IDS = 256
-LATE_IDS = 256  # commands that were refused as not fresh and may come again with a new date
+STALE_IDS = 256  # commands that were refused as not fresh and may come again with a new date
 RETAINED_S = 20.0  # longer than a command is valid (access/authorize.py): none is executed twice
 MAX_WAITING = 32  # commands that may wait for one board: at 0.5 s per time-out, more would expire in the queue
 
@@ -49,12 +49,12 @@ _NO_PORT = ("absent", "connecting")
 _logger = logging.getLogger("gateway.link")
 
 _CANCELLED = {
-    "stop": ("superseded-by-stop", "A STOP came; if the board had this command already, STOP ended what it began."),
-    "board-reset": ("board-reset", "The board restarted while this was under way; whether it acted is unknown."),
-    "disconnected": ("disconnected", "The port went away while this was under way; whether it acted is unknown."),
+    "stop": ("superseded-by-stop", "A STOP arrived. If the board already had this command, the STOP ended its effect."),
+    "board-reset": ("board-reset", "The board restarted before it answered; whether it acted is unknown."),
+    "disconnected": ("disconnected", "The port was lost before the board answered; whether it acted is unknown."),
 }
 _NACK_TEXT = {
-    Reason.OUT_OF_RANGE: "a value is outside the board's bounds; the bound in the way is {detail} counts",
+    Reason.OUT_OF_RANGE: "a value is outside the board's bounds; the bound is {detail} counts",
     Reason.SLEW: "the jump of the reference is larger than the allowance of {detail} counts",
     Reason.WRONG_MODE: "this is not possible in mode {mode}",
     Reason.BUSY: "it is busy, probably with a capture",
@@ -65,7 +65,7 @@ _NACK_TEXT = {
 
 
 @dataclass(slots=True, kw_only=True)
-class _Asked:
+class _Request:
     """A command and the callers that wait for its reply: several if it was repeated."""
 
     command: pb.Command
@@ -76,7 +76,7 @@ class _Asked:
 @dataclass(slots=True, kw_only=True)
 class _Pending:
     wire: WireCommand
-    asked: list[_Asked] = field(default_factory=list)  # several: STOPs that share a frame
+    requests: list[_Request] = field(default_factory=list)  # several: STOPs that share a frame
 
 
 @dataclass(slots=True)
@@ -115,7 +115,7 @@ class CommandHandler:
         self._x_ref_tick: float = -1  # seen from this tick on
         self._mode_tick: float = -1
         self._stopped_ns = 0  # arrival of the last STOP, Unix time
-        self._late: OrderedDict[str, int] = OrderedDict()  # id -> first arrival of a command that was not fresh
+        self._stale: OrderedDict[str, int] = OrderedDict()  # id -> first arrival of a command that was not fresh
 
     def take(
         self,
@@ -130,30 +130,32 @@ class CommandHandler:
     ) -> None:
         """Handle one query.  `link` and `reason` describe the state of the link, for a refusal if it is down."""
         command, bad_form = read_command(payload)
-        asked = _Asked(command=command, received_ns=host_ns, replies=[reply])
+        request = _Request(command=command, received_ns=host_ns, replies=[reply])
         sender.sign(command)
         if bad_form is not None:
-            self._refuse(asked, bad_form, keep=False)
+            self._refuse(request, bad_form, keep=False)
             return
         try:
-            refusal = self._decide(asked, now_s, link, reason, sender)
+            refusal = self._decide(request, now_s, link, reason, sender)
         except Exception as error:  # an internal error fails this command, which still gets its answer and its record
             _logger.exception("a command")
-            refusal = Refusal("internal-error", f"A fault of the gateway ({type(error).__name__}); its log says where.")
+            refusal = Refusal(
+                "internal-error", f"An internal error of the gateway ({type(error).__name__}); its log has the details."
+            )
         if refusal is not None:
-            self._refuse(asked, refusal, keep=refusal.reason not in _NOT_RETAINED)
+            self._refuse(request, refusal, keep=refusal.reason not in _NOT_RETAINED)
 
-    def _decide(self, asked: _Asked, now_s: float, link: str, reason: str, sender: Sender) -> Refusal | None:
+    def _decide(self, request: _Request, now_s: float, link: str, reason: str, sender: Sender) -> Refusal | None:
         """Answer the command or pass it on; return the refusal if it is neither."""
-        command = asked.command
+        command = request.command
         not_allowed = sender.right(command)
         if not_allowed is not None:
             return not_allowed
         if command.WhichOneof("what") == "stop":
             self._stopped_ns = max(self._stopped_ns, sender.arrived_ns)  # also of a STOP that cannot be sent now
-            return self._stop(asked, now_s, link, reason)
-        waiting = (one for pending in self._pending.values() for one in pending.asked)
-        pending = next((one for one in waiting if one.command.id == command.id and not _is_stop(one.command)), None)
+            return self._stop(request, now_s, link, reason)
+        waiting = (r for pending in self._pending.values() for r in pending.requests)
+        pending = next((r for r in waiting if r.command.id == command.id and not _is_stop(r.command)), None)
         retained = self._retained.get(command.id)
         if retained is not None or pending is not None:
             same = _content(command) == (
@@ -162,15 +164,15 @@ class CommandHandler:
             if not same:
                 return Refusal("id-reused", "This id was used for another command; choose a new one.")
             if retained is not None:
-                asked.replies[0](retained.reply)
+                request.replies[0](retained.reply)
             elif pending is not None:
-                pending.replies += asked.replies
+                pending.replies += request.replies
             return None
         refusal = sender.fresh(command)
         if refusal is not None:
-            self._late.setdefault(command.id, sender.arrived_ns)
-            if len(self._late) > LATE_IDS:
-                self._late.popitem(last=False)
+            self._stale.setdefault(command.id, sender.arrived_ns)
+            if len(self._stale) > STALE_IDS:
+                self._stale.popitem(last=False)
             return refusal
         refusal = self._gate.admit(command, now_s)
         if refusal is not None:
@@ -178,19 +180,19 @@ class CommandHandler:
         if self._session.waiting >= MAX_WAITING:
             return Refusal("queue-full", f"{MAX_WAITING} commands wait for this board already.")
         if command.WhichOneof("what") in KINDS:
-            self._note(asked)
+            self._note(request)
             return None
         before_s = (self._stopped_ns - self._issued_ns(command, sender)) * 1e-9
         if before_s > 0:
             return _before_stop(before_s)
-        return self._carry_on(asked, now_s, link, reason, sender.left_s(command))
+        return self._carry_on(request, now_s, link, reason, sender.left_s(command))
 
     def answered(self, answer: Answer, host_ns: int) -> bool:
         """Process the outcome of a command; return False if the command did not come from the bus."""
         pending = self._pending.pop(answer.token, None)
         if pending is None:
             return False
-        message, count, keep = answer.message, len(pending.asked), True
+        message, count, keep = answer.message, len(pending.requests), True
         reply = pb.CommandReply(attempts=answer.attempts)
         tick = -1
         if answer.outcome == "ack" and message is not None:
@@ -210,39 +212,39 @@ class CommandHandler:
             reply.refused_by = "link"
             reply.reason, reply.text = _CANCELLED[answer.why]
             self.refused_count += count
-        for one in pending.asked:
-            self._settle(one.command, tick)
-            self._finish(one, reply, host_ns, keep=keep)
+        for request in pending.requests:
+            self._settle(request.command, tick)
+            self._finish(request, reply, host_ns, keep=keep)
         if reply.accepted and message is not None:
-            self._on_accepted(pending.wire, pending.asked[0].command, message)
+            self._on_accepted(pending.wire, pending.requests[0].command, message)
         return True
 
     def _issued_ns(self, command: pb.Command, sender: Sender) -> int:
         """Return when a command was issued at the latest, by the gateway's clock as far as the sender's agrees."""
-        return min(command.issued_ns or sender.arrived_ns, self._late.get(command.id, sender.arrived_ns))
+        return min(command.issued_ns or sender.arrived_ns, self._stale.get(command.id, sender.arrived_ns))
 
-    def _stop(self, asked: _Asked, now_s: float, link: str, reason: str) -> Refusal | None:
+    def _stop(self, request: _Request, now_s: float, link: str, reason: str) -> Refusal | None:
         if link in _NO_PORT:
             return _down(link, reason)
         self._mode_tick = float("inf")
         token = self._session.submit("STOP", now_s)  # needs neither session nor scaling
         pending = self._pending.setdefault(token, _Pending(wire=WireCommand(name="STOP", values={})))
-        pending.asked.append(asked)
+        pending.requests.append(request)
         return None
 
-    def _carry_on(self, asked: _Asked, now_s: float, link: str, reason: str, left_s: float) -> Refusal | None:
-        command, scaling, view = asked.command, self._known.scaling, self._view()
+    def _carry_on(self, request: _Request, now_s: float, link: str, reason: str, left_s: float) -> Refusal | None:
+        command, scaling, view = request.command, self._known.scaling, self._view()
         if not self._session.is_open or scaling is None:
             return _down(link, reason)
         whole = bumpless(command, view)
         wire = whole if isinstance(whole, Refusal) else to_wire(whole, scaling)
-        refusal = self._gate.beyond(command)
+        refusal = self._gate.check_configured_range(command)
         if refusal is None:
             refusal = wire if isinstance(wire, Refusal) else self._gate.check(command, wire, view, now_s)
         if refusal is not None or isinstance(wire, Refusal):
             return refusal
         token = self._session.submit(wire.name, now_s, left_s, **wire.values)
-        self._pending[token] = _Pending(wire=wire, asked=[asked])
+        self._pending[token] = _Pending(wire=wire, requests=[request])
         self._gate.passed(command, view, now_s)
         if command.WhichOneof("what") == "set_reference":
             self._x_ref_m, self._x_ref_tick = command.set_reference.x_ref_m, float("inf")
@@ -250,13 +252,13 @@ class CommandHandler:
             self._mode_tick = float("inf")
         return None
 
-    def _note(self, asked: _Asked) -> None:
+    def _note(self, request: _Request) -> None:
         """Execute a command of the gateway itself, which does not need the board."""
         tick = self._known.sample.tick if self._known.sample is not None else 0
         session = self._session.number if self._session.is_open else 0
-        answer = self.annotations.take(asked.command, asked.received_ns, tick=tick, session=session)
+        answer = self.annotations.take(request.command, request.received_ns, tick=tick, session=session)
         self.accepted_count += 1
-        self._finish(asked, answer, asked.received_ns, keep=True)
+        self._finish(request, answer, request.received_ns, keep=True)
 
     def _view(self) -> BoardView:
         sample, scaling, parameters = self._known.sample, self._known.scaling, self._known.parameters
@@ -294,15 +296,15 @@ class CommandHandler:
         """Discard the commanded reference: after a new count of ticks it does not describe the board."""
         self._x_ref_tick = self._mode_tick = -1
 
-    def _refuse(self, asked: _Asked, refusal: Refusal, *, keep: bool) -> None:
+    def _refuse(self, request: _Request, refusal: Refusal, *, keep: bool) -> None:
         self.refused_count += 1
-        by = "link" if refusal.reason == "link-down" else "gateway"
-        answer = pb.CommandReply(refused_by=by, reason=refusal.reason, text=refusal.text)
-        self._finish(asked, answer, asked.received_ns, keep=keep)
+        source = "link" if refusal.reason == "link-down" else "gateway"
+        answer = pb.CommandReply(refused_by=source, reason=refusal.reason, text=refusal.text)
+        self._finish(request, answer, request.received_ns, keep=keep)
 
-    def _finish(self, asked: _Asked, said: pb.CommandReply, answered_ns: int, *, keep: bool) -> None:
-        command, answer = asked.command, pb.CommandReply()
-        answer.CopyFrom(said)
+    def _finish(self, request: _Request, outcome: pb.CommandReply, answered_ns: int, *, keep: bool) -> None:
+        command, answer = request.command, pb.CommandReply()
+        answer.CopyFrom(outcome)
         answer.id = command.id
         if keep and not _is_stop(command):
             answer.repeat_until_ns = answered_ns + round(RETAINED_S * 1e9)
@@ -312,9 +314,10 @@ class CommandHandler:
                 if 0 <= answered_ns - oldest.at_ns < RETAINED_S * 1e9:
                     break
                 self._retained.popitem(last=False)
-        record = pb.CommandRecord(received_ns=asked.received_ns, answered_ns=answered_ns, command=command, reply=answer)
+        received_ns = request.received_ns
+        record = pb.CommandRecord(received_ns=received_ns, answered_ns=answered_ns, command=command, reply=answer)
         self._sink.send("command/record", record, answered_ns)
-        for reply in asked.replies:
+        for reply in request.replies:
             reply(answer)
 
 
@@ -324,7 +327,8 @@ def _is_stop(command: pb.Command) -> bool:
 
 def _down(link: str, reason: str) -> Refusal:
     return Refusal(
-        "link-down", f"The board is not there ({link}: {reason})." if reason else f"The board is not there ({link})."
+        "link-down",
+        f"The board is not available ({link}: {reason})." if reason else f"The board is not available ({link}).",
     )
 
 
@@ -347,15 +351,15 @@ def _content(command: pb.Command) -> bytes:
 def _timed_out(name: str, attempts: int) -> str:
     if attempts:
         return (
-            f"The board did not answer {attempts} attempts; whether it acted, or will when the line moves again,"
-            " is unknown."
+            f"The board did not answer {attempts} attempts. Whether it acted is unknown, and it may still act"
+            " when the line recovers."
         )
     if name == "STOP":
-        return "The line takes no bytes and the coil may be on. STOP goes out as soon as the line moves."
-    return "The board does not answer, and nothing of this was sent: it has not acted and never will."
+        return "The line accepts no bytes, and the coil may be on. The STOP is sent as soon as the line accepts bytes."
+    return "The board does not answer. The command was not sent, so it has not acted and never will."
 
 
 def _nack(message: Message) -> tuple[str, str]:
     reason, detail = Reason(message.int("reason")), message.int("detail")
-    text = _NACK_TEXT.get(reason, "it does not take this command").format(detail=detail, mode=mode_name(detail))
+    text = _NACK_TEXT.get(reason, "it does not accept this command").format(detail=detail, mode=mode_name(detail))
     return reason.name.lower().replace("_", "-"), f"The board refused: {text}."

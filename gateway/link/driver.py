@@ -1,8 +1,14 @@
 """State machine of the link to one board.  No I/O; `io_thread.py` moves the bytes.
 
-Link states: `absent` (no port), `connecting` (being opened), `handshake` (open, the board has not agreed yet),
-`streaming` (valid frames arrive, and states where the stream is on), `silent` (none for `stale_s`).  That is the
-direction from the board (`from_board.py`); the one to it has a state of its own, see `to_board.py`.
+Link states describe the direction from the board (`from_board.py`):
+
+    absent       no port
+    connecting   the port is being opened
+    handshake    the port is open, the board has not agreed yet
+    streaming    valid frames arrive, and states if the stream is on
+    silent       no valid frame has arrived for `stale_s`
+
+The direction to the board has a state of its own (`to_board.py`).
 
 Rule 1: each change of state or reason gives one event and one log line, with counts; repeated attempts give none.
 Rule 2: the driver never changes mode or reference: starting or ending the gateway must not drop the ball.
@@ -39,7 +45,7 @@ _logger = logging.getLogger("gateway.link")
 
 @dataclass(slots=True)
 class LinkCounts:
-    """Counters of one board since the gateway's start."""
+    """The counters of one board since the gateway's start."""
 
     bytes_sent: int = 0
     reconnects: int = 0
@@ -49,7 +55,7 @@ class LinkCounts:
 
 
 class BoardDriver:
-    """State machine of one board's link.  All calls must come from one thread.
+    """The state machine of one board's link.  All calls must come from one thread.
 
     Args:
         config: Configuration of this board.
@@ -130,7 +136,7 @@ class BoardDriver:
             self._sink.raw(data, host_ns, to_board=False)
         session = self.session
         counters = session.counters
-        valid, states, late = counters.valid_frames, counters.states, counters.late_answers
+        valid, states, board_answers = counters.valid_frames, counters.states, counters.stray_board_answers
         payloads: list[bytes] = []
         sample: Sample | None = None
         for event in session.feed(data, now_s):
@@ -152,13 +158,13 @@ class BoardDriver:
             if self._encoder is not None:
                 self.known.sample = sample
         if counters.valid_frames != valid:
-            self.from_board.heard(now_s, states=counters.states != states)
-            if counters.late_answers != late:
+            self.from_board.frames_arrived(now_s, states=counters.states != states)
+            if counters.stray_board_answers != board_answers:
                 self.to_board.answered()  # too late for its command, but it proves that the board received it
-            self.to_board.heard(now_s, self.known.stream_period_s)
+            self.to_board.frames_arrived(now_s, self.known.stream_period_s)
             if self.link != "streaming" and self._encoder is not None and not self.from_board.states_missing(now_s):
                 assert self.known.identity is not None
-                text = event_text.who_is_there(self.known.identity, self.port, self.session.number)
+                text = event_text.board_identity(self.known.identity, self.port, self.session.number)
                 self._change("streaming", "link-streaming", text)
         self._set_deadline()
 
@@ -202,7 +208,7 @@ class BoardDriver:
         """Return Unix time that does not step within a session, ns."""
         return time.monotonic_ns() + self._offset_ns
 
-    def tell(self, name: str, severity: str, text: str, *, source: str = "gateway", tick: int = 0) -> pb.Event:
+    def publish_event(self, name: str, severity: str, text: str, *, source: str = "gateway", tick: int = 0) -> pb.Event:
         """Publish and log an event of this board."""
         event = pb.Event(
             host_time_ns=self.host_ns(),
@@ -237,7 +243,7 @@ class BoardDriver:
                 self.from_board.handshake_begins(now_s)
                 if event.doubtful is not None:
                     text = event_text.in_doubt(*event.doubtful, self.session.number)
-                    self.tell("samples-in-doubt", "warning", text)
+                    self.publish_event("samples-in-doubt", "warning", text)
                 self._end_session("a restart of the board" if event.board_reset else "a jump of the tick")
                 why = {"tick": "its tick jumped", "no-session": "it forgot this gateway"}
                 self._change(
@@ -310,20 +316,20 @@ class BoardDriver:
 
     def _capture_ended(self, result: pb.CaptureRecord | str) -> None:
         if isinstance(result, str):
-            self.tell("capture-failed", "warning", result)
+            self.publish_event("capture-failed", "warning", result)
         else:
             result.host_time_ns = self.host_ns()
             self._sink.send("capture", result, result.host_time_ns)
 
     def _board_event(self, event: BoardEvent, now_s: float) -> None:
         if event.missed:
-            self.tell("events-lost", "warning", f"{event.missed} events of the board were lost on the line.")
+            self.publish_event("events-lost", "warning", f"{event.missed} events of the board were lost on the line.")
         name, severity, text = event_text.of_board(event)
-        told = self.tell(name, severity, text, source="board", tick=event.tick)
+        published = self.publish_event(name, severity, text, source="board", tick=event.tick)
         if event.code in FAULT_EVENTS:
-            self.fault = told
+            self.fault = published
         if event.code == EventCode.CAPTURE_DONE:
-            self._capture.board_says_done(now_s)
+            self._capture.capture_completed(now_s)
 
     # -- time
 
@@ -334,11 +340,11 @@ class BoardDriver:
     def _to_board_is(self, state: str) -> None:
         before, self.unanswered = self.unanswered, None
         if state == UNANSWERED:
-            self.unanswered = self.tell(TO_BOARD, "fault", event_text.answers_nothing(UNANSWERED_S))
+            self.unanswered = self.publish_event(TO_BOARD, "fault", event_text.no_answers(UNANSWERED_S))
             _logger.error("%s: %s", self.config.name, self.unanswered.text)
         elif state == ANSWERING and before is not None:
-            told = self.tell("board-answers", "info", "The board answers again.")
-            _logger.info("%s: %s", self.config.name, told.text)
+            published = self.publish_event("board-answers", "info", "The board answers again.")
+            _logger.info("%s: %s", self.config.name, published.text)
 
     def _drain(self, now_s: float) -> None:
         for event in self.session.take_outcomes():
@@ -374,7 +380,7 @@ class BoardDriver:
         if alive != self._alive:
             self._alive, self.since_ns = alive, self.host_ns()
             self._sink.alive(alive=alive)
-        self.tell(kind, severity, text)
+        self.publish_event(kind, severity, text)
         c = self.session.counters
         level = {"info": logging.INFO, "warning": logging.WARNING}.get(severity, logging.ERROR)
         _logger.log(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.board.faults import COIL_MAY_BE_ON, OUTPUT_UNCONFIRMED, name_of
 from protocol.wire.events import BoardEvent
-from protocol.wire.messages import BY_NAME, FAULT_EVENTS, RESETS, VERSION, EventCode, Message, Mode
+from protocol.wire.messages import FAULT_EVENTS, RESETS, ROW_OF_NAME, VERSION, EventCode, Message, Mode
 
 _WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT, EventCode.SETTINGS_REJECTED}) | (
     RESETS - FAULT_EVENTS
@@ -13,8 +13,8 @@ _RESET = "The board restarted; resets since power-on: {detail}."
 _TEXT = {
     EventCode.HOST_LOST: "No frame from the host in time; the policy has acted: {policy}.",
     EventCode.HOST_BACK: "The host is back.",
-    EventCode.OVER_CURRENT: "The current converter stayed at its top, {detail} counts: coil off.",
-    EventCode.SENSOR_FAULT: "The position converter stayed at an end, {detail} counts: coil off.",
+    EventCode.OVER_CURRENT: "The current converter stayed at its maximum, {detail} counts: coil off.",
+    EventCode.SENSOR_FAULT: "The position converter stayed at an end of its range, {detail} counts: coil off.",
     EventCode.OVERRUN: "A tick took longer than T_s; late ticks since the reset: {detail}.",
     EventCode.EXCITATION_DONE: "The excitation has ended.",
     EventCode.CAPTURE_DONE: "The capture is complete.",
@@ -30,11 +30,11 @@ _TEXT = {
 
 _POLICIES = ("the coil goes on as before", "coil off", "the reference is held")
 _LIMITED = ("input u_c", "reference")
-_SETTINGS = ("?", *(field.name for field in BY_NAME["PARAMETERS"].fields[1:18]))
+_SETTINGS = ("?", *(field.name for field in ROW_OF_NAME["PARAMETERS"].fields[1:18]))
 
 
 def _word(words: tuple[str, ...], number: int) -> str:
-    """The word of a number; the number itself if it has none."""
+    """Return the word of a number; the number itself if it has none."""
     return words[number] if number < len(words) else str(number)
 
 
@@ -57,7 +57,7 @@ def of_board(event: BoardEvent) -> tuple[str, str, str]:
     return name_of(code), severity, text
 
 
-def who_is_there(identity: Message, port: str, session: int) -> str:
+def board_identity(identity: Message, port: str, session: int) -> str:
     """Return a sentence that describes a streaming board."""
     f = identity.int
     return (
@@ -74,10 +74,10 @@ def other_version(board_version: int) -> str:
     )
 
 
-def wrong_board(port: str, board_id: int, wanted: int) -> str:
+def wrong_board(port: str, board_id: int, configured: int) -> str:
     """Return a sentence about a board whose serial number differs from the configured one."""
     return (
-        f"The board at {port} has the serial number {board_id}, the configuration wants {wanted}:"
+        f"The board at {port} has the serial number {board_id}, the configuration requires {configured}:"
         " exchange the cables or correct board_id."
     )
 
@@ -90,9 +90,9 @@ def in_doubt(first_tick: int, last_tick: int, session: int) -> str:
     )
 
 
-def answers_nothing(for_s: float) -> str:
+def no_answers(for_s: float) -> str:
     """Return a sentence about a board that does not answer: the line to it may be cut."""
     return (
-        f"The board has answered nothing for {for_s:g} s although its frames arrive: a STOP may not reach it."
+        f"The board has not answered for {for_s:g} s although its frames arrive: a STOP may not reach it."
         " Check the line to the board (its RX); to stop the rig now, cut its power."
     )

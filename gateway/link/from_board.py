@@ -21,7 +21,7 @@ STANDSTILL_S = 0.6
 
 @dataclass(slots=True)
 class Known:
-    """Data that the board has reported in this session."""
+    """The data that the board has reported in this session."""
 
     identity: Message | None = None
     scaling: Scaling | None = None
@@ -34,7 +34,7 @@ class Known:
 
     @property
     def stream_period_s(self) -> float:
-        """Time between two states, s; 0 if the stream is off or not known."""
+        """The time between two states, s; 0 if the stream is off or not known."""
         if self.identity is None or self.parameters is None:
             return 0.0
         return self.parameters.int("divider") * self.identity.int("sample_time") * 1e-6
@@ -68,7 +68,7 @@ class FromBoard:
         """Begin to wait for the first state."""
         self._state_s = now_s
 
-    def heard(self, now_s: float, *, states: bool) -> None:
+    def frames_arrived(self, now_s: float, *, states: bool) -> None:
         """Note that valid frames have arrived, with or without STATE frames."""
         if states or now_s - self._valid_s >= STANDSTILL_S:
             self._state_s = now_s
@@ -76,7 +76,7 @@ class FromBoard:
 
     @property
     def deadline_s(self) -> float:
-        """Time at which `silence` is due if nothing arrives."""
+        """The time at which `silence` is due if nothing arrives."""
         return min(self._valid_s + self._config.stale_s, self._state_s + self._states_limit_s())
 
     def states_missing(self, now_s: float) -> bool:

@@ -1,7 +1,7 @@
 """The serial thread: one selector over all boards, without blocking calls.
 
 Rule 1: a ready port is read once, completely, and the data gets one time stamp.
-Rule 2: operations that may block run elsewhere: helper threads open the ports, the publisher's threads send messages
+Rule 2: operations that may block run elsewhere.  Helper threads open the ports, the publisher's threads send messages
         and replies, the log has its own thread.
 Rule 3: there is no write buffer here: what the port does not accept stays in the session, which drops commands that
         have expired.
@@ -50,7 +50,7 @@ class LinkThread:
 
     def __init__(self, drivers: Sequence[BoardDriver]) -> None:
         self._lines = [_Line(driver) for driver in drivers]
-        self._by_driver = {id(line.driver): line for line in self._lines}
+        self._line_of_driver = {id(line.driver): line for line in self._lines}
         self._selector = selectors.DefaultSelector()
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
@@ -81,7 +81,7 @@ class LinkThread:
         """Pass a query to a board's driver; from any thread."""
 
         def act() -> None:
-            line = self._by_driver[id(driver)]
+            line = self._line_of_driver[id(driver)]
             try:
                 driver.command(payload, reply, time.monotonic(), sender)
                 self._write_output(line)
@@ -242,5 +242,5 @@ class LinkThread:
         waits = bool(line.driver.output())
         if line.port is not None and waits != line.waits_for_room:
             line.waits_for_room = waits
-            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
-            self._selector.modify(line.port.fd, wanted, line)
+            event_mask = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
+            self._selector.modify(line.port.fd, event_mask, line)

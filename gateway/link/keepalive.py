@@ -1,7 +1,7 @@
 """Periodic commands of a session: settings, PINGs and the reading of parameters.  No I/O.
 
-Rule 1: a PING is sent at least every quarter of the host-loss time-out, so that three may be lost, and at least every
-        PING_S, to check that the board answers.
+Rule 1: a PING is sent at least every quarter of the host-loss time-out, so that three may be lost.  It is sent at least
+        every PING_S, to check that the board answers.
 Rule 2: a setting that the board did not accept is sent again a second later, for as long as the session lasts.
 Rule 3: nothing here changes mode or reference: starting or ending the gateway must not drop the ball.
 """
@@ -42,7 +42,7 @@ class Keepalive:
 
     @property
     def deadline_s(self) -> float:
-        """Time at which `poll` is due."""
+        """The time at which `poll` is due."""
         return min(self._next_ping_s, self._next_parameters_s, self._redo_s)
 
     def begin(self, now_s: float) -> None:

@@ -30,7 +30,7 @@ _GLOB = frozenset("*?[")
 
 @dataclass(frozen=True, slots=True)
 class PortProblem:
-    """Why a port cannot be opened.  `kind` is kebab-case and stable; `text` says what to do."""
+    """The reason why a port cannot be opened.  `kind` is kebab-case and stable; `text` says what to do."""
 
     kind: str  # port-absent | port-permission | port-busy | port-failed
     text: str
@@ -75,12 +75,12 @@ class Port:
             self._device.close()
 
     def _pump(self) -> int:
-        ours, theirs = socket.socketpair()
-        self._pair = ours
+        local, remote = socket.socketpair()
+        self._pair = local
         self._device.timeout = 0.05
-        threading.Thread(target=_from_device, args=(self._device, theirs), name="port-read", daemon=True).start()
-        threading.Thread(target=_to_device, args=(self._device, theirs), name="port-write", daemon=True).start()
-        return ours.fileno()
+        threading.Thread(target=_from_device, args=(self._device, remote), name="port-read", daemon=True).start()
+        threading.Thread(target=_to_device, args=(self._device, remote), name="port-write", daemon=True).start()
+        return local.fileno()
 
 
 def _from_device(device: serial.SerialBase, end: socket.socket) -> None:
@@ -135,13 +135,13 @@ def open_port(url: str, baud: int) -> Port | PortProblem:
             return PortProblem("port-absent", f"No device matches {url}.")
     problem: Port | PortProblem = PortProblem("port-absent", f"There is no {url}.")
     for name in names:
-        problem = _open_one(name, baud)
+        problem = _open_port(name, baud)
         if isinstance(problem, Port):
             break
     return problem
 
 
-def _open_one(name: str, baud: int) -> Port | PortProblem:
+def _open_port(name: str, baud: int) -> Port | PortProblem:
     if "://" not in name:
         try:
             if not stat.S_ISCHR(os.stat(name).st_mode):

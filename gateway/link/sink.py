@@ -13,16 +13,16 @@ Reply = Callable[[pb.CommandReply], None]  # answers one query; called once, fro
 
 
 class Sink(Protocol):
-    """Output of one board to bus and log."""
+    """The output of one board to bus and log."""
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
-        """Serialised pb.State of one read; `read_mono_ns` is when its last byte was read (monotonic)."""
+        """Send the pb.State messages of one read; its last byte was read at `read_mono_ns` (monotonic)."""
 
     def send(self, topic: str, message: ProtoMessage, host_time_ns: int) -> None:
-        """Anything rarer."""
+        """Send a message of any other topic."""
 
     def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
-        """Bytes as they crossed the UART; for the log only."""
+        """Log bytes as they crossed the UART."""
 
     def alive(self, *, alive: bool) -> None:
         """Hold or drop the liveliness token."""

@@ -4,8 +4,8 @@
     answering    the last frame sent was answered, or has not waited long
     unanswered   frames of the board arrive, but no answers: a STOP may not reach it
 
-Rule 1: a wait counts only while frames arrive without a pause.  A board or a host that was held up for a moment, or a
-        cut of the other direction, keeps answers back, too, and would be taken for a cut line to the board.
+Rule 1: a wait counts only while frames arrive without a pause.  A pause of the board or of the host, or a
+        cut of the other direction, also delays answers.  It must not be taken for a cut line to the board.
 Rule 2: only an answer ends `unanswered`, or another port.
 """
 
@@ -32,12 +32,12 @@ class ToBoard:
         self._changed = changed
         self._waits_since_s: float | None = None  # the first that was sent after the last answer or pause
         self._unanswered_since_s = 0.0
-        self._heard_s = -_NEVER
+        self._last_frame_s = -_NEVER
 
     def begin(self) -> None:
         """Reset the state after a port was opened or lost."""
         self._wait(None)
-        self._heard_s = -_NEVER
+        self._last_frame_s = -_NEVER
         self._become(UNKNOWN)
 
     def sent(self, now_s: float) -> None:
@@ -45,11 +45,11 @@ class ToBoard:
         if self._waits_since_s is None:
             self._wait(now_s)
 
-    def heard(self, now_s: float, period_s: float) -> None:
+    def frames_arrived(self, now_s: float, period_s: float) -> None:
         """Note that valid frames of any kind arrived; `period_s` is the period of the stream."""
-        if now_s - self._heard_s > max(_PAUSE_S, 3 * period_s):
+        if now_s - self._last_frame_s > max(_PAUSE_S, 3 * period_s):
             self._wait(None)
-        self._heard_s = now_s
+        self._last_frame_s = now_s
 
     def answered(self) -> None:
         """Note that an answer arrived."""
@@ -66,7 +66,7 @@ class ToBoard:
         if waited_from_s is None or now_s < waited_from_s + UNANSWERED_S:
             return
         self.deadline_s = _NEVER
-        if self._heard_s < waited_from_s + UNANSWERED_S / 2:  # little has come since: the next frames tell
+        if self._last_frame_s < waited_from_s + UNANSWERED_S / 2:  # little has come since: the next frames tell
             self._wait(None)
         elif self.state != UNANSWERED:
             self._unanswered_since_s = waited_from_s

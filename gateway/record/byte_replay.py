@@ -20,14 +20,14 @@ from protocol.errors import DataError
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, RESETS, Message, Reason, Value
+from protocol.wire.messages import RESETS, ROW_OF_NAME, Message, Reason, Value
 
 _ANSWERS = frozenset({"IDENTITY", "PONG", "ACK", "NACK", "PARAMETERS", "CAPTURE_BLOCK"})
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes that are sent together, and the tick of the last state in them (None without a state)."""
+    """The bytes that are sent together, and the tick of the last state in them (None without a state)."""
 
     time_ns: int
     data: bytes
@@ -36,7 +36,7 @@ class Piece:
 
 @dataclass(slots=True)
 class _Known:
-    """Answers of the board about itself, with the pieces from which they hold."""
+    """The answers of the board about itself, with the pieces from which they hold."""
 
     at: list[int] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
@@ -45,7 +45,7 @@ class _Known:
         self.at.append(at)
         self.messages.append(message)
 
-    def at_place(self, at: int, since: int) -> Message | None:
+    def in_force_at(self, at: int, since: int) -> Message | None:
         """Return the newest answer up to piece `at`; if it precedes the reset at `since`, the first answer after it."""
         newest = bisect_right(self.at, at) - 1
         if newest >= 0 and self.at[newest] >= since:
@@ -127,7 +127,7 @@ class RecordedBoard:
             if piece.tick is None:
                 continue
             if tick is None:
-                tick = _near(self._identity(index).int("tick"), piece.tick)
+                tick = _nearest_tick(self._identity(index).int("tick"), piece.tick)
             else:
                 tick += (piece.tick - tick) & 0xFFFF
             self.pieces[index] = Piece(piece.time_ns, piece.data, tick)
@@ -138,7 +138,7 @@ class RecordedBoard:
         return self._resets[newest] if newest >= 0 else 0
 
     def _identity(self, at: int) -> Message:
-        identity = self._identities.at_place(at, self._since(at))
+        identity = self._identities.in_force_at(at, self._since(at))
         assert identity is not None  # checked at the start
         return identity
 
@@ -155,7 +155,7 @@ class RecordedBoard:
         frames = []
         # As on the board, a damaged command is not answered: the host repeats it.
         for event in self._host.feed(data):
-            if isinstance(event, Message) and BY_NAME[event.name].to_board:
+            if isinstance(event, Message) and ROW_OF_NAME[event.name].to_board:
                 frames.append(encode_frame(self._answer(event, position)))
         return b"".join(frames)
 
@@ -170,9 +170,9 @@ class RecordedBoard:
                 return _again(identity, id=number, tick=tick)
             return self._refuse(command, Reason.VERSION, identity.int("version"))
         if command.name == "PING":
-            pong = self._pongs.at_place(at, self._since(at)) or Message("PONG", {"bad_frames": 0, "overruns": 0})
+            pong = self._pongs.in_force_at(at, self._since(at)) or Message("PONG", {"bad_frames": 0, "overruns": 0})
             return _again(pong, id=number, tick=tick)
-        parameters = self._parameters.at_place(at, self._since(at))
+        parameters = self._parameters.in_force_at(at, self._since(at))
         if command.name == "GET_PARAMETERS" and parameters is not None:
             return _again(parameters, id=number)
         return self._refuse(command, Reason.NOT_AVAILABLE, 0)
@@ -190,17 +190,17 @@ class RecordedBoard:
         return encode_body(
             "NACK",
             id=command.int("id"),
-            command=BY_NAME[command.name].type,
+            command=ROW_OF_NAME[command.name].type,
             reason=int(reason),
             detail=detail,
         )
 
 
-def _near(tick: int, sequence: int) -> int:
+def _nearest_tick(tick: int, sequence: int) -> int:
     """Return the tick nearest to `tick` whose low 16 bits equal `sequence`."""
     step = (sequence - tick) & 0xFFFF
-    near = tick + (step if step < 0x8000 else step - 0x10000)
-    return near if near >= 0 else sequence
+    nearest = tick + (step if step < 0x8000 else step - 0x10000)
+    return nearest if nearest >= 0 else sequence
 
 
 def _again(message: Message, **changed: Value) -> bytes:

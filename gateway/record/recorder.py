@@ -6,8 +6,8 @@ Rule 2: every part stands alone: it is closed with an index, and begins with the
 Rule 3: at most `flush_s` plus one drain of data is in memory only: that is what `kill -9` costs.
 Rule 4: a full disk or a failing one stops the log, not the caller.  It is reported once, the queue keeps the newest
         messages, and a new part begins when the disk is back; the part that was cut off is finished then, too.
-Rule 5: a part that was deleted or moved while it was written is noticed at the next drain: a new one begins, and it is
-        reported.  The content of a deleted part is lost; a moved part is completed at its new place.
+Rule 5: the next drain notices a part that was deleted or moved while it was written.  A new part begins, and the loss
+        is reported.  The content of a deleted part is lost; a moved part is completed at its new place.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderStats:
-    """State of the log for the status message."""
+    """The state of the log for the status message."""
 
     file: str  # name of the part being written, "" if none
     bytes: int  # of that part, on disk
@@ -162,7 +162,7 @@ class Recorder:
             if self._writer is None:
                 self._resume()
             elif (whereabouts := self._writer.whereabouts()) != "here":
-                self._replace(self._writer, gone=whereabouts == "gone")
+                self._replace(self._writer, file_missing=whereabouts == "gone")
             self._check_free_space()
             self._drain()
             now_s = time.monotonic()
@@ -180,7 +180,9 @@ class Recorder:
             batch, self._queue = self._queue, deque()
             dropped = self._dropped
         if dropped > self._reported_dropped:
-            self._tell("log-dropping", "warning", f"{dropped - self._reported_dropped} messages did not fit the queue")
+            self._publish_event(
+                "log-dropping", "warning", f"{dropped - self._reported_dropped} messages did not fit the queue"
+            )
             self._reported_dropped = dropped
         write = self._writer.write
         try:
@@ -208,18 +210,18 @@ class Recorder:
             finished.close()
             self._writer = None
             self._open_part()
-            self._tell("log-rotated", "info", f"{finished.path.name} closed, {finished.bytes_written} bytes")
+            self._publish_event("log-rotated", "info", f"{finished.path.name} closed, {finished.bytes_written} bytes")
 
-    def _replace(self, lost: LogWriter, *, gone: bool) -> None:
+    def _replace(self, lost: LogWriter, *, file_missing: bool) -> None:
         """Continue in a new part, because the current one was moved or deleted."""
         self._writer = None
-        if gone:
+        if file_missing:
             lost.abandon()
-            text = f"{lost.path.name} was deleted while it was written: its {lost.messages} messages are gone"
+            text = f"{lost.path.name} was deleted while it was written: its {lost.messages} messages are lost"
         else:
             lost.close()
-            text = f"{lost.path.name} was moved or replaced while it was written; it was finished where it is now"
-        self._tell("log-removed", "fault", f"{text}. Logging goes on in a new part.")
+            text = f"{lost.path.name} was moved or replaced while it was written; it was completed at its new place"
+        self._publish_event("log-removed", "fault", f"{text}. Logging goes on in a new part.")
         self._open_part()
 
     def _open_part(self) -> None:
@@ -260,7 +262,7 @@ class Recorder:
         self._open_part()
         assert self._writer is not None
         self._state = "writing"
-        self._tell("log-resumed", "info", f"Logging into {self._writer.path.name}")
+        self._publish_event("log-resumed", "info", f"Logging into {self._writer.path.name}")
 
     def _finish_cut_off(self, writer: LogWriter) -> None:
         """Complete a part that was cut off; a failure for another reason than space does not stop the log."""
@@ -274,8 +276,8 @@ class Recorder:
 
     def _give_up(self, writer: LogWriter, error: LogError) -> None:
         writer.abandon()
-        self._tell(
-            "log-failed", "fault", f"{error} It lacks its end: board51 recover {writer.path.name} restores the rest"
+        self._publish_event(
+            "log-failed", "fault", f"{error} Its end is missing: board51 recover {writer.path.name} restores the rest"
         )
 
     def _pause(self, error: Exception) -> None:
@@ -290,7 +292,7 @@ class Recorder:
         state = "disk-full" if full else f"failed: {error}"
         if state != self._state:
             self._state = state
-            self._tell("log-disk-full" if full else "log-failed", "fault", str(error))
+            self._publish_event("log-disk-full" if full else "log-failed", "fault", str(error))
 
     def _finish(self) -> None:
         for writer in (self._cut_off, self._writer):
@@ -303,11 +305,13 @@ class Recorder:
             with self._lock:
                 self._dropped += len(self._queue)
                 self._queue.clear()
-            self._tell("log-dropping", "warning", f"{self._dropped - self._reported_dropped} messages were not written")
+            self._publish_event(
+                "log-dropping", "warning", f"{self._dropped - self._reported_dropped} messages were not written"
+            )
         self._cut_off = self._writer = None
         self._state = "off"
 
-    def _tell(self, name: str, severity: str, text: str) -> None:
+    def _publish_event(self, name: str, severity: str, text: str) -> None:
         _logger.log(logging.INFO if severity == "info" else logging.WARNING, "%s: %s", name, text)
         if self.on_event is not None:
             try:

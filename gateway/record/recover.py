@@ -21,7 +21,7 @@ from protocol.log.scan import Damage
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """Result of a recovery.  Times are in seconds from the first message."""
+    """The result of a recovery.  Times are in seconds from the first message."""
 
     broken: Path
     clean: Path
@@ -37,12 +37,12 @@ class Recovery:
 
     @property
     def bytes_lost(self) -> int:
-        """Number of bytes of the broken file that could not be read completely."""
+        """The number of bytes of the broken file that could not be read completely."""
         return sum(damage.bytes for damage in self.damages)
 
     @property
     def seconds_lost(self) -> float | None:
-        """Time from the last saved message to the last one known to have been logged; None if unknown."""
+        """The time from the last saved message to the last one known to have been logged; None if unknown."""
         known = [damage.until_ns for damage in self.damages if damage.until_ns]
         return max(0.0, (max(known) - self.last_good_ns) / 1e9) if known and self.last_good_ns is not None else None
 

@@ -25,12 +25,14 @@ from protocol.errors import ServiceError, UsageError
 from protocol.log.reader import LogReader, RawLogRecord
 
 SESSIONS_PER_PASS = 100_000  # --loop: passes are not continuous, so each pass has its own session numbers
-DEFAULT_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.by == "gateway")
+DEFAULT_TOPICS = tuple(
+    topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.source == "gateway"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayReport:
-    """Summary of a replay."""
+    """The summary of a replay."""
 
     messages: int
     passes: int
@@ -128,7 +130,7 @@ class BusReplay:
                 self._publisher(site, board, "states")
 
     def matched(self) -> bool:
-        """Whether an announced key has a subscriber."""
+        """Return whether an announced key has a subscriber."""
         return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
     def send(self, record: RawLogRecord) -> None:
@@ -148,7 +150,7 @@ class BusReplay:
             publisher = self._declared.enter_context(
                 self._session.declare_publisher(
                     key,
-                    encoding=encoding.zenoh_encoding(topics.BY_NAME[topic].message),
+                    encoding=encoding.zenoh_encoding(topics.TOPIC_OF_NAME[topic].message),
                     # A replay is not live: it waits for slow subscribers, so that they get every message.
                     congestion_control=zenoh.CongestionControl.BLOCK,
                 )
@@ -157,21 +159,21 @@ class BusReplay:
         return publisher
 
 
-def contents(reader: LogReader, *, wanted: Sequence[str], boards: Sequence[str] | None) -> list[tuple[str, str, str]]:
+def contents(reader: LogReader, *, topics_: Sequence[str], boards: Sequence[str] | None) -> list[tuple[str, str, str]]:
     """Return (site, board, topic) of the keys that a replay would send, in the order of appearance."""
-    found: dict[tuple[str, str, str], None] = {}
+    unique_keys: dict[tuple[str, str, str], None] = {}
     if all(scan.indexed for scan in reader.scans):
         keys = [channel.topic for scan in reader.scans for channel in scan.channels.values()]
-        places = [place for place in map(topics.split, keys) if place is not None]
-        found = dict.fromkeys(p for p in places if p[2] in wanted and (boards is None or p[1] in boards))
+        addresses = [address for address in map(topics.split, keys) if address is not None]
+        unique_keys = dict.fromkeys(a for a in addresses if a[2] in topics_ and (boards is None or a[1] in boards))
     else:
-        for record in reader.raw(topics_=wanted, boards=boards):
-            found.setdefault((record.site, record.board, record.topic))
-    return list(found)
+        for record in reader.raw(topics_=topics_, boards=boards):
+            unique_keys.setdefault((record.site, record.board, record.topic))
+    return list(unique_keys)
 
 
 def _with_session(topic: str, data: bytes, offset: int) -> bytes:
-    message: Message | None = encoding.parse(topics.BY_NAME[topic].message, data)
+    message: Message | None = encoding.parse(topics.TOPIC_OF_NAME[topic].message, data)
     if message is None or "session" not in message.DESCRIPTOR.fields_by_name:
         return data
     message.session += offset  # type: ignore[attr-defined]  # checked the line above

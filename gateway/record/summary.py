@@ -57,7 +57,7 @@ class SampleGaps:
 
 @dataclass(slots=True)
 class Range:
-    """Extremes and mean of a channel, SI."""
+    """The extremes and mean of a channel, SI."""
 
     count: int = 0
     low: float = math.inf
@@ -65,7 +65,7 @@ class Range:
     total: float = 0.0
 
     def take(self, value: float) -> None:
-        """One value."""
+        """Count a value."""
         self.count += 1
         self.total += value
         self.low = min(self.low, value)
@@ -83,14 +83,14 @@ class TopicSummary:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate over the time from first to last; None for a single message."""
+        """The mean rate over the time from first to last; None for a single message."""
         span_s = (self.last_ns - self.first_ns) / 1e9
         return (self.count - 1) / span_s if span_s > 0 else None
 
 
 @dataclass(slots=True)
 class BoardSummary:
-    """One board."""
+    """The sums of one board."""
 
     topics: dict[str, TopicSummary] = field(default_factory=dict)
     ranges: dict[str, Range] = field(default_factory=dict)
@@ -104,7 +104,7 @@ class BoardSummary:
 
 @dataclass(slots=True)
 class LogSummary:
-    """Summary of a complete log."""
+    """The summary of a complete log."""
 
     parts: list[dict[str, object]]
     start_ns: int
@@ -232,7 +232,7 @@ def _board_json(board: BoardSummary) -> dict[str, object]:
 
 
 def as_text(summary: LogSummary) -> str:
-    """For people."""
+    """Return the summary as text for people."""
     return "\n".join(_lines(summary))
 
 
@@ -244,8 +244,8 @@ def _lines(summary: LogSummary) -> Iterable[str]:
     for name, board in summary.boards.items():
         assert board.gaps is not None
         known = board.parameters
-        about = f", T_s {known.sample_time_s * 1e3:g} ms, firmware {known.firmware or '-'}" if known else ""
-        yield f"\n{name}: {board.gaps.sessions} session(s), {board.resets} reset(s){about}"
+        details = f", T_s {known.sample_time_s * 1e3:g} ms, firmware {known.firmware or '-'}" if known else ""
+        yield f"\n{name}: {board.gaps.sessions} session(s), {board.resets} reset(s){details}"
         for topic, counts in board.topics.items():
             rate = f"{counts.rate_hz:10.2f} Hz" if counts.rate_hz is not None else " " * 13
             yield f"  {topic:<16}{counts.count:>10} messages {rate} {counts.bytes:>12} bytes"
@@ -264,7 +264,7 @@ def _lines(summary: LogSummary) -> Iterable[str]:
         if len(board.gaps.gaps) > 10:
             yield f"    and {board.gaps.count - 10} more; --json lists them"
     for topic, count in summary.foreign.items():
-        yield f"not ours: {topic}, {count} messages"
+        yield f"foreign: {topic}, {count} messages"
     for damage in summary.damages:
         yield f"DAMAGED {damage['file']} at byte {damage['offset']}: {damage['reason']} ({damage['bytes']} bytes)"
     yield f"\nschemas: {', '.join(summary.schemas)}"

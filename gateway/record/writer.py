@@ -3,8 +3,8 @@
 Rule 1: the file grows by whole chunks only.  foxglove-sdk writes into memory; `flush` finishes the chunk and passes the
         bytes to the kernel in one call.  `kill -9` therefore loses only messages after the last `flush`.
 Rule 2: no error is silent.  When foxglove-sdk writes to a file itself, it only prints a failed write and then refuses
-        all further ones.  Here, after a failed write, the file is cut back to its last whole chunk, the bytes are kept,
-        and `flush` or `close` may be called again when the disk has space.
+        all further ones.  Here, after a failed write, the file is cut back to its last whole chunk.  The bytes are
+        kept, and `flush` or `close` may be called again when the disk has space.
 Rule 3: an existing file is never changed.
 Rule 4: chunks are small, however rarely the caller flushes, and channel descriptions are repeated between them.  Damage
         therefore affects only the chunks that contain it; the others can be read without the first chunk (with the
@@ -32,8 +32,8 @@ HELD_BYTES = 4 << 20  # without `flush` (an import), data is written to disk in 
 
 _COMPRESSION = {"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "none": None}
 _REASONS: dict[int, tuple[str, str]] = {
-    errno.ENOSPC: ("disk full", "Free space on that file system; logging goes on by itself"),
-    errno.EDQUOT: ("disk full", "Free space within the quota; logging goes on by itself"),
+    errno.ENOSPC: ("disk full", "Free space on that file system; logging then continues by itself"),
+    errno.EDQUOT: ("disk full", "Free space within the quota; logging then continues by itself"),
     errno.EROFS: ("read-only", "Choose a log directory on a writable file system"),
     errno.EACCES: ("no permission", "Give this user write permission, or choose another log directory"),
     errno.EPERM: ("no permission", "Give this user write permission, or choose another log directory"),
@@ -54,7 +54,7 @@ class LogError(ServiceError):
 
     @property
     def is_disk_full(self) -> bool:
-        """Whether the error may disappear when space becomes free."""
+        """Return whether the error may disappear when space becomes free."""
         return self.reason == "disk full"
 
 
@@ -144,7 +144,7 @@ class LogWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Bytes handed to the operating system."""
+        """The bytes handed to the operating system."""
         return self._memory.on_disk
 
     def whereabouts(self) -> Literal["here", "elsewhere", "gone"]:
@@ -218,7 +218,7 @@ class LogWriter:
         parts = topics.split(key)
         if parts is None:
             raise ValueError(f"{key!r} is not a key of the bus table")
-        message = topics.BY_NAME[parts[2]].message
+        message = topics.TOPIC_OF_NAME[parts[2]].message
         schema = Schema(name=encoding.schema_name(message), encoding=encoding.SCHEMA_ENCODING, data=self._descriptors)
         channel = Channel(key, message_encoding=encoding.MESSAGE_ENCODING, schema=schema, context=self._context)
         self._channels[key] = channel
@@ -238,13 +238,13 @@ class LogWriter:
 
     def _to_disk(self) -> None:
         memory = self._memory
-        done = 0
+        written = 0
         try:
             with memoryview(memory.held) as view:
-                while done < len(view):
-                    done += os.pwrite(self._fd, view[done:], memory.on_disk + done)
+                while written < len(view):
+                    written += os.pwrite(self._fd, view[written:], memory.on_disk + written)
         except OSError as error:
             os.ftruncate(self._fd, memory.on_disk)  # half a chunk would stop every reader there
             raise LogError(self.path, error) from None
-        memory.on_disk += done
+        memory.on_disk += written
         memory.held.clear()

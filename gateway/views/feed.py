@@ -65,7 +65,7 @@ _REASONS = {
     "connecting": "The port is being opened.",
     "handshake": "The board has not answered yet.",
 }
-_TYPES: dict[str, type[Message]] = {name: topics.BY_NAME[name].message for name in _WANTED}
+_TYPES: dict[str, type[Message]] = {name: topics.TOPIC_OF_NAME[name].message for name in _WANTED}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -345,7 +345,7 @@ class Feed:
         with self._lock:
             board = self._boards.get(place[1])
             if board is None:
-                if topics.BY_NAME[place[2]].by != "gateway" and not self._replays:
+                if topics.TOPIC_OF_NAME[place[2]].source != "gateway" and not self._replays:
                     return
                 if len(self._boards) >= MAX_BOARDS:
                     self.refused += 1

@@ -60,7 +60,7 @@ class FoxgloveView:
             ) from None
         self.port = self._server.port
         # `states` has the same samples as `state`, in fewer messages.
-        wanted = [t.name for t in topics.TOPICS if t.bus and t.by != "client" and t.name != "state"]
+        wanted = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and t.name != "state"]
         self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in wanted]
 
     def close(self) -> None:
@@ -72,7 +72,7 @@ class FoxgloveView:
     def _arrived(self, sample: zenoh.Sample) -> None:
         key, data = str(sample.key_expr), sample.payload.to_bytes()
         place = topics.split(key)
-        message = parse(topics.BY_NAME[place[2]].message, data) if place is not None else None
+        message = parse(topics.TOPIC_OF_NAME[place[2]].message, data) if place is not None else None
         if place is None or message is None:
             self.refused += 1
         elif isinstance(message, pb.StateBatch):
@@ -98,7 +98,7 @@ class FoxgloveView:
         if len(self._channels) >= MAX_CHANNELS:
             return None
         schema = Schema(
-            name=schema_name(topics.BY_NAME[topic].message), encoding=SCHEMA_ENCODING, data=self._descriptors
+            name=schema_name(topics.TOPIC_OF_NAME[topic].message), encoding=SCHEMA_ENCODING, data=self._descriptors
         )
         channel = Channel(key, schema=schema, message_encoding=MESSAGE_ENCODING, context=self._context)
         self._channels[key] = channel

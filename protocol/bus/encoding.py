@@ -24,7 +24,7 @@ _TAG_OF_STATES = pb.StateBatch.STATES_FIELD_NUMBER << 3 | 2  # 2: a length follo
 
 
 def schema_name(message: type[Message]) -> str:
-    """`board51.v1.State` for pb.State."""
+    """Return the name of a message class, such as `board51.v1.State` for pb.State."""
     return str(message.DESCRIPTOR.full_name)
 
 
@@ -34,7 +34,7 @@ def zenoh_encoding(message: type[Message]) -> str:
 
 
 def is_replayed(attachment: SupportsBytes | None) -> bool:
-    """Whether the attachment of a message on the bus marks it as sent by a replay."""
+    """Return whether the attachment of a message on the bus marks it as sent by a replay."""
     return attachment is not None and bytes(attachment) == REPLAYED
 
 

@@ -5,8 +5,8 @@ Multicast scouting is off, so that two rigs in one laboratory do not connect by 
 
 Rule: a subscriber that does not read loses only its own messages.  Publishers use BLOCK towards their router, so that
       messages wait in a bounded queue that counts losses.  On the way out of the router (egress), each subscriber has a
-      queue of 1 MiB, and messages that do not fit are dropped at once: waiting there would stall all other subscribers
-      (measured: gateway/README.md, "A subscriber that does not read").
+      queue of 1 MiB, and messages that do not fit are dropped at once.  Waiting there would stall all other
+      subscribers (measured: gateway/README.md, "A subscriber that does not read").
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def zenoh_config(
     return json.dumps(config, indent=2)
 
 
-def refused_by_router(endpoints: Sequence[str], identity: Identity | None) -> ServiceError:
+def router_refusal(endpoints: Sequence[str], identity: Identity | None) -> ServiceError:
     """Return the error for a client whose `zenoh.open` failed; zenoh itself reports only a time-out.
 
     A router that rejects this client's certificate or password cannot be told from an absent router.  The same holds

@@ -30,7 +30,7 @@ _REMEDY = "Give a folder that `board51 security init` made: DIR/identities/NAME"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Credentials for a guarded bus, and the name and role under which commands are sent."""
+    """The credentials for a guarded bus, and the name and role under which commands are sent."""
 
     name: str
     role: str  # viewer | operator | engineer, or the name of a service
@@ -40,17 +40,17 @@ class Identity:
 
     @property
     def certificate(self) -> Path:
-        """Path of the certificate (PEM)."""
+        """The path of the certificate (PEM)."""
         return self.folder / "certificate.pem"
 
     @property
     def key(self) -> Path:
-        """Path of the private key (PEM), readable by its owner only."""
+        """The path of the private key (PEM), readable by its owner only."""
         return self.folder / "key.pem"
 
     @property
     def ca(self) -> Path:
-        """Path of the authority's certificate (PEM)."""
+        """The path of the authority's certificate (PEM)."""
         return self.folder / "ca.pem"
 
     def __repr__(self) -> str:

@@ -21,55 +21,56 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")  # no wildcards, no slashes: it 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
-    """One row of the table.
+    """A row of the table.
 
-    `by` is the publisher.  `rate` is text for the documentation.  `bus` and `logged` say where messages go.
+    `source` is the publisher, or the client that sends queries.  `rate` is text for the documentation.
+    `bus` and `logged` say where messages go.
     """
 
     name: str
     message: type[Message]
-    by: Literal["gateway", "twin", "client"]
+    source: Literal["gateway", "twin", "client"]
     rate: str
     bus: bool
     logged: bool
-    about: str
+    description: str
 
 
 TOPICS: tuple[Topic, ...] = (
-    Topic(name="state", message=pb.State, by="gateway", rate="every tick (500 Hz)", bus=True, logged=True,
-          about="one control tick in SI units"),
-    Topic(name="states", message=pb.StateBatch, by="gateway", rate="every 20 ms (50 Hz)", bus=True, logged=False,
-          about="the ticks of the last 20 ms in one message"),
-    Topic(name="status", message=pb.Status, by="gateway", rate="1 Hz", bus=True, logged=True,
-          about="health of link, bus and log"),
-    Topic(name="event", message=pb.Event, by="gateway", rate="on event", bus=True, logged=True,
-          about="faults, resets, limits hit, link changes"),
-    Topic(name="alarms", message=pb.Alarms, by="gateway", rate="on change, and every 5 s", bus=True, logged=True,
-          about="conditions that the gateway detects, and acknowledgements of alarms"),
-    Topic(name="parameters", message=pb.Parameters, by="gateway", rate="on change, and every 5 s", bus=True,
-          logged=True, about="identity, gains, operating point, limits, scalings"),
-    Topic(name="capture", message=pb.CaptureRecord, by="gateway", rate="on request", bus=True, logged=True,
-          about="25 kHz burst of i_c around a step"),
-    Topic(name="command", message=pb.Command, by="client", rate="query", bus=True, logged=False,
-          about="queryable: one Command in, one CommandReply out"),
-    Topic(name="command/record", message=pb.CommandRecord, by="gateway", rate="on command", bus=True, logged=True,
-          about="who, when, what, result of each command"),
-    Topic(name="raw", message=pb.RawBytes, by="gateway", rate="each read and write", bus=False, logged=True,
-          about="bytes of the UART, both ways"),
-    Topic(name="twin/state", message=pb.TwinState, by="twin", rate="every tick", bus=True, logged=True,
-          about="the free-running closed-loop twin"),
-    Topic(name="twin/divergence", message=pb.Divergence, by="twin", rate="every tick", bus=True, logged=True,
-          about="measured against twin, and one-step innovations"),
-    Topic(name="twin/alarm", message=pb.Alarm, by="twin", rate="on change", bus=True, logged=True,
-          about="divergence alarms with hysteresis"),
-    Topic(name="twin/alarms", message=pb.TwinAlarms, by="twin", rate="every 5 s", bus=True, logged=True,
-          about="all active alarms of the twin, for late subscribers"),
-    Topic(name="twin/model", message=pb.TwinModel, by="twin", rate="on change, and every 5 s", bus=True, logged=True,
-          about="the model the twin runs on, since when, from whom"),
-    Topic(name="twin/command", message=pb.TwinCommand, by="client", rate="query", bus=True, logged=False,
-          about="queryable: one TwinCommand in, one CommandReply per board out"),
+    Topic(name="state", message=pb.State, source="gateway", rate="every tick (500 Hz)", bus=True, logged=True,
+          description="one control tick in SI units"),
+    Topic(name="states", message=pb.StateBatch, source="gateway", rate="every 20 ms (50 Hz)", bus=True, logged=False,
+          description="the ticks of the last 20 ms in one message"),
+    Topic(name="status", message=pb.Status, source="gateway", rate="1 Hz", bus=True, logged=True,
+          description="health of link, bus and log"),
+    Topic(name="event", message=pb.Event, source="gateway", rate="on event", bus=True, logged=True,
+          description="faults, resets, limits hit, link changes"),
+    Topic(name="alarms", message=pb.Alarms, source="gateway", rate="on change, and every 5 s", bus=True, logged=True,
+          description="conditions that the gateway detects, and acknowledgements of alarms"),
+    Topic(name="parameters", message=pb.Parameters, source="gateway", rate="on change, and every 5 s", bus=True,
+          logged=True, description="identity, gains, operating point, limits, scalings"),
+    Topic(name="capture", message=pb.CaptureRecord, source="gateway", rate="on request", bus=True, logged=True,
+          description="25 kHz burst of i_c around a step"),
+    Topic(name="command", message=pb.Command, source="client", rate="query", bus=True, logged=False,
+          description="queryable: one Command in, one CommandReply out"),
+    Topic(name="command/record", message=pb.CommandRecord, source="gateway", rate="on command", bus=True, logged=True,
+          description="who, when, what, result of each command"),
+    Topic(name="raw", message=pb.RawBytes, source="gateway", rate="each read and write", bus=False, logged=True,
+          description="bytes of the UART, both ways"),
+    Topic(name="twin/state", message=pb.TwinState, source="twin", rate="every tick", bus=True, logged=True,
+          description="the free-running closed-loop twin"),
+    Topic(name="twin/divergence", message=pb.Divergence, source="twin", rate="every tick", bus=True, logged=True,
+          description="measured against twin, and one-step innovations"),
+    Topic(name="twin/alarm", message=pb.Alarm, source="twin", rate="on change", bus=True, logged=True,
+          description="divergence alarms with hysteresis"),
+    Topic(name="twin/alarms", message=pb.TwinAlarms, source="twin", rate="every 5 s", bus=True, logged=True,
+          description="all active alarms of the twin, for late subscribers"),
+    Topic(name="twin/model", message=pb.TwinModel, source="twin", rate="on change, and every 5 s", bus=True,
+          logged=True, description="the model the twin runs on, since when, from whom"),
+    Topic(name="twin/command", message=pb.TwinCommand, source="client", rate="query", bus=True, logged=False,
+          description="queryable: one TwinCommand in, one CommandReply per board out"),
 )  # fmt: skip
-BY_NAME = {topic.name: topic for topic in TOPICS}
+TOPIC_OF_NAME = {topic.name: topic for topic in TOPICS}
 
 AS = "as"
 ALIVE = "alive"  # liveliness token <site>/<board>/alive, held while the gateway serves the board
@@ -88,8 +89,8 @@ def check_name(name: str, *, what: str) -> str:
 
 
 def key(site: str, board: str, topic: str) -> str:
-    """`<site>/<board>/<topic>`; the topic must be in the table (or be the liveliness token)."""
-    if topic != ALIVE and topic not in BY_NAME:
+    """Return the key `<site>/<board>/<topic>`; the topic must be in the table (or be the liveliness token)."""
+    if topic != ALIVE and topic not in TOPIC_OF_NAME:
         raise ValueError(f"{topic!r} is not a topic of the table")
     return f"{site}/{board}/{topic}"
 
@@ -107,16 +108,16 @@ def command_key(site: str, board: str, *, role: str = "", who: str = "", topic: 
 
 def sender(full: str) -> tuple[str, str] | None:
     """Return (role, who) of a key made by `command_key`, or None if the key contains neither."""
-    _, found, rest = full.partition(f"/{AS}/")
+    _, separator, rest = full.partition(f"/{AS}/")
     role, _, who = rest.partition("/")
-    return (role, who) if found and _NAME.fullmatch(role) and _NAME.fullmatch(who) else None
+    return (role, who) if separator and _NAME.fullmatch(role) and _NAME.fullmatch(who) else None
 
 
 def split(full: str) -> tuple[str, str, str] | None:
     """Return (site, board, topic) of a key, or None if it is not a Board51 key."""
     site, _, rest = full.partition("/")
     board, _, topic = rest.partition("/")
-    before, found, _ = topic.partition(f"/{AS}/")
-    if found and before in BY_NAME and BY_NAME[before].by == "client":
+    before, separator, _ = topic.partition(f"/{AS}/")
+    if separator and before in TOPIC_OF_NAME and TOPIC_OF_NAME[before].source == "client":
         topic = before
-    return (site, board, topic) if site and board and topic in BY_NAME else None
+    return (site, board, topic) if site and board and topic in TOPIC_OF_NAME else None

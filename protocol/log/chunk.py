@@ -1,6 +1,6 @@
 """Decoding of MCAP chunks, and of the two compound types of the format: pure functions of bytes.
 
-Rule: a chunk is decompressed to the size that it states at most, and that is bounded: 32 kB of zstd may hold a
+Rule: a chunk is decompressed to the size that it states at most, and that size is bounded.  32 kB of zstd may hold a
       gigabyte, whatever the chunk and its compressed frame state.
 
 Format: mcap.dev/spec.  Integers are little-endian; a string is its length (4 bytes) and UTF-8.
@@ -61,26 +61,26 @@ def stated_size(content: bytes) -> int:
     return int(CHUNK_HEAD.unpack_from(content)[2]) if len(content) >= CHUNK_HEAD.size else 0
 
 
-def _decompress(name: bytes, packed: bytes, most: int) -> bytes:
+def _decompress(name: bytes, packed: bytes, max_bytes: int) -> bytes:
     """Return the first `most` bytes at most; b"" for an unknown compression."""
     if name == b"lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most))
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=max_bytes))
     if name == b"zstd":
         # `decompress(max_output_size=)` ignores its bound where the frame states a size of its own.
         decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
-        return decompressor.stream_reader(packed).read(most)
-    return packed[:most] if name == b"" else b""
+        return decompressor.stream_reader(packed).read(max_bytes)
+    return packed[:max_bytes] if name == b"" else b""
 
 
 def channel_records(written: bytes) -> dict[int, bytes]:
     """Return the channel records in the complete chunks of `written`, by channel id."""
-    found = {}
+    records = {}
     for opcode, chunk in _records(written):
         for inner, content in _records(unpack(chunk)[0]) if opcode == CHUNK else ():
             if inner == CHANNEL:
                 (number,) = struct.unpack_from("<H", content)
-                found[number] = RECORD.pack(CHANNEL, len(content)) + content
-    return found
+                records[number] = RECORD.pack(CHANNEL, len(content)) + content
+    return records
 
 
 def _records(data: bytes) -> Iterator[tuple[int, bytes]]:

@@ -1,10 +1,11 @@
 """Reads the records of a log that consists of any number of parts, finished or not.
 
-Rule 1: a part without its end (the recorder still runs, or was killed) is read to its last whole chunk, silently: that
-        is all there is of it.  Damage is not silent: everything intact is delivered first, then a DataError says how
-        far that was and points to `board51 recover`.
+Rule 1: a part without its end (the recorder still runs, or was killed) is read to its last whole chunk without an
+        error.  For damage, everything intact is delivered first.  Then a DataError says how far that was and points to
+        `board51 recover`.
 Rule 2: messages with a foreign schema or topic are skipped and counted; a log without Board51 messages is an error.
-Rule 3: order is the order of the file, which is the order of arrival: a model fed from a log sees what it saw live.
+Rule 3: records come in the order of the file, which is the order of arrival.  A model therefore gets the same input
+        from a log as live.
 """
 
 from __future__ import annotations
@@ -66,27 +67,29 @@ class LogReader:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The name of the log for messages."""
         return str(self.scans[0].path) if len(self.scans) == 1 else f"{self.scans[0].path} (+ {len(self.scans) - 1})"
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """MCAP metadata of all parts; for equal names, that of the last part."""
+        """The MCAP metadata of all parts; for equal names, that of the last part."""
         return {name: dict(values) for scan in self.scans for name, values in scan.metadata.items()}
 
     @property
     def boards(self) -> set[str]:
-        """Names of the boards with a Board51 topic; complete after one pass."""
-        return {ours[1] for scan in self.scans for channel in scan.channels.values() if (ours := _ours(channel))}
+        """The names of the boards with a Board51 topic; complete after one pass."""
+        return {
+            parts[1] for scan in self.scans for channel in scan.channels.values() if (parts := _board_topic(channel))
+        }
 
     @property
     def finished(self) -> bool:
-        """Whether every part has its end; valid after one pass."""
+        """Return whether every part has its end; valid after one pass."""
         return all(scan.finished for scan in self.scans)
 
     @property
     def start_ns(self) -> int:
-        """Log time of the first message: 0 s of `start_s` and `end_s`."""
+        """The log time of the first message: 0 s of `start_s` and `end_s`."""
         if self._start_ns is None:
             starts = []
             for scan in self.scans:
@@ -118,7 +121,7 @@ class LogReader:
             known: dict[McapChannel, tuple[str, str, str] | None] = {}
             for channel, time_ns, data in scan.messages(start_ns=low_ns, end_ns=high_ns):
                 if channel not in known:
-                    known[channel] = _ours(channel)
+                    known[channel] = _board_topic(channel)
                 parts = known[channel]
                 if parts is None:
                     self.foreign[channel.topic] += 1
@@ -140,7 +143,7 @@ class LogReader:
         for key, site, board, topic, data, time_ns in self.raw(
             topics_=topics_, boards=boards, start_s=start_s, end_s=end_s
         ):
-            message = encoding.parse(topics.BY_NAME[topic].message, data)
+            message = encoding.parse(topics.TOPIC_OF_NAME[topic].message, data)
             if message is None:
                 self.unparsable[key] += 1
             else:
@@ -186,11 +189,12 @@ class LogReader:
             DataError: the log is damaged, or holds no Board51 messages.
         """
         self.check_damage(last_ns=last_ns)
-        ours = any(_ours(channel) for scan in self.scans for channel in scan.channels.values())
-        if not ours:
-            others = sorted({channel.topic for scan in self.scans for channel in scan.channels.values()})
+        if not self.boards:
+            foreign_topics = sorted({channel.topic for scan in self.scans for channel in scan.channels.values()})
             holds = (
-                f"only {', '.join(others[:5])}{' ...' if len(others) > 5 else ''}" if others else "no channels at all"
+                f"only {', '.join(foreign_topics[:5])}{' ...' if len(foreign_topics) > 5 else ''}"
+                if foreign_topics
+                else "no channels at all"
             )
             raise DataError(
                 f"Log {self.name} holds no Board51 messages: {holds}",
@@ -229,11 +233,11 @@ def read(
     reader.check(last_ns=last_ns)
 
 
-def _ours(channel: McapChannel) -> tuple[str, str, str] | None:
+def _board_topic(channel: McapChannel) -> tuple[str, str, str] | None:
     parts = topics.split(channel.topic)
     if parts is None or channel.message_encoding != encoding.MESSAGE_ENCODING:
         return None
     # The schema may be lost with the first chunk; the topic says the same.
     lost = channel.schema is None and channel.schema_id != 0
-    name = encoding.schema_name(topics.BY_NAME[parts[2]].message)
+    name = encoding.schema_name(topics.TOPIC_OF_NAME[parts[2]].message)
     return parts if lost or (channel.schema is not None and channel.schema.name == name) else None

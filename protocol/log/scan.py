@@ -1,7 +1,7 @@
 """Reads the messages of an MCAP file in one pass, finished or damaged; raises no errors after opening.
 
-The stream reader of the `mcap` package stops with an exception at the first missing byte, and its indexed reader
-needs the end of the file, which a killed process never wrote.  This reader continues after damage.
+The stream reader of the `mcap` package stops with an exception at the first missing byte.  Its indexed reader needs the
+end of the file, which a killed process never wrote.  This reader continues after damage.
 
 Rule 1: only verified data is delivered: the CRC of each chunk is checked.  A chunk cut off by the end of the file gives
         the messages before the cut, which decompression reproduces exactly or not at all.
@@ -46,7 +46,7 @@ _PIECE = 1 << 20
 
 
 class McapSchema(NamedTuple):
-    """Name, encoding and description of a message type."""
+    """The name, encoding and description of a message type."""
 
     name: str
     encoding: str
@@ -82,13 +82,13 @@ class Damage:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the file ends here without its end mark: its writer was killed, or is still running."""
+        """Return whether the file ends here without its end mark: its writer was killed, or is still running."""
         return self.reason.startswith(_CUT)
 
 
 @dataclass(slots=True)
 class _Tail:
-    """Summary at the end of a finished file."""
+    """The summary at the end of a finished file."""
 
     first_ns: int | None = None
     last_ns: int | None = None
@@ -122,12 +122,12 @@ class Scan:
 
     @property
     def indexed(self) -> bool:
-        """Whether the file has its index, so that topics and times are known without a pass."""
+        """Return whether the file has its index, so that topics and times are known without a pass."""
         return self._tail is not None
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time according to the index; None without an index."""
+        """The first and last log time according to the index; None without an index."""
         tail = self._tail
         return None if tail is None or tail.first_ns is None or tail.last_ns is None else (tail.first_ns, tail.last_ns)
 
@@ -175,7 +175,7 @@ class Scan:
                     return
                 else:
                     plain = head + content if opcode in _READ else b""
-                for message in self._inside(plain, at, end):
+                for message in self._messages_between(plain, at, end):
                     if start_ns <= message.time_ns < end_ns:
                         yield message
                 at = end
@@ -204,12 +204,12 @@ class Scan:
     def _cut_chunk(self, content: bytes, at: int) -> Iterator[McapMessage]:
         plain = unpack_prefix(content)
         retained = 0
-        for message in self._inside(plain, at, self.size, cut=True):
+        for message in self._messages_between(plain, at, self.size, cut=True):
             retained += 1
             yield message
         self._damage(at, self.size - at, f"{_CUT} a chunk ({retained} messages of it are whole)", chunk=content)
 
-    def _inside(self, plain: bytes, start: int, end: int, *, cut: bool = False) -> Iterator[McapMessage]:
+    def _messages_between(self, plain: bytes, start: int, end: int, *, cut: bool = False) -> Iterator[McapMessage]:
         """Yield the messages among the records in `plain`, the content of the file from `start` to `end`."""
         at, size = 0, len(plain)
         unpack_record, unpack_message, channels = _RECORD.unpack_from, _MESSAGE_HEAD.unpack_from, self.channels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from protocol.wire.messages import BY_NAME, ROWS, Field, Message, Row, Value
+from protocol.wire.messages import ROW_OF_NAME, ROWS, Field, Message, Row, Value
 
 _F32_MAX = (2 - 2**-23) * 2.0**127  # largest finite IEEE 754 single
 _FORMATS = {"u8": "B", "flags": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "f32": "f"}
@@ -100,7 +100,7 @@ def encode_body(name: str, /, **values: Value) -> bytes:
         ValueError: a value is out of range or has the wrong type.
         KeyError: a field is missing or unknown, or the message does not exist.
     """
-    row = BY_NAME[name]
+    row = ROW_OF_NAME[name]
     unknown = values.keys() - {field.name for field in row.fields}
     if unknown:
         raise KeyError(f"{name} has no field {sorted(unknown)}")

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from protocol.wire.codec import BODY_SIZE, decode_body
 from protocol.wire.framing import MAX_ENCODED, cobs_decode
-from protocol.wire.messages import BY_NAME, Message
+from protocol.wire.messages import ROW_OF_NAME, Message
 
 CAUSES = ("cobs", "crc", "type", "length", "range", "oversize")
 
@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BadFrame:
-    """Bytes between two delimiters that are not a frame.  `cause` is one of CAUSES."""
+    """The bytes between two delimiters that are not a frame.  `cause` is one of CAUSES."""
 
     cause: str
     data: bytes  # as received, at most MAX_ENCODED + 1 bytes
@@ -44,7 +44,7 @@ class BadFrame:
 
 Event = State | Message | BadFrame
 
-_STATE = BY_NAME["STATE"].type
+_STATE = ROW_OF_NAME["STATE"].type
 _STATE_SIZE = BODY_SIZE["STATE"] + 2
 
 
@@ -60,7 +60,7 @@ class StreamDecoder:
 
     @property
     def pending(self) -> int:
-        """Number of bytes that wait for their delimiter."""
+        """The number of bytes that wait for their delimiter."""
         return len(self._pending)
 
     def feed(self, data: bytes) -> list[Event]:

@@ -61,7 +61,7 @@ Outcome = Literal["ack", "nack", "timed-out", "cancelled"]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Outcome of a submitted command.
+    """The outcome of a submitted command.
 
     `message` is the board's answer (ack, nack); `why` is the reason of a cancellation: 'stop', 'board-reset',
     'disconnected'.

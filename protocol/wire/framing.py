@@ -2,8 +2,8 @@
 
     00 | COBS( body | CRC-16 high | CRC-16 low ) | 00
 
-`protocol/README.md` shows an example.  The high byte of the CRC comes first, so the CRC over body and CRC is 0: the
-receiver computes one CRC over all bytes and compares it with 0.
+`protocol/README.md` shows an example.  The high byte of the CRC comes first, so the CRC over body and CRC is 0.
+The receiver computes one CRC over all bytes and compares it with 0.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ COUNTS_MAX = 4095  # 12-bit converters
 
 
 class Mode(IntEnum):
-    """Source of the coil's input."""
+    """The source of the coil's input."""
 
     IDLE = 0
     OPEN_LOOP = 1
@@ -35,14 +35,14 @@ class Flag(IntFlag):
 
 
 class Law(IntEnum):
-    """Which control law SET_GAINS loads."""
+    """The control laws that SET_GAINS can load."""
 
     LQI = 0
     PID = 1
 
 
 class Shape(IntEnum):
-    """Excitation shapes."""
+    """The excitation shapes."""
 
     NONE = 0
     STEP = 1
@@ -54,7 +54,7 @@ class Shape(IntEnum):
 
 
 class HostLoss(IntEnum):
-    """Reaction of the board when no valid frame has arrived within the time-out."""
+    """The reaction of the board when no valid frame has arrived within the time-out."""
 
     KEEP = 0  # continue as commanded
     COIL_OFF = 1  # mode IDLE
@@ -62,7 +62,7 @@ class HostLoss(IntEnum):
 
 
 class Reason(IntEnum):
-    """Why a command was refused (NACK)."""
+    """The reasons for refusing a command (NACK)."""
 
     UNKNOWN_TYPE = 1
     BAD_LENGTH = 2
@@ -77,7 +77,7 @@ class Reason(IntEnum):
 
 
 class EventCode(IntEnum):
-    """What an EVENT reports; the meaning of its detail is on the interface page."""
+    """The kinds of EVENT; the meaning of its detail is on the interface page."""
 
     RESET_POWER_ON = 1
     RESET_WATCHDOG = 2
@@ -104,7 +104,7 @@ RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCod
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a body: name, type, allowed range, meaning, unit ("" = a plain number).
+    """A field of a body: name, type, allowed range, meaning, unit ("" = a plain number).
 
     Types: u8, i8, u16, i16, u32, f32 (finite), counts, flags, bytesN.  `counts` fields come in pairs and share three
     bytes, 12 bits each.  `flags` is a u8 whose two low bits hold a Mode, so they are never 3.
@@ -114,43 +114,43 @@ class Field:
     type: str
     low: float | None = None
     high: float | None = None
-    about: str = ""
+    description: str = ""
     unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One message: type byte, name, direction, fields.  Commands have `id` as their first field."""
+    """A message: type byte, name, direction, fields.  Commands have `id` as their first field."""
 
     type: int
     name: str
     to_board: bool
     fields: tuple[Field, ...]
-    about: str
+    description: str
 
 
-def _u8(name: str, unit: str, about: str, low: int = 0, high: int = 0xFF) -> Field:
-    return Field(name, "u8", low, high, about, unit)
+def _u8(name: str, unit: str, description: str, low: int = 0, high: int = 0xFF) -> Field:
+    return Field(name, "u8", low, high, description, unit)
 
 
-def _u16(name: str, unit: str, about: str, low: int = 0, high: int = 0xFFFF) -> Field:
-    return Field(name, "u16", low, high, about, unit)
+def _u16(name: str, unit: str, description: str, low: int = 0, high: int = 0xFFFF) -> Field:
+    return Field(name, "u16", low, high, description, unit)
 
 
-def _u32(name: str, unit: str, about: str) -> Field:
-    return Field(name, "u32", 0, 0xFFFFFFFF, about, unit)
+def _u32(name: str, unit: str, description: str) -> Field:
+    return Field(name, "u32", 0, 0xFFFFFFFF, description, unit)
 
 
-def _f32(name: str, unit: str, about: str) -> Field:
-    return Field(name, "f32", None, None, about, unit)
+def _f32(name: str, unit: str, description: str) -> Field:
+    return Field(name, "f32", None, None, description, unit)
 
 
-def _counts(name: str, about: str) -> Field:
-    return Field(name, "counts", 0, COUNTS_MAX, about, "count")
+def _counts(name: str, description: str) -> Field:
+    return Field(name, "counts", 0, COUNTS_MAX, description, "count")
 
 
-def _u16_counts(name: str, about: str) -> Field:
-    return _u16(name, "count", about, 0, COUNTS_MAX)
+def _u16_counts(name: str, description: str) -> Field:
+    return _u16(name, "count", description, 0, COUNTS_MAX)
 
 
 def _gains() -> tuple[Field, ...]:
@@ -288,8 +288,8 @@ ROWS: tuple[Row, ...] = (
     ), "answer to READ_CAPTURE"),
 )  # fmt: skip
 
-BY_TYPE = {row.type: row for row in ROWS}
-BY_NAME = {row.name: row for row in ROWS}
+ROW_OF_TYPE = {row.type: row for row in ROWS}
+ROW_OF_NAME = {row.name: row for row in ROWS}
 CAPTURE_BLOCK_SAMPLES = 32
 
 Value = int | float | bytes

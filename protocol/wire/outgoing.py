@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from protocol.wire.codec import encode_body
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, Message, Value
+from protocol.wire.messages import ROW_OF_NAME, Message, Value
 
 ANSWERS = {
     "HELLO": "IDENTITY",
@@ -40,10 +40,10 @@ class Command:
         self.id = new_id
         self.frame = encode_frame(encode_body(self.name, id=new_id, **self.values))
 
-    def is_answered_by(self, message: Message) -> bool:
+    def accepts_answer(self, message: Message) -> bool:
         """Return whether `message`, which has the same id, is of a type that answers this command."""
         if message.name in ("ACK", "NACK"):
-            good = message.int("command") == BY_NAME[self.name].type
+            good = message.int("command") == ROW_OF_NAME[self.name].type
             return good and (message.name == "NACK" or self.name not in ANSWERS)
         if message.name == "CAPTURE_BLOCK" and self.values.get("index") != message.int("index"):
             return False
@@ -51,7 +51,7 @@ class Command:
 
 
 class SendQueue:
-    """Frames to write: commands in their order, a STOP before all others."""
+    """The frames to write: commands in their order, a STOP before all others."""
 
     def __init__(self) -> None:
         self._due: deque[Command] = deque()
@@ -79,11 +79,11 @@ class SendQueue:
 
     def take(self) -> bytes:
         """Return all bytes to write, for a port that accepts any number of bytes."""
-        taken = bytearray()
+        frames = bytearray()
         while data := self.output():
-            taken += data
+            frames += data
             self.wrote(len(data))
-        return bytes(taken)
+        return bytes(frames)
 
     def add(self, command: Command) -> None:
         """Schedule a command for writing unless it is scheduled already."""

@@ -2,10 +2,10 @@
 
 Read `events.py` (the output) and `unwrap.py` (ticks of states) first; `protocol/README.md` specifies the board's side.
 
-Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it goes out at once, and whatever
-        was waiting that could move the ball is cancelled, because a command given before STOP must not act after it.
+Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it is sent at once.  It
+        cancels the waiting commands that could move the ball: a command given before STOP must not act after it.
 Rule 2: a command is repeated with the same id, at most `retries` times.  Every submitted command ends in exactly one
-        `Answer`, also when the board restarts or the connection ends (STOPs that share a token: in one for all).
+        `Answer`, also when the board restarts or the connection ends.  STOPs that share a token share one `Answer`.
 Rule 3: a reset of the board cancels all commands; the handshake is repeated and the session number increases.
 Rule 4: frames do not wait in a buffer of bytes (`outgoing.py`): a command that was given up or cancelled is not sent.
 Rule 5: a pipe may accept frames that the board reads much later.  A command that changes something is therefore sent
@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import CAUSES, BadFrame, State, StreamDecoder
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Outcome, Restarted, Sample, VersionRefused
-from protocol.wire.messages import BY_NAME, RESETS, VERSION, EventCode, Message, Reason, Value
+from protocol.wire.messages import RESETS, ROW_OF_NAME, VERSION, EventCode, Message, Reason, Value
 from protocol.wire.outgoing import ANSWERS, Command, SendQueue
 from protocol.wire.unwrap import Jump, TickUnwrapper
 
@@ -38,7 +38,7 @@ MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs and d
 
 @dataclass(slots=True, kw_only=True)
 class Counters:
-    """Counters of one board's sessions, over all connections."""
+    """The counters of one board's sessions, over all connections."""
 
     valid_frames: int = 0
     states: int = 0  # valid STATE frames; each is a sample, counted by the unwrapper, or ignored, see `states_ignored`
@@ -46,7 +46,7 @@ class Counters:
     states_without_session: int = 0  # the scalings were not known
     bad_frames: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CAUSES, 0))
     stray_answers: int = 0  # answers without an outstanding command: late, duplicated, or an echo
-    late_answers: int = 0  # stray answers of types that only a board sends
+    stray_board_answers: int = 0  # stray answers of types that only a board sends
     events_lost: int = 0
     board_resets: int = 0
 
@@ -94,7 +94,7 @@ class Session:
 
     @property
     def states_ignored(self) -> dict[str, int]:
-        """Valid STATE frames that gave no sample, by cause; at most two more wait for their successor."""
+        """The valid STATE frames that gave no sample, by cause; at most two more wait for their successor."""
         unwrapper = self.unwrapper
         return {
             "no-session": self.counters.states_without_session,
@@ -105,7 +105,7 @@ class Session:
 
     @property
     def waiting(self) -> int:
-        """Number of commands that are not answered yet."""
+        """The number of commands that are not answered yet."""
         return len(self._queue) + len(self._outstanding)
 
     def connect(self, now_s: float) -> None:
@@ -199,7 +199,7 @@ class Session:
         self.counters.states += states
         self.counters.valid_frames += good + states
         if unwrapper.in_doubt:
-            self._ask_tick(now_s)
+            self._request_tick(now_s)
         if self._pending or self._queue:
             self._pump(now_s)
         return events + self.take_outcomes() if self._pending else events
@@ -231,17 +231,17 @@ class Session:
         if message.name == "EVENT":
             self._event(message, now_s, events)
             return
-        if BY_NAME[message.name].to_board:  # an echo of the host, or noise
+        if ROW_OF_NAME[message.name].to_board:  # an echo of the host, or noise
             self.counters.stray_answers += 1
             return
         hello = self._hello
-        if hello is not None and message.int("id") == hello.id and hello.is_answered_by(message):
+        if hello is not None and message.int("id") == hello.id and hello.accepts_answer(message):
             self._hello_answered(hello, message, now_s, events)
             return
         command = self._outstanding.get(message.int("id"))
-        if command is None or not command.is_answered_by(message):
+        if command is None or not command.accepts_answer(message):
             self.counters.stray_answers += 1
-            self.counters.late_answers += 1
+            self.counters.stray_board_answers += 1
             return
         del self._outstanding[command.id]
         self._sending.withdraw(command)
@@ -298,7 +298,7 @@ class Session:
             if jump is not None:
                 self._jumped(jump, now_s, events)
 
-    def _ask_tick(self, now_s: float) -> None:
+    def _request_tick(self, now_s: float) -> None:
         """Send a PING soon: a full tick contradicts the count, and a second one decides."""
         if not any(c.name == "PING" for c in [*self._outstanding.values(), *self._queue]):
             self.submit("PING", now_s)
@@ -346,10 +346,10 @@ class Session:
             for stop in [c for c in self._queue if c.name == "STOP"]:
                 self._queue.remove(stop)
                 self._send(stop, now_s)
-        others = [c for c in self._queue if c.name != "STOP"]
-        if self.is_open and others and not any(c.name != "STOP" for c in self._outstanding.values()):
+        queued = [c for c in self._queue if c.name != "STOP"]
+        if self.is_open and queued and not any(c.name != "STOP" for c in self._outstanding.values()):
             proven = now_s - self._proven_s <= PROVEN_S
-            following = next((c for c in others if proven or c.name in ANSWERS), None)
+            following = next((c for c in queued if proven or c.name in ANSWERS), None)
             if following is not None:
                 self._queue.remove(following)
             self._send(following or Command(0, "PING", {}), now_s)
@@ -370,10 +370,10 @@ class Session:
         self._sending.add(command)
 
     def _free_id(self) -> int:
-        taken = self._outstanding.keys() | ({self._hello.id} if self._hello else set())
+        used_ids = self._outstanding.keys() | ({self._hello.id} if self._hello else set())
         while True:
             self._next_id = self._next_id % 255 + 1
-            if self._next_id not in taken:
+            if self._next_id not in used_ids:
                 return self._next_id
 
     def _answer(self, command: Command, outcome: Outcome, message: Message | None = None, why: str = "") -> None:

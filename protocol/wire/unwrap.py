@@ -1,14 +1,14 @@
 """Converts the 16-bit sequence numbers of states into board ticks.  No clock: the caller passes the time.
 
 Rule 1: a tick is published once and in rising order; states that cannot be placed are counted, never guessed.
-Rule 2: a frame can be late, never early.  Since the best arrival so far says when tick 0 was, a sequence that would
-        lie in the future is either noise that passed the CRC (once in 65536) or a restarted board.
+Rule 2: a frame can be late, never early.  The earliest arrival so far bounds the time of tick 0.  A sequence that
+        would lie in the future is therefore noise that passed the CRC (once in 65536), or the board restarted.
 Rule 3: no single frame moves the count.  The one witness besides the frame itself is, for the step of the stream, the
         count so far; for any other step, the state that follows it; for a full tick (PONG, EVENT) that contradicts the
         count, another full tick.  Until then the frame is held; if the next one goes on from the old count, the held
         one was noise (`implausible`).
-Rule 4: what sequences cannot tell, the number of wraps, is not concluded from them: after half a wrap without a state
-        or a full tick, or a step forward that the host's clock does not allow, the count ends and is requested again.
+Rule 4: sequences do not contain the number of wraps, so it is not derived from them.  The count ends and is requested
+        again after half a wrap without a state or a full tick, or a step forward that the host's clock does not allow.
 Rule 5: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 
@@ -22,7 +22,7 @@ WRAP = 1 << 16
 _HALF_WRAP = WRAP // 2
 _TICK_BITS = 32
 _EARLY_TICKS = 25  # 50 ms at T_s = 2 ms: queueing of the anchoring answer, drift of both clocks between two anchors
-_LATE_TICKS = 256  # an answer overtaken by this many states still speaks of the same run of the board
+_OVERTAKEN_TICKS = 256  # an answer overtaken by this many states still speaks of the same run of the board
 _LEAD_WINDOW_S = 10.0  # the best arrival is forgotten after at most twice this, so that clock drift does not add up
 _CLAIM_S = 1.0  # a contradiction that no second full tick confirms within this time is dropped
 
@@ -58,7 +58,7 @@ class TickUnwrapper:
         self._smallest_step = WRAP
         self._rate = 500.0
         self._sure_s = _HALF_WRAP / self._rate
-        self._last = -_LATE_TICKS
+        self._last = -_OVERTAKEN_TICKS
         self._last_s = 0.0
         self._first = True
         self._witnessed = 0  # the newest full tick that agreed
@@ -77,7 +77,7 @@ class TickUnwrapper:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether a full tick contradicts the count, so that a second full tick is needed."""
+        """Return whether a full tick contradicts the count, so that a second full tick is needed."""
         return self._claim is not None
 
     def restart(self, tick: int, now_s: float, *, sample_time_s: float | None = None) -> None:
@@ -86,7 +86,7 @@ class TickUnwrapper:
             self._rate = 1.0 / sample_time_s
             self._sure_s = _HALF_WRAP / self._rate
         self.give_up()
-        self._last = tick - _LATE_TICKS
+        self._last = tick - _OVERTAKEN_TICKS
         self._last_s = now_s
         self._witnessed, self._witnessed_s = tick, now_s
         self._first = True
@@ -109,12 +109,12 @@ class TickUnwrapper:
     def witness(self, tick: int, now_s: float) -> Jump | None:
         """Compare a full tick, modulo 2^32 (PONG, EVENT), with the count; a second contradiction gives a Jump."""
         tick = self._last + _signed(tick - self._last)
-        if self._last - _LATE_TICKS <= tick <= max(self._latest(now_s), self._last + _EARLY_TICKS):
+        if self._last - _OVERTAKEN_TICKS <= tick <= max(self._latest(now_s), self._last + _EARLY_TICKS):
             self._claim = None
             self._agreed(tick, now_s)
             return None
         claim, self._claim = self._claim, (tick, now_s)
-        if claim is None or now_s - claim[1] > _CLAIM_S or not -_LATE_TICKS <= tick - claim[0] < _HALF_WRAP:
+        if claim is None or now_s - claim[1] > _CLAIM_S or not -_OVERTAKEN_TICKS <= tick - claim[0] < _HALF_WRAP:
             return None
         ahead = tick - self._last
         if 0 < ahead < _HALF_WRAP:  # a board that runs faster than it says (an emulator at --speed 20), little streamed
@@ -160,9 +160,9 @@ class TickUnwrapper:
         if not self._first and tick - self._last == (self.divider or self._smallest_step):
             if gap is not None:
                 self._count_noise(gap.state)
-            return [self._place(tick, state, now_s)]
+            return [self._accept(tick, state, now_s)]
         if gap is not None and tick > gap.tick and not self._fits_claim(state, now_s):
-            return [self._place(gap.tick, gap.state, gap.arrived_s), self._place(tick, state, now_s)]
+            return [self._accept(gap.tick, gap.state, gap.arrived_s), self._accept(tick, state, now_s)]
         if gap is not None and tick == gap.tick:
             self.duplicates += 1
         elif gap is not None and tick < gap.tick:
@@ -186,14 +186,14 @@ class TickUnwrapper:
     def _jump(self, first: tuple[State, float], second: tuple[State, float]) -> list[Placed | Jump]:
         gap = self._gap
         ahead = (first[0].sequence - self._last) & 0xFFFF
-        if ahead < _LATE_TICKS and (gap is None or gap.tick < self._last + ahead):
+        if ahead < _OVERTAKEN_TICKS and (gap is None or gap.tick < self._last + ahead):
             # Two frames agree on a step forward that is too early by our clock: the board runs faster than it says
             # (an emulator at --speed 20).  The losses are real, the continuity too.
             self._unexpected = self._gap = None
             tick = self._last + ahead
             self._arrived(tick, first[1])
-            placed = [] if gap is None else [self._place(gap.tick, gap.state, gap.arrived_s)]
-            return [*placed, self._place(tick, *first), *self.feed(*second)]
+            placed = [] if gap is None else [self._accept(gap.tick, gap.state, gap.arrived_s)]
+            return [*placed, self._accept(tick, *first), *self.feed(*second)]
         # A board that restarted since the last state cannot be further than the time since then.
         board_reset = first[0].sequence <= (first[1] - self._last_s) * self._rate + _EARLY_TICKS
         self.give_up()
@@ -202,11 +202,11 @@ class TickUnwrapper:
 
     def _candidate(self, sequence: int) -> int:
         """Return the first tick with this sequence number after the last placed tick or the newest full tick."""
-        start = max(self._last, self._witnessed - _LATE_TICKS)
+        start = max(self._last, self._witnessed - _OVERTAKEN_TICKS)
         tick = start + 1 + ((sequence - start - 1) & 0xFFFF)
         return tick if tick >= 0 else tick + WRAP
 
-    def _place(self, tick: int, state: State, arrived_s: float) -> Placed:
+    def _accept(self, tick: int, state: State, arrived_s: float) -> Placed:
         lost = 0
         if not self._first:
             step = tick - self._last
@@ -218,7 +218,7 @@ class TickUnwrapper:
 
     def _count_noise(self, state: State) -> None:
         behind = (self._last - state.sequence) & 0xFFFF
-        if behind < _LATE_TICKS:
+        if behind < _OVERTAKEN_TICKS:
             self.duplicates += 1
         else:
             self.implausible += 1
@@ -227,12 +227,12 @@ class TickUnwrapper:
         """Return whether the state fits the full tick that contradicts the count as well as the count."""
         if self._claim is None:
             return False
-        tick, said_s = self._claim
-        if now_s - said_s > _CLAIM_S:
+        tick, claimed_s = self._claim
+        if now_s - claimed_s > _CLAIM_S:
             self._claim = None
             return False
-        since = (state.sequence - tick + _LATE_TICKS) & 0xFFFF
-        return since <= 2 * _LATE_TICKS + (now_s - said_s) * self._rate
+        since = (state.sequence - tick + _OVERTAKEN_TICKS) & 0xFFFF
+        return since <= 2 * _OVERTAKEN_TICKS + (now_s - claimed_s) * self._rate
 
     def _latest(self, now_s: float) -> float:
         """Return the latest tick that is possible by the host's clock."""

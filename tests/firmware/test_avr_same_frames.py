@@ -20,7 +20,7 @@ from gateway.emulator.firmware.flash import CURRENT, POSITION
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compile_to
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
-from protocol.wire.messages import BY_TYPE, EventCode, Message
+from protocol.wire.messages import ROW_OF_TYPE, EventCode, Message
 from tests.harness.firmware.avr_bench import skip_without_avr
 from tests.harness.firmware.random_host import Script
 from tests.harness.gateway.board_host import Bench, frame
@@ -184,6 +184,6 @@ def command(script: Script) -> bytes:
     """One of the random host's commands, but for those whose times are not those of ticks."""
     while True:
         data = script._command()
-        name = BY_TYPE[data[2]].name if len(data) > 2 and data[2] in BY_TYPE else ""
+        name = ROW_OF_TYPE[data[2]].name if len(data) > 2 and data[2] in ROW_OF_TYPE else ""
         if name not in {"RESET", "CAPTURE"} and data.strip(b"\0") == data[1:-1] and b"\0" not in data[1:-1]:
             return data

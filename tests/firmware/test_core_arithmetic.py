@@ -79,7 +79,7 @@ def test_a_signal_is_that_of_python(core: Core, signal: Signal) -> None:
     expected = [excitation.next() for _ in range(300)]
 
     assert core.play(signal, 300) == expected
-    assert core.c.excitation_done() == excitation.done
+    assert core.c.excitation_done() == excitation.has_ended
 
 
 def test_a_long_chirp_downwards_keeps_its_phase(core: Core) -> None:

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from protocol.wire.codec import decode_body
 from protocol.wire.framing import MAX_ENCODED, cobs_decode, cobs_encode, crc16, encode_frame
-from protocol.wire.messages import BY_NAME, ROWS, Message, Reason, Row
+from protocol.wire.messages import ROW_OF_NAME, ROWS, Message, Reason, Row
 from tests.harness.firmware.core import Core
 from tests.harness.gateway.board_host import FIRMWARES, Bench, frame
 from tests.harness.protocol.golden import BAD, FRAMES, Golden
 
-COMMANDS = [golden for golden in FRAMES if BY_NAME[golden.title].to_board]
+COMMANDS = [golden for golden in FRAMES if ROW_OF_NAME[golden.title].to_board]
 
 
 @pytest.mark.parametrize("golden", FRAMES, ids=lambda golden: golden.title)

@@ -153,7 +153,7 @@ def test_two_readings_calibrate_a_shield_whose_sensor_differs() -> None:
     plant = EmulatedMagnetoShield(effects={"position-sensor-gain": 0.96, "position-sensor-offset": 1e-4})
 
     def read(profile: BoardProfile, x_m: float) -> float:
-        plant.place(x_m)
+        plant.set_state(x_m)
         pins = [plant.sense()[1] for _ in range(400)]
         return statistics.mean(profile.position.to_si(profile.position_count(pin)) for pin in pins)
 

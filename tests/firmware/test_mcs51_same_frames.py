@@ -14,7 +14,7 @@ from gateway.emulator.chip.mcs51.board import Mcs51Board
 from gateway.emulator.chip.mcs51.build import CONFIGURATION
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compile_to
-from protocol.wire.messages import BY_NAME, ROWS
+from protocol.wire.messages import ROW_OF_NAME, ROWS
 from tests.harness.firmware.mcs51_bench import (
     Readings,
     Sent,
@@ -75,5 +75,5 @@ def test_a_minute_of_anything_gives_the_same_frames(seed: int, library: Path) ->
     assert all(same == pairs for pairs, same in counts.values()), counts
     answers = {body[0] for body in there.frames["answers"]}
     assert answers == {row.type for row in ROWS if not row.to_board} - {
-        BY_NAME[name].type for name in ("STATE", "EVENT", "CAPTURE_BLOCK")
+        ROW_OF_NAME[name].type for name in ("STATE", "EVENT", "CAPTURE_BLOCK")
     }

@@ -126,7 +126,7 @@ def test_codes_on_the_bus_are_those_on_the_line() -> None:
     assert dict(pb.Shape.items()) == {f"SHAPE_{shape.name}": shape.value for shape in messages.Shape}
 
 
-@pytest.mark.parametrize("topic", [*topics.BY_NAME, topics.ALIVE])
+@pytest.mark.parametrize("topic", [*topics.TOPIC_OF_NAME, topics.ALIVE])
 def test_keys_are_made_and_taken_apart(topic: str) -> None:
     key = topics.key("lab", "rig-1", topic)
 

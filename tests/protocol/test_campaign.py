@@ -61,7 +61,7 @@ def test_a_table_is_linear_between_and_beyond_its_points() -> None:
     assert [column.convert(raw) for raw in (-0.1, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3)] == pytest.approx(
         [-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 5.0]
     )
-    assert [column.beyond_table(raw) for raw in (-0.1, 0.0, 0.2, 0.3)] == [True, False, False, True]
+    assert [column.extrapolates(raw) for raw in (-0.1, 0.0, 0.2, 0.3)] == [True, False, False, True]
 
 
 def test_the_controller_is_optional() -> None:

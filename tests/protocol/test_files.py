@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.errors import ConfigError, DataError, one_line
+from protocol.errors import ConfigError, DataError, single_line
 from protocol.files import LARGEST_SMALL, open_regular, parse_json, parse_toml, read_small
 from protocol.table_file import LONGEST_LINE, check_table, read_csv_bytes
 
@@ -110,4 +110,4 @@ def test_an_error_is_one_line_that_a_terminal_can_show() -> None:
     assert str(error).isprintable()
     assert len(str(error)) < 1100
     assert r"\x1b]0;title\x07\n\u202e\udcff" in str(error)
-    assert one_line("K_A = 0.297 A/V, x 5 \u00b5m") == "K_A = 0.297 A/V, x 5 \u00b5m"
+    assert single_line("K_A = 0.297 A/V, x 5 \u00b5m") == "K_A = 0.297 A/V, x 5 \u00b5m"

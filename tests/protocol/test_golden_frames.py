@@ -11,7 +11,7 @@ import pytest
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import BadFrame, State, StreamDecoder
 from protocol.wire.framing import MAX_ENCODED, cobs_decode, cobs_encode, crc16, encode_frame
-from protocol.wire.messages import BY_NAME, Field, Message
+from protocol.wire.messages import ROW_OF_NAME, Field, Message
 from tests.harness.protocol.golden import BAD, FRAMES, GOLDEN, Golden
 
 
@@ -41,11 +41,11 @@ def frame_by_the_page(body: bytes) -> bytes:
 
 
 def fields_of(name: str) -> tuple[Field, ...]:
-    return BY_NAME[name].fields
+    return ROW_OF_NAME[name].fields
 
 
 def test_there_is_a_golden_frame_of_every_message_and_a_bad_one_of_every_cause() -> None:
-    assert {golden.title for golden in FRAMES} == set(BY_NAME)
+    assert {golden.title for golden in FRAMES} == set(ROW_OF_NAME)
     assert {golden.title.split()[1] for golden in BAD} == {"oversize", "cobs", "crc", "type", "length", "range"}
 
 

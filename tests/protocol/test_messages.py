@@ -10,7 +10,7 @@ import pytest
 from protocol.wire.codec import BODY_SIZE, decode_body, encode_body, pack_pair, unpack_pair
 from protocol.wire.decoder import BadFrame, StreamDecoder
 from protocol.wire.framing import MAX_BODY, encode_frame
-from protocol.wire.messages import BY_NAME, ROWS, EventCode, Field, HostLoss, Law, Mode, Reason, Row, Shape, Value
+from protocol.wire.messages import ROW_OF_NAME, ROWS, EventCode, Field, HostLoss, Law, Mode, Reason, Row, Shape, Value
 
 FORMATS = {"u8": "<B", "flags": "<B", "u16": "<H", "i16": "<h", "u32": "<I", "f32": "<f"}
 EVERY_FIELD = [(row, field) for row in ROWS for field in row.fields]
@@ -129,11 +129,11 @@ def test_wrong_names_are_refused() -> None:
 
 def test_the_table_is_in_order() -> None:
     assert [row.type for row in ROWS] == sorted({row.type for row in ROWS})
-    assert len(BY_NAME) == len(ROWS)
+    assert len(ROW_OF_NAME) == len(ROWS)
     for row in ROWS:
         assert row.to_board == (row.type < 0x40)
         assert len({field.name for field in row.fields}) == len(row.fields)
-        assert all(field.about for field in row.fields), row.name
+        assert all(field.description for field in row.fields), row.name
         if row.to_board:
             assert row.fields[0].name == "id"
             assert row.fields[0].low == 1
@@ -155,7 +155,7 @@ def test_the_table_is_in_order() -> None:
 def test_the_range_of_a_coded_field_is_that_of_its_codes(
     name: str, field: str, codes: type[Mode | Law | Shape | HostLoss | Reason | EventCode]
 ) -> None:
-    (row_field,) = [candidate for candidate in BY_NAME[name].fields if candidate.name == field]
+    (row_field,) = [candidate for candidate in ROW_OF_NAME[name].fields if candidate.name == field]
 
     assert [code.value for code in codes] == list(range(int(row_field.low or 0), int(row_field.high or 0) + 1))
 

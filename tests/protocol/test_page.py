@@ -57,7 +57,9 @@ def field_lines(row: Row) -> list[str]:
             place = f"{int(at)}" if last == at else f"{int(at)}-{last}"
         at += field_size(field)
         limits = "finite" if field.type == "f32" else "any" if field.low is None else f"{field.low} .. {field.high}"
-        lines.append(f"| {place} | {field.name} | {field.type} | {field.unit or '-'} | {limits} | {field.about} |")
+        lines.append(
+            f"| {place} | {field.name} | {field.type} | {field.unit or '-'} | {limits} | {field.description} |"
+        )
     return lines
 
 
@@ -94,7 +96,7 @@ def test_the_page_says_early_that_the_format_is_our_own() -> None:
 def test_the_message_table_is_that_of_the_code() -> None:
     expected = [
         f"| 0x{row.type:02X} | {row.name} | {'board' if row.to_board else 'host'} | {BODY_SIZE[row.name]} "
-        f"| {BODY_SIZE[row.name] + 5} | {row.about} |"
+        f"| {BODY_SIZE[row.name] + 5} | {row.description} |"
         for row in ROWS
     ]
 
@@ -132,8 +134,8 @@ def test_flags_are_those_of_the_code() -> None:
 
 def test_the_topic_table_is_that_of_the_code() -> None:
     expected = [
-        f"| `<site>/<board>/{topic.name}` | {encoding.schema_name(topic.message)} | {topic.by} | {topic.rate} "
-        f"| {'yes' if topic.bus else 'no'} | {'yes' if topic.logged else 'no'} | {topic.about} |"
+        f"| `<site>/<board>/{topic.name}` | {encoding.schema_name(topic.message)} | {topic.source} | {topic.rate} "
+        f"| {'yes' if topic.bus else 'no'} | {'yes' if topic.logged else 'no'} | {topic.description} |"
         for topic in topics.TOPICS
     ]
 

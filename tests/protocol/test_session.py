@@ -11,7 +11,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, EventCode, Message, Reason
+from protocol.wire.messages import ROW_OF_NAME, EventCode, Message, Reason
 from protocol.wire.session import Session
 
 SCALES = {"i_offset": 0.0, "i_lsb": 1e-3, "x_offset": 0.0, "x_lsb": 1e-6, "u_offset": 0.0, "u_lsb": 1e-3}
@@ -53,11 +53,13 @@ def opened(*, tick: int = 10_000, **options: Any) -> Session:
 
 
 def ack(command: Message, *, tick: int = 0) -> bytes:
-    return frame("ACK", id=command.int("id"), command=BY_NAME[command.name].type, tick=tick)
+    return frame("ACK", id=command.int("id"), command=ROW_OF_NAME[command.name].type, tick=tick)
 
 
 def nack(command: Message, reason: Reason, detail: int = 0) -> bytes:
-    return frame("NACK", id=command.int("id"), command=BY_NAME[command.name].type, reason=int(reason), detail=detail)
+    return frame(
+        "NACK", id=command.int("id"), command=ROW_OF_NAME[command.name].type, reason=int(reason), detail=detail
+    )
 
 
 def answers(events: list[Event]) -> list[Answer]:
@@ -152,7 +154,7 @@ def test_an_ack_for_another_command_type_is_not_an_answer() -> None:
     session.submit("SET_MODE", 0.0, mode=2)
     (command,) = sent(session)
 
-    events = session.feed(frame("ACK", id=command.int("id"), command=BY_NAME["SET_GAINS"].type, tick=1), 0.01)
+    events = session.feed(frame("ACK", id=command.int("id"), command=ROW_OF_NAME["SET_GAINS"].type, tick=1), 0.01)
 
     assert answers(events) == []
 

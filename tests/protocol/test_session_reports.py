@@ -87,10 +87,10 @@ def test_answers_to_nobody_are_counted_and_echoes_are_not_late() -> None:
     session = opened()
 
     session.feed(frame("STOP", id=9) * 2, 0.0)
-    assert (session.counters.stray_answers, session.counters.late_answers) == (2, 0)
+    assert (session.counters.stray_answers, session.counters.stray_board_answers) == (2, 0)
 
     session.feed(frame("ACK", id=9, command=3, tick=0) * 2, 0.0)
-    assert (session.counters.stray_answers, session.counters.late_answers) == (4, 2)
+    assert (session.counters.stray_answers, session.counters.stray_board_answers) == (4, 2)
 
 
 def test_a_refusal_is_the_answer_with_the_board_s_words() -> None:

@@ -17,7 +17,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Event, Restarted, Sample
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, EventCode, Message
+from protocol.wire.messages import ROW_OF_NAME, EventCode, Message
 from protocol.wire.session import Session
 
 T_S = 0.002
@@ -124,7 +124,7 @@ def lying_frame(kind: str, value: int, rig: Rig) -> bytes:
     number = pings[-1].int("id") if pings else 1
     if kind == "PONG":
         return frame("PONG", id=number, tick=value, bad_frames=0, overruns=0)
-    return frame("ACK", id=number, command=BY_NAME["PING"].type, tick=value)
+    return frame("ACK", id=number, command=ROW_OF_NAME["PING"].type, tick=value)
 
 
 @settings(max_examples=300, deadline=None)

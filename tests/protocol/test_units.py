@@ -9,7 +9,7 @@ from pydantic.fields import FieldInfo
 
 from protocol.campaign import CHANNELS, UNITS, Plant
 from protocol.checked import bounds, keys_of
-from protocol.units import MOST, NOT_MEASURED, SCALES, scale_of_size, unit_of_name
+from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, SCALES, scale_of_size, unit_of_name
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_a_name_tells_its_unit_at_its_end(column: str, channel: str, unit: tuple
 
 
 def test_every_channel_has_its_ranges() -> None:
-    assert set(SCALES) == set(MOST) == set(NOT_MEASURED) == set(CHANNELS) == set(UNITS)
+    assert set(SCALES) == set(MAX_PLAUSIBLE) == set(NOT_MEASURED) == set(CHANNELS) == set(UNITS)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
-from protocol.bus.endpoint import check_endpoint, refused_by_router, zenoh_config
+from protocol.bus.endpoint import check_endpoint, router_refusal, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
 from twin.design.design import Design
@@ -51,7 +51,7 @@ def send(
         config = zenoh_config("client", connect=[endpoint], identity=identity)
         session = zenoh.open(zenoh.Config.from_json5(config))
     except zenoh.ZError:
-        raise refused_by_router([endpoint], identity) from None
+        raise router_refusal([endpoint], identity) from None
     with session:
         check_board(design, _parameters(session, site, board))
         reply = _send(session, site, board, _command(design, who), identity)

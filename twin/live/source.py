@@ -20,7 +20,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
-from protocol.bus.endpoint import refused_by_router, zenoh_config
+from protocol.bus.endpoint import router_refusal, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
 from protocol.log.reader import LogReader
@@ -73,7 +73,7 @@ def open_client(endpoints: tuple[str, ...], identity: Identity | None = None) ->
     try:
         return zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
     except zenoh.ZError:
-        raise refused_by_router(endpoints, identity) from None
+        raise router_refusal(endpoints, identity) from None
 
 
 def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[str, pb.Status]:

@@ -16,7 +16,7 @@ from google.protobuf.message import Message
 from mcap.writer import Writer
 
 from protocol.bus import encoding
-from protocol.bus.topics import BY_NAME, split
+from protocol.bus.topics import TOPIC_OF_NAME, split
 from protocol.errors import DataError
 from protocol.log.reader import LogReader, RawLogRecord
 
@@ -39,7 +39,7 @@ def entries(log: LogReader, *, topics: Collection[str], board: str | None = None
     for key in log.foreign:
         parts = split(key)
         if parts is not None and parts[2] in topics and board in (None, parts[1]):
-            expected = encoding.schema_name(BY_NAME[parts[2]].message)
+            expected = encoding.schema_name(TOPIC_OF_NAME[parts[2]].message)
             raise DataError(
                 f"{log.name}: {key} holds {log.schema_of(key)}, not {expected}",
                 remedy="Give a log that board51 wrote",

@@ -89,7 +89,7 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         check_endpoint(endpoint, where="--connect or --listen")
     reader = LogReader(args.logs)
     wanted = tuple(args.topic or DEFAULT_TOPICS)
-    found = contents(reader, wanted=wanted, boards=args.board)
+    found = contents(reader, topics_=wanted, boards=args.board)
     if not found:
         _nothing(reader, args)
     connect = [] if args.listen else args.connect or [DEFAULT_ENDPOINT]
@@ -174,7 +174,7 @@ def contents_raw(reader: LogReader, boards: list[str] | None) -> list[str]:
     """Names of the boards whose bytes are in the log."""
     from gateway.record.replay import contents
 
-    return list(dict.fromkeys(board for _, board, _ in contents(reader, wanted=("raw",), boards=boards)))
+    return list(dict.fromkeys(board for _, board, _ in contents(reader, topics_=("raw",), boards=boards)))
 
 
 def _raw(reader: LogReader, args: argparse.Namespace) -> Iterator[pb.RawBytes]:

@@ -38,19 +38,19 @@ from gateway.emulator.firmware.settings import first_bad_field
 from gateway.emulator.firmware.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Value
+from protocol.wire.messages import ROW_OF_NAME, ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Value
 
 RETAINED_IDS = 8
 PENDING_COMMANDS = 8
 HOST_LOSS_MS = 500
 _PLANT_STEP_US = 20
-_STATE_TYPE = bytes((BY_NAME["STATE"].type,))
+_STATE_TYPE = bytes((ROW_OF_NAME["STATE"].type,))
 _WITHOUT_SESSION = {"HELLO", "PING", "STOP"}
 _PRIORITY = {"EVENT": Priority.EVENT, "CAPTURE_BLOCK": Priority.CAPTURE_BLOCK}
 
 
 class AnalogSide(Protocol):
-    """Analog side of the converters; `plant.EmulatedPlant` implements it."""
+    """The analog side of the converters; `plant.EmulatedPlant` implements it."""
 
     def advance(self, u_v: float, duration_s: float) -> None:
         """Advance the time with the input's pin held."""
@@ -184,27 +184,27 @@ class Firmware:
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
         return self.loop.mode
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since power-on."""
+        """The number of frames for which the line had no time, since power-on."""
         return self.outbox.dropped
 
     @property
     def integral(self) -> int:
-        """Sum of x_ref - x in the law, counts."""
+        """The sum of x_ref - x in the law, counts."""
         return self.loop.law.sum
 
     @property
     def allowance(self) -> int:
-        """Largest jump of the reference that is accepted now, counts."""
+        """The largest jump of the reference that is accepted now, counts."""
         return self.loop.reference.allowance
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
         return self._inbox.bad_frames
 
     def _advance_to(self, time_us: int) -> None:
@@ -223,15 +223,15 @@ class Firmware:
             self._elapsed_us += step_us
             if capture is not None:
                 capture.pass_time(step_us)
-                if capture.done:
+                if capture.has_ended:
                     loop.end_capture()
 
     def _receive(self, body: bytes, into_tick_us: int) -> None:
-        row = BY_TYPE.get(body[0])
+        row = ROW_OF_TYPE.get(body[0])
         if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
             self._inbox.bad_frames = min(self._inbox.bad_frames + 1, 0xFFFF)
             return
-        self._host_seen()
+        self._note_host_frame()
         decoded = decode_body(body)
         message = decoded if isinstance(decoded, Message) else None
         refusal = None
@@ -273,7 +273,7 @@ class Firmware:
                 self._answer(body, self._execute(message))
 
     def _execute(self, message: Message) -> Acceptance | Nack:
-        row, tick = BY_NAME[message.name], self.next_tick
+        row, tick = ROW_OF_NAME[message.name], self.next_tick
         match message.name:
             case "PING":
                 values: dict[str, Value] = {"tick": tick, "bad_frames": self.bad_frames, "overruns": self._overruns}
@@ -318,7 +318,7 @@ class Firmware:
         self.reset(EventCode.RESET_COMMANDED)
         return True
 
-    def _host_seen(self) -> None:
+    def _note_host_frame(self) -> None:
         self._silent_us = 0
         if self.loop.host_lost:
             self.loop.host_lost = False

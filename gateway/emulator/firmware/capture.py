@@ -33,12 +33,12 @@ class FirmwareCapture:
         return len(self._samples) == self._pre and self._start_us == 0
 
     @property
-    def done(self) -> bool:
-        """Whether all samples are taken and the 40 us of the last one are over."""
+    def has_ended(self) -> bool:
+        """Return whether all samples are taken and the 40 us of the last one are over."""
         return len(self._samples) == self.total and self._start_us <= 0
 
     def time_to_sample_us(self) -> int:
-        """Time until the next sample is due (0: now); after the last sample, until the end of the capture."""
+        """The time until the next sample is due (0: now); after the last sample, until the end of the capture."""
         return self._start_us
 
     def pass_time(self, duration_us: int) -> None:

@@ -22,7 +22,7 @@ from gateway.emulator.firmware.flash import (
 )
 from gateway.emulator.firmware.law import Gains
 from gateway.emulator.firmware.settings import in_parameters
-from protocol.wire.messages import BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
+from protocol.wire.messages import ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def refuse_range(body: bytes) -> Nack:
     bound.
     """
     at = 1
-    for field in BY_TYPE[body[0]].fields:
+    for field in ROW_OF_TYPE[body[0]].fields:
         size, signed = {"u8": (1, False), "u16": (2, False), "i16": (2, True), "u32": (4, False)}[field.type]
         value = int.from_bytes(body[at : at + size], "little", signed=signed)
         at += size
@@ -141,13 +141,13 @@ def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Accepta
 
 def _excite(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     target, amplitude, offset = message.int("target"), abs(message.int("amplitude")), message.int("offset")
-    wanted = Mode.OPEN_LOOP if target == TARGET_U else Mode.CLOSED_LOOP
+    required = Mode.OPEN_LOOP if target == TARGET_U else Mode.CLOSED_LOOP
     low, high = (0, loop.limits.u_max) if target == TARGET_U else (loop.limits.x_ref_min, loop.limits.x_ref_max)
     if loop.fault:
         return Nack(Reason.FAULT_ACTIVE)
     if loop.capturing:
         return Nack(Reason.BUSY)
-    if loop.mode != wanted:
+    if loop.mode != required:
         return Nack(Reason.WRONG_MODE, loop.mode)
     if offset - amplitude < low:
         return Nack(Reason.OUT_OF_RANGE, low)

@@ -37,7 +37,7 @@ class Reference:
 
     @property
     def allowance(self) -> int:
-        """Largest jump that is accepted now, counts."""
+        """The largest jump that is accepted now, counts."""
         return self._allowance // TICKS_PER_S
 
     def refill(self) -> None:
@@ -52,7 +52,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tick:
-    """Values of one run of the loop, for STATE."""
+    """The values of one run of the loop, for STATE."""
 
     i: int
     x: int
@@ -95,13 +95,13 @@ class ControlLoop:
     def u(self) -> int:
         """Count of the input converter, as far as it has confirmed it."""
         capture = self.capture
-        due = capture is not None and not capture.done and capture.step_is_due
+        due = capture is not None and not capture.has_ended and capture.step_is_due
         return capture.u_to if capture is not None and due else self.output.u
 
     @property
     def capturing(self) -> bool:
-        """Whether a capture drives the coil."""
-        return self.capture is not None and not self.capture.done
+        """Return whether a capture drives the coil."""
+        return self.capture is not None and not self.capture.has_ended
 
     def set_mode(self, mode: Mode) -> None:
         """Enter `mode`, as SET_MODE does; the current mode is not entered again."""
@@ -136,7 +136,7 @@ class ControlLoop:
     def excite(self, excitation: Excitation) -> None:
         """Start an excitation at this tick."""
         self.excitation = excitation
-        self._announced = excitation.done
+        self._announced = excitation.has_ended
 
     def end_excitation(self) -> None:
         """End the excitation: the signal stays at its offset."""
@@ -175,7 +175,7 @@ class ControlLoop:
     def _play(self) -> None:
         if self.excitation is None:
             return
-        if self.excitation.done and not self._announced:
+        if self.excitation.has_ended and not self._announced:
             self._announced = True
             self._emit(EventCode.EXCITATION_DONE, 0)
         value = self.excitation.next()

@@ -50,13 +50,13 @@ class Excitation:
         self._phase_sweep = (last_step - self._phase_step) // max(signal.duration, 1)
 
     @property
-    def done(self) -> bool:
-        """Whether the duration is over, so that the signal stays at its offset."""
+    def has_ended(self) -> bool:
+        """Return whether the duration is over, so that the signal stays at its offset."""
         return self.signal.shape == Shape.NONE or 0 < self.signal.duration <= self._ticks
 
     def next(self) -> int:
         """Return the signal at this tick, in counts of its target."""
-        value = self.signal.offset if self.done else self.signal.offset + self._shape()
+        value = self.signal.offset if self.has_ended else self.signal.offset + self._shape()
         self._ticks += 1
         return value
 

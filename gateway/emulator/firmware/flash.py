@@ -66,7 +66,7 @@ INPUT = ConverterScale(offset=0.0, lsb=5.0 / _CODES)  # V
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlashLimits:
-    """Limits of commanded values, in counts (rules 7 and 8)."""
+    """The limits of commanded values, in counts (rules 7 and 8)."""
 
     x_ref_min: int
     x_ref_max: int
@@ -136,7 +136,7 @@ GAINS = gains_in_counts(Law.LQI, K_LQI, OPERATING_POINT)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardProfile:
-    """What differs between the boards of two rigs: scalings, gains, limits, and what lies between pins and counts.
+    """The data of one rig's board: scalings, gains, limits, and the parts between pins and counts.
 
     Here the pins carry i_c in A, x in m and u_c in V, and the converters are linear.  A board whose converters are not
     has a profile of its own, which puts tables between them and the counts.
@@ -153,7 +153,7 @@ class BoardProfile:
 
     @property
     def settings(self) -> Settings:
-        """Gains, operating point and limits."""
+        """The gains, operating point and limits."""
         return Settings(gains=self.gains, limits=self.limits)
 
     def current_count(self, pin: float) -> int:

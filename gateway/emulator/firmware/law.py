@@ -3,10 +3,13 @@
 Format: gains are 16-bit mantissas with a right shift, deviations 16-bit, the integral a saturating 24-bit integer,
 products 32 and 40 bits, the accumulator 32 bits with 8 fraction bits (Q23.8).
 
-What it costs, against the same law in floating point with the gains as designed (20 000 states over the working range,
-tests/gateway/emulator/test_firmware_law.py): before rounding to the converter at most 0.25 and 0.09 rms counts of u,
-with it 0.66 and 0.30.  Rounding alone, which no arithmetic avoids, is 0.50 and 0.29.  So fixed point adds 3 % to the
-noise of the 12-bit converter; one count is 1.22 mV.
+Error against the same law in floating point, over 20 000 states of the working range (test_firmware_law.py):
+
+    before rounding to the converter   at most 0.25 counts of u, 0.09 rms
+    with rounding                      at most 0.66 counts of u, 0.30 rms
+    rounding only (unavoidable)        at most 0.50 counts of u, 0.29 rms
+
+So fixed point adds 3 % to the noise of the 12-bit converter; one count is 1.22 mV.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ _HALF = 1 << FRACTION_BITS - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """Gains of SET_GAINS: gain n is mantissas[n] * 2^-shifts[n], in counts of u_c per count."""
+    """The gains of SET_GAINS: gain n is mantissas[n] * 2^-shifts[n], in counts of u_c per count."""
 
     law: int  # messages.Law
     mantissas: tuple[int, int, int, int]
@@ -33,7 +36,7 @@ class Gains:
 
 
 class ControlLaw:
-    """Control law with its gains and its state: integral of the error, last position."""
+    """The control law with its gains and its state: integral of the error, last position."""
 
     def __init__(self, gains: Gains) -> None:
         self.gains = gains
@@ -62,12 +65,12 @@ class ControlLaw:
 
     def run(self, i: int, x: int, x_ref: int) -> tuple[int, bool]:
         """Run one tick: return (u_c in counts, whether it was limited), and advance the integral."""
-        wanted = self.accumulate(i, x, x_ref) + _HALF >> FRACTION_BITS
-        u = min(max(wanted, 0), COUNTS_MAX)
+        unlimited = self.accumulate(i, x, x_ref) + _HALF >> FRACTION_BITS
+        u = min(max(unlimited, 0), COUNTS_MAX)
         error = x_ref - x
         # Anti-windup: the sign of du/dsum decides which error would push u further past the limit it is at.
         rise = -self.gains.mantissas[3] if self.gains.law == Law.LQI else self.gains.mantissas[1]
-        if not (wanted > COUNTS_MAX and error * rise > 0) and not (wanted < 0 and error * rise < 0):
+        if not (unlimited > COUNTS_MAX and error * rise > 0) and not (unlimited < 0 and error * rise < 0):
             self.sum = saturate(self.sum + error, SUM_BITS)
         self._x_previous = x
-        return u, wanted != u
+        return u, unlimited != u

@@ -70,7 +70,7 @@ class HallCurve:
         for x_m in (ground_m, ceiling_m):
             if not low < x_m < high:
                 raise UsageError(
-                    f"x = {x_m:g} m is no reading within the range of the converter, {low:g} to {high:g} m",
+                    f"x = {x_m:g} m is not within the range of the converter, {low:g} to {high:g} m",
                     remedy="At its end: turn the magnet over, and see that it lies in the tube",
                 )
         if ceiling_m - ground_m < 2e-3:
@@ -83,24 +83,24 @@ class HallCurve:
         return cls(scale_mm=_GAP_TOP_MM / ceiling**power, power=power)
 
     def gauss(self, x_m: float) -> float:
-        """Field of the magnet at a position."""
+        """The field of the magnet at a position."""
         return float(((_GAP_BOTTOM_MM - x_m * 1e3) / self.scale_mm) ** (1.0 / self.power))
 
     def x_m(self, pin_v: float) -> float:
-        """Position, up from the ground; infinite where the field is not that of the magnet."""
+        """The position, up from the ground; infinite where the field is not that of the magnet."""
         gauss = (self.zero_v - pin_v) * self.gauss_per_v
         return (_GAP_BOTTOM_MM - self.scale_mm * gauss**self.power) * 1e-3 if gauss > 0.0 else math.inf
 
 
 def position_table(curve: HallCurve) -> tuple[int, ...]:
-    """Counts of x at each 16th code of the converter, 0 to 1024."""
+    """The counts of x at each 16th code of the converter, 0 to 1024."""
     return tuple(
         POSITION.to_count(curve.x_m(code * _REFERENCE_V / (_ADC_MAX + 1))) for code in range(0, 1025, _ADC_STEP)
     )
 
 
 def input_table(driver: tuple[float, float, float, float] = DRIVER) -> tuple[int, ...]:
-    """Codes of the input converter at each 64th count of u_c, 0 to 4096; 0 at 0, so that the coil can be off."""
+    """The codes of the input converter at each 64th count of u_c, 0 to 4096; 0 at 0, so that the coil can be off."""
     d3, d2, d1, d0 = driver
     volts = (INPUT.lsb * count for count in range(0, 4097, _INPUT_STEP))
     codes = [min(max(round(((d3 * u + d2) * u + d1) * u + d0), 0), COUNTS_MAX) for u in volts]

@@ -56,7 +56,7 @@ class Output:
             self.u = count
 
     def rearm(self) -> None:
-        """After SET_MODE has cleared a fault: what still lasts is raised again at this tick."""
+        """Forget the reported faults after SET_MODE: a fault that persists is raised again at this tick."""
         self._unconfirmed_ticks = min(self._unconfirmed_ticks, UNCONFIRMED_TICKS - 1)
         self._current_ticks = min(self._current_ticks, UNCOMMANDED_TICKS - 1)
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from gateway.emulator.firmware.flash import FlashLimits, Settings
 from gateway.emulator.firmware.law import Gains
-from protocol.wire.messages import BY_NAME, Value
+from protocol.wire.messages import ROW_OF_NAME, Value
 
 
 def in_parameters(gains: Gains, limits: FlashLimits) -> dict[str, Value]:
@@ -20,7 +20,7 @@ def in_parameters(gains: Gains, limits: FlashLimits) -> dict[str, Value]:
 def first_bad_field(settings: Settings) -> int:
     """Return the first field out of its range, counted from 1 in the order of PARAMETERS; 0 if there is none."""
     values = in_parameters(settings.gains, settings.limits)
-    fields = [field for field in BY_NAME["PARAMETERS"].fields if field.name in values]
+    fields = [field for field in ROW_OF_NAME["PARAMETERS"].fields if field.name in values]
     for n, field in enumerate(fields, start=1):
         low, high, value = field.low, field.high, values[field.name]
         if low is None or high is None or not isinstance(value, int) or not low <= value <= high:

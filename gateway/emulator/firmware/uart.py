@@ -20,7 +20,7 @@ _BITS_PER_BYTE = 10  # 8N1
 
 
 class Priority(IntEnum):
-    """Priority of transmission, highest first."""
+    """The priority of transmission, highest first."""
 
     STATE = 0
     ANSWER = 1
@@ -32,7 +32,7 @@ _DEPTH = {Priority.STATE: 8, Priority.ANSWER: 8, Priority.EVENT: 16, Priority.CA
 
 
 class Outbox:
-    """Queues of frames for the transmitter."""
+    """The queues of frames for the transmitter."""
 
     def __init__(self) -> None:
         self._queues: tuple[deque[bytes], ...] = tuple(deque() for _ in Priority)

@@ -128,32 +128,32 @@ class NativeFirmware:
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
         return Mode(self._view.mode)
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since power-on."""
+        """The number of frames for which the line had no time, since power-on."""
         return int(self._view.dropped)
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
         return int(self._view.bad_frames)
 
     @property
     def integral(self) -> int:
-        """Sum of x_ref - x in the law, counts."""
+        """The sum of x_ref - x in the law, counts."""
         return int(self._view.sum)
 
     @property
     def allowance(self) -> int:
-        """Largest jump of the reference that is accepted now, counts."""
+        """The largest jump of the reference that is accepted now, counts."""
         return int(self._view.allowance) // 1_000_000
 
     @property
     def next_tick(self) -> int:
-        """Number of the tick that comes next."""
+        """The number of the tick that comes next."""
         return int(self._view.next_tick)
 
     @next_tick.setter

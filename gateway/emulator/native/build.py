@@ -1,8 +1,8 @@
 """Compiles the firmware's core for this machine, once for each version of its sources.
 
-Rule 1: the library lies in the user's cache, under a name made of its sources and options: a change of either compiles
-        anew, and an installation needs no compiler until somebody asks for this firmware.
-Rule 2: it is complete or it is not there: processes that compile at the same time do not see each other's half.
+Rule 1: the library lies in the user's cache, under a name made of its sources and options.  A change of either compiles
+        it again.  An installation needs no compiler until this firmware is used.
+Rule 2: the file appears in the cache only when it is complete, so processes may compile it at the same time.
 """
 
 from __future__ import annotations
@@ -51,18 +51,18 @@ def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[st
     """
     program = compiler()
     if program is None:
-        asked = os.environ.get("CC")
-        looked_for = f"CC={asked} is not" if asked else "neither cc, gcc nor clang is"
+        configured = os.environ.get("CC")
+        looked_for = f"CC={configured} is not" if configured else "neither cc, gcc nor clang is"
         raise InstallError(
             f"The firmware in C needs a C compiler, and {looked_for} found",
             remedy="Install one (Debian: apt-get install gcc libc6-dev), or fly the Python firmware, the default",
         )
     command = [program, *OPTIONS, *options, *map(str, files or sources()), *_LINK_OPTIONS, "-o", str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    if done.returncode != 0:
-        said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+    process = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if process.returncode != 0:
+        message = next((line for line in process.stderr.splitlines() if "error" in line), process.stderr.strip())
         raise ServiceError(
-            f"{program} cannot compile the firmware: {said}",
+            f"{program} cannot compile the firmware: {message}",
             remedy="Install a complete C compiler (Debian: apt-get install gcc libc6-dev), or fly the Python firmware",
         )
 
@@ -74,17 +74,17 @@ def library() -> Path:
         InstallError: there is no C compiler.
         ServiceError: it fails, or the cache cannot be written.
     """
-    return kept("firmware.so", [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, _LINK_OPTIONS), compile_to)
+    return cached("firmware.so", [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, _LINK_OPTIONS), compile_to)
 
 
-def kept(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
-    """Return what `make` writes to the path that it is given; call it if the cache does not have its work.
+def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
+    """Return a file from the cache; if it is not there, let `make` write it.
 
     Args:
-        name: Of the file in the cache; a key made of the rest stands before its ending.
-        inputs: The files of which it is made.
-        options: How it is made.
-        make: Writes it.
+        name: Name of the file; a key made of `inputs` and `options` is inserted before its ending.
+        inputs: The source files.
+        options: The options of the compiler.
+        make: Writes the file to the given path.
 
     Raises:
         ServiceError: the cache cannot be written.

@@ -39,7 +39,7 @@ class Effect:
     strong: float
     neutral: float = 0.0  # the value at which the effect is absent
     signed: bool = False  # the value mirrored at the neutral one is as plausible
-    about: str
+    description: str
     where: str
     source: str
 
@@ -50,7 +50,7 @@ def _effect(  # one row of the table, in the order of its columns
     unit: str,
     limits: tuple[float, float],
     strengths: tuple[float, float, float],
-    about: str,
+    description: str,
     where: str,
     source: str,
     *,
@@ -72,7 +72,7 @@ def _effect(  # one row of the table, in the order of its columns
         strong=strong,
         neutral=neutral,
         signed=signed,
-        about=about,
+        description=description,
         where=where,
         source=source,
     )
@@ -228,7 +228,7 @@ def listing() -> str:
             family = effect.family
             lines.append(f"{family}:")
         values = f"{effect.parameter} = {effect.weak:g} | {effect.medium:g} | {_quantity(effect.strong, effect)}"
-        lines.append(f"  {effect.name:<30} {values:<34} {effect.about}")
+        lines.append(f"  {effect.name:<30} {values:<34} {effect.description}")
     return "\n".join(lines)
 
 

@@ -58,27 +58,27 @@ class EmulatedPlant:
         self._inputs = np.zeros(length)
         self._sensed = np.zeros((length, 2))
         self.set_effects(effects)
-        self.place(0.0)
+        self.set_state(0.0)
         self.advance(0.0, 0.0)  # compiles now, so that the first tick is not delayed
 
     @property
     def time_s(self) -> float:
-        """Physical time since the start."""
+        """The physical time since the start."""
         return self._steps * self.step_s
 
     @property
     def i_c_a(self) -> float:
-        """True coil current."""
+        """The true coil current."""
         return self._state.i
 
     @property
     def x_m(self) -> float:
-        """True position, up from the sensor."""
+        """The true position, up from the sensor."""
         return self._state.x
 
     @property
     def v_m_s(self) -> float:
-        """True speed, up."""
+        """The true speed, up."""
         return self._state.v
 
     def set_effects(self, effects: Mapping[str, float]) -> None:
@@ -99,7 +99,7 @@ class EmulatedPlant:
         self._current_offset = strength["current-sensor-offset"]
         self._loss_probability = strength["lost-samples"]
 
-    def place(self, x_m: float, *, v_m_s: float = 0.0, i_c_a: float = 0.0) -> None:
+    def set_state(self, x_m: float, *, v_m_s: float = 0.0, i_c_a: float = 0.0) -> None:
         """Set position and speed of the ball and the current, with lags and delays in steady state, coil cold.
 
         Raises:

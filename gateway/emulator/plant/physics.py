@@ -9,8 +9,9 @@ All quantities in SI units; x is up from the sensor.
     sensor     tau s' = reading(x, i) - s                         (without lag: s = reading)
 
 Rule 1: the step is fixed, so the same inputs give the same bits however a span is cut into calls.
-Rule 2: a stop is an event.  The step is cut where the ball touches (bisection), the speed is reversed there, and the
-        rest of the step goes on: no stiff spring, no penetration, no dependence on where the steps happen to fall.
+Rule 2: a stop is an event.  The step is cut where the ball touches (bisection), and the speed is reversed there.  Then
+        the rest of the step follows.  A stiff spring instead would allow penetration, and its result would depend on
+        where the steps fall.
 Rule 3: a ball that rests on a stop, or is held by dry friction, keeps its x bit for bit.
 
 Classical Runge-Kutta of 4th order in between.  At 20 us and T_A = 300 us its error in i_c stays below 1e-7 of a jump,
@@ -40,7 +41,7 @@ _BISECTIONS = 40  # locates an event to 20 us * 2^-40 = 2e-17 s
 
 
 class PlantState(NamedTuple):
-    """State of the rig."""
+    """The state of the rig."""
 
     i: float  # coil current, A
     f: float  # current that the force sees, A
@@ -51,7 +52,7 @@ class PlantState(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Constants of the equations, from rig and effects; SI units."""
+    """The constants of the equations, from rig and effects; SI units."""
 
     mass: float
     travel: float
@@ -96,18 +97,21 @@ def _compiled(function: Callable[P, R]) -> Callable[P, R]:
     except ImportError:
         return function
     config: Any = numba.config
-    here, config.CACHE_DIR = config.CACHE_DIR, _cache_folder()  # read while it decorates
+    default_folder, config.CACHE_DIR = config.CACHE_DIR, _cache_folder()  # read while it decorates
     try:
         return cast("Callable[P, R]", numba.njit(cache=True)(function))
     except RuntimeError:  # no directory that a cache could be written to
         return cast("Callable[P, R]", numba.njit(function))
     finally:
-        config.CACHE_DIR = here
+        config.CACHE_DIR = default_folder
 
 
 @cache
 def _cache_folder() -> str:
-    """Of the machine code of these very lines: what lies there of a class with a former name, numba cannot read."""
+    """Return the cache folder for the machine code of this version of the file.
+
+    numba cannot read machine code that names a class by its former name, so each version has a folder.
+    """
     file = Path(__file__)
     parent = os.environ.get("NUMBA_CACHE_DIR") or file.parent / "__pycache__"
     return str(Path(parent) / f"plant-{hashlib.sha256(file.read_bytes()).hexdigest()[:16]}")
@@ -116,8 +120,8 @@ def _cache_folder() -> str:
 @_compiled
 def reading(x: float, i: float, c: Constants) -> float:
     """Return the static reading of the position sensor, m: nonlinearity, gain, offset, crosstalk."""
-    place = x / c.travel
-    return c.x_gain * (x + 4.0 * c.x_bow * place * (1.0 - place)) + c.x_offset + c.crosstalk * i
+    fraction = x / c.travel
+    return c.x_gain * (x + 4.0 * c.x_bow * fraction * (1.0 - fraction)) + c.x_offset + c.crosstalk * i
 
 
 @_compiled
@@ -138,7 +142,7 @@ def pull(y: PlantState, t: float, c: Constants) -> float:
 
 @_compiled
 def _rates(y: PlantState, t: float, u: float, free: bool, direction: float, c: Constants) -> PlantState:
-    """Time derivative of the state; `direction` of the motion is given, so that dry friction is smooth in a step."""
+    """Return the time derivative of the state; `direction` stays the same in a step, so that dry friction is smooth."""
     target = c.K_A * (1.0 - c.gain_loss * y.w) * max(u - c.dead_zone, 0.0) + c.current_offset
     target = min(max(target, 0.0), c.current_max)
     gap = c.gap_bottom - y.x
@@ -161,17 +165,17 @@ def _rates(y: PlantState, t: float, u: float, free: bool, direction: float, c: C
 
 
 @_compiled
-def _along(y: PlantState, k: PlantState, h: float) -> PlantState:
+def _advanced(y: PlantState, k: PlantState, h: float) -> PlantState:
     return PlantState(y.i + h * k.i, y.f + h * k.f, y.x + h * k.x, y.v + h * k.v, y.w + h * k.w, y.s + h * k.s)
 
 
 @_compiled
 def _runge_kutta(y: PlantState, t: float, h: float, u: float, free: bool, direction: float, c: Constants) -> PlantState:
     k1 = _rates(y, t, u, free, direction, c)
-    k2 = _rates(_along(y, k1, 0.5 * h), t + 0.5 * h, u, free, direction, c)
-    k3 = _rates(_along(y, k2, 0.5 * h), t + 0.5 * h, u, free, direction, c)
-    k4 = _rates(_along(y, k3, h), t + h, u, free, direction, c)
-    z = _along(_along(_along(_along(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
+    k2 = _rates(_advanced(y, k1, 0.5 * h), t + 0.5 * h, u, free, direction, c)
+    k3 = _rates(_advanced(y, k2, 0.5 * h), t + 0.5 * h, u, free, direction, c)
+    k4 = _rates(_advanced(y, k3, h), t + h, u, free, direction, c)
+    z = _advanced(_advanced(_advanced(_advanced(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     f = z.f if c.eddy > 0.0 else z.i
     s = z.s if c.x_lag > 0.0 else reading(z.x, z.i, c)
     return PlantState(z.i, f, z.x, z.v, z.w, s)
@@ -220,16 +224,16 @@ def step(y: PlantState, t: float, h: float, u: float, c: Constants) -> PlantStat
         z = _runge_kutta(y, t, h, u, free, direction, c)
         if not (free and _event(z, direction, c)):
             return z
-        early, late = 0.0, h
+        start, end = 0.0, h
         for _ in range(_BISECTIONS):
-            middle = 0.5 * (early + late)
+            middle = 0.5 * (start + end)
             if _event(_runge_kutta(y, t, middle, u, free, direction, c), direction, c):
-                late = middle
+                end = middle
             else:
-                early = middle
-        y = _land(_runge_kutta(y, t, late, u, free, direction, c), c)
-        t += late
-        h -= late
+                start = middle
+        y = _land(_runge_kutta(y, t, end, u, free, direction, c), c)
+        t += end
+        h -= end
         if h <= 0.0:
             return y
     return _runge_kutta(y, t, h, u, False, 0.0, c)
@@ -246,7 +250,7 @@ def advance(
     inputs: FloatArray,
     sensed: FloatArray,
 ) -> PlantState:
-    """`count` steps with the input u held from step number `first` on.
+    """Integrate `count` steps with the input u held from step number `first` on.
 
     Args:
         y: State at the start of step `first`.

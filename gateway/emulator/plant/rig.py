@@ -66,11 +66,11 @@ class PlantConstants:
                 )
 
     def gap_m(self, x_m: float) -> float:
-        """Distance from the ball's position x to the effective plane of the coil: x_max - x of eq. (3)."""
+        """The distance from the ball's position x to the effective plane of the coil: x_max - x of eq. (3)."""
         return self.travel_m + self.coil_plane_above_stop_m - x_m
 
     def equilibrium_current_a(self, x_m: float) -> float:
-        """Current that carries the ball at rest at x: i = gap sqrt(m g / K_c), eq. (6) with x'' = x' = 0."""
+        """The current that carries the ball at rest at x: i = gap sqrt(m g / K_c), eq. (6) with x'' = x' = 0."""
         gap = self.gap_m(x_m)
         if self.force_exponent == 2.0 and self.magnet_current_a == 0.0:
             return gap * math.sqrt(self.mass_kg * self.gravity_m_s2 / self.force_constant_n_m2_a2)
@@ -79,7 +79,7 @@ class PlantConstants:
         return square / self.magnet_current_a if self.magnet_current_a > 0.0 else math.sqrt(square)
 
     def equilibrium_input_v(self, x_m: float) -> float:
-        """Input that holds `equilibrium_current_a`: u = i / K_A, eq. (1)."""
+        """The input that holds `equilibrium_current_a`: u = i / K_A, eq. (1)."""
         return self.equilibrium_current_a(x_m) / self.amplifier_gain_a_v
 
 

@@ -102,7 +102,7 @@ def open_sealed(path: Path) -> dict[str, float]:
     if not intact:
         raise DataError(
             f"Sealed file {path}: content and commitment differ",
-            remedy="Get the file as it was written; it was changed",
+            remedy="Use the original file; this one was changed",
         )
     effects = {str(name): float(value) for name, value in json.loads(content)["effects"].items()}
     check(effects)

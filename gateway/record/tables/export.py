@@ -60,21 +60,21 @@ def export(
     """
     reader = LogReader(logs)
     last_ns = None
-    found: dict[str, Columns] = {}
-    getters = _getters(topics.BY_NAME[topic].message)
+    tables: dict[str, Columns] = {}
+    getters = _getters(topics.TOPIC_OF_NAME[topic].message)
     for record in reader.records(topics_=[topic], boards=boards, start_s=start_s, end_s=end_s):
         last_ns = record.time_ns
-        columns = found.get(record.board)
+        columns = tables.get(record.board)
         if columns is None:
-            columns = found[record.board] = Columns(_names(record, getters), [])
+            columns = tables[record.board] = Columns(_names(record, getters), [])
         columns.rows += _rows(record, getters, start_ns=reader.start_ns)
     reader.check(last_ns=last_ns)
-    if not found:
-        seen = sorted({c.topic for scan in reader.scans for c in scan.channels.values()})
-        raise DataError(f"Log {reader.name} has no {topic} to export", remedy=f"It has: {', '.join(seen)}")
+    if not tables:
+        present = sorted({c.topic for scan in reader.scans for c in scan.channels.values()})
+        raise DataError(f"Log {reader.name} has no {topic} to export", remedy=f"It has: {', '.join(present)}")
     files = []
-    for board, columns in found.items():
-        path = out if len(found) == 1 else out.with_name(f"{out.stem}-{board}{out.suffix}")
+    for board, columns in tables.items():
+        path = out if len(tables) == 1 else out.with_name(f"{out.stem}-{board}{out.suffix}")
         try:
             path.open("x").close()  # never overwrite an existing file
         except OSError as error:
@@ -103,8 +103,8 @@ def _rows(record: LogRecord, getters: dict[str, Getter], *, start_ns: int) -> It
             t_s = (index - message.step_index) * message.sample_time_s
             yield [t_s, i_c_a, u_c_v, message.session, message.tick]
         return
-    own_time = getters.get("t_s")
-    time_s = own_time(message) if own_time else (record.time_ns - start_ns) / 1e9
+    time_getter = getters.get("t_s")
+    time_s = time_getter(message) if time_getter else (record.time_ns - start_ns) / 1e9
     yield [time_s, *(getter(message) for name, getter in getters.items() if name != "t_s")]
 
 

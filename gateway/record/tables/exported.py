@@ -13,7 +13,7 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from gateway.record.tables.table import Table
 from protocol.bus import board51_pb2 as pb
-from protocol.errors import DataError, shown
+from protocol.errors import DataError, quoted
 
 _FIELDS: tuple[Any, ...] = tuple(pb.State.DESCRIPTOR.fields)  # two classes, by protobuf's backend
 _FLOATS = (FieldDescriptor.TYPE_DOUBLE, FieldDescriptor.TYPE_FLOAT)
@@ -46,7 +46,7 @@ def _state(table: Table, row: int) -> pb.State:
             setattr(state, field.name, value)
         except (ValueError, OverflowError):
             raise DataError(
-                f"{table.path}, {table.place(row)}: {field.name} = {shown(cell)} is not a value of an exported log",
+                f"{table.path}, {table.label(row)}: {field.name} = {quoted(cell)} is not a value of an exported log",
                 remedy="Export the log again, or name the columns with --map",
             ) from None
     return state

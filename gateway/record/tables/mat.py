@@ -33,7 +33,7 @@ def read_mat(path: Path) -> Table:
         path=path,
         names=tuple(columns),
         rows=next(iter(lengths.values())),
-        place=lambda row: f"sample {row + 1}",
+        label=lambda row: f"sample {row + 1}",
         cell=lambda column, row: columns[column][row].item(),  # whole numbers stay exact: times in ns have 61 bits
         unusable=unusable,
     )
@@ -58,7 +58,7 @@ def _collect(name: str, value: Any, columns: dict[str, npt.NDArray[Any]], unusab
 def _why(value: Any) -> str:
     """Return why a variable cannot be used as a column."""
     if not isinstance(value, np.ndarray):
-        return f"it is of a type that is not read ({type(value).__name__})"
+        return f"its type is not supported ({type(value).__name__})"
     shape = " x ".join(str(size) for size in value.shape)
     if value.size == 0:
         return "it is empty"

@@ -43,7 +43,7 @@ def read_parquet(path: Path) -> Table:
         path=path,
         names=names,
         rows=rows,
-        place=lambda row: f"row {row + 1}",
+        label=lambda row: f"row {row + 1}",
         cell=lambda column, row: _cell(columns[column][row]),
     )
 

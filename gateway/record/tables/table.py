@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from protocol.errors import DataError, shown
+from protocol.errors import DataError, quoted
 from protocol.table_file import check_table, is_number, read_csv_bytes
 
 FloatArray = npt.NDArray[np.float64]
@@ -28,7 +28,7 @@ class Table:
     path: Path
     names: tuple[str, ...]
     rows: int
-    place: Callable[[int], str]  # row -> "line 7" or "sample 6"
+    label: Callable[[int], str]  # row -> "line 7" or "sample 6"
     cell: Callable[[str, int], str | float]
     unusable: Mapping[str, str] = field(
         default_factory=dict
@@ -59,11 +59,11 @@ class Table:
         return values
 
     def _bad(self, column: str, row: int, cell: str | float) -> DataError:
-        what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {shown(cell)} is not a finite number"
+        what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {quoted(cell)} is not a finite number"
         remedy = "Correct the cell, or leave that row out"
         if isinstance(cell, str) and "," in cell:
             remedy = "Write decimals with a point"
-        return DataError(f"{self.path}, {self.place(row)}: {column} {what}", remedy=remedy)
+        return DataError(f"{self.path}, {self.label(row)}: {column} {what}", remedy=remedy)
 
 
 def read_csv(path: Path) -> Table:
@@ -90,7 +90,7 @@ def read_csv(path: Path) -> Table:
         raise DataError(f"{where} holds numbers instead of column names", remedy="Put the names into the first line")
     if len(set(names)) != len(names) or "" in names:
         twice = next((name for name in names if names.count(name) > 1 or not name), "")
-        raise DataError(f"{where}: column name {twice!r} is empty or there twice", remedy="Give each its own name")
+        raise DataError(f"{where}: column name {twice!r} is empty or appears twice", remedy="Give each its own name")
     rows = [_split(line, separator) for _, line in retained[1:]]
     numbers = [number for number, _ in retained[1:]]
     if not rows:
@@ -106,7 +106,7 @@ def read_csv(path: Path) -> Table:
         path=path,
         names=names,
         rows=len(rows),
-        place=lambda row: f"line {numbers[row]}",
+        label=lambda row: f"line {numbers[row]}",
         cell=lambda column, row: rows[row][index[column]],
     )
 

@@ -27,8 +27,8 @@ from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.campaign import CHANNELS, UNITS, Campaign, Channel, Column, Recording
-from protocol.errors import DataError, shown
-from protocol.units import MOST, NOT_MEASURED, scale_of_size
+from protocol.errors import DataError, quoted
+from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, scale_of_size
 
 GAP_STEPS = 1.5  # a step longer than this lost at least one sample
 LARGEST_GAP = 1 << 31  # samples: `lost_before` counts in 32 bits
@@ -38,7 +38,7 @@ _FIELDS: Mapping[Channel, str] = {"u_c": "u_c_v", "i_c": "i_c_a", "x": "x_m", "x
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportReport:
-    """Summary of an import, with warnings."""
+    """The summary of an import, with warnings."""
 
     source: Path
     log: Path
@@ -95,7 +95,7 @@ def import_recording(
         report = _report_of(source, log, board, states)
         _write(f"{site}/{board}", report, recording, campaign, states)
         return report
-    values, beyond = _channels(table, recording)
+    values, extrapolated = _channels(table, recording)
     in_time = recording.kind != "equilibria"
     time_s = values.pop("t") if in_time else np.arange(table.rows, dtype=float)
     if not values:
@@ -119,7 +119,7 @@ def import_recording(
         samples_missing=int(np.sum(ticks_per_step - 1)),
         irregular_steps=int(np.count_nonzero(off > JITTER_SHARE * sample_time_s)),
         worst_step_s=float(steps[np.argmax(off)]) if off.size else 0.0,
-        beyond_table=beyond,
+        beyond_table=extrapolated,
         warnings=(
             *_implausible(recording, values, steps),
             *(f"column {name!r} cannot be used: {why}" for name, why in table.unusable.items()),
@@ -141,11 +141,11 @@ def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) 
         log=log,
         board=board,
         rows=len(states),
-        channels=tuple(channel for channel, field in _FIELDS.items() if any(one.HasField(field) for one in states)),
+        channels=tuple(channel for channel, field in _FIELDS.items() if any(state.HasField(field) for state in states)),
         sample_time_s=_round(float(np.median(steps))) if steps else 0.0,
         duration_s=(states[-1].host_time_ns - states[0].host_time_ns) / 1e9,
-        gaps=sum(one.lost_before > 0 for one in states),
-        samples_missing=sum(one.lost_before for one in states),
+        gaps=sum(state.lost_before > 0 for state in states),
+        samples_missing=sum(state.lost_before for state in states),
         irregular_steps=0,
         worst_step_s=0.0,
         beyond_table={},
@@ -155,7 +155,7 @@ def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) 
 def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatArray], dict[str, int]]:
     """Return the converted values of the present channels, and the numbers of values beyond a look-up table."""
     values: dict[Channel, FloatArray] = {}
-    beyond: dict[str, int] = {}
+    extrapolated: dict[str, int] = {}
     for channel in CHANNELS:
         column = recording.column(channel)
         mapped = channel in recording.columns
@@ -164,10 +164,10 @@ def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatAr
         raw = table.numbers(column.column)
         values[channel] = _convert(column, raw)
         _check_measured(table, channel, column, values[channel])
-        count = sum(column.beyond_table(value) for value in raw.tolist())
+        count = sum(column.extrapolates(value) for value in raw.tolist())
         if count:
-            beyond[channel] = count
-    return values, beyond
+            extrapolated[channel] = count
+    return values, extrapolated
 
 
 def _check_measured(table: Table, channel: Channel, column: Column, values: FloatArray) -> None:
@@ -175,7 +175,7 @@ def _check_measured(table: Table, channel: Channel, column: Column, values: Floa
     if bad.size:
         row = int(bad[0])
         raise DataError(
-            f"{table.path}, {table.place(row)}: {column.column} = {shown(table.cell(column.column, row))} gives "
+            f"{table.path}, {table.label(row)}: {column.column} = {quoted(table.cell(column.column, row))} gives "
             f"{values[row]:.3g} {UNITS[channel]} for {channel}, which cannot be a measurement",
             remedy="Correct the cell, leave that row out, or give the column another scale",
         )
@@ -191,7 +191,7 @@ def _implausible(recording: Recording, values: Mapping[Channel, FloatArray], ste
             what = "its samples are {:.3g} s apart" if channel == "t" else f"it reaches {{:.3g}} {UNITS[channel]}"
             column = recording.column(channel)
             yield (
-                f"{channel} (column {column.column!r}): {what.format(size)}, more than the {MOST[channel]:g} "
+                f"{channel} (column {column.column!r}): {what.format(size)}, more than the {MAX_PLAUSIBLE[channel]:g} "
                 f"{UNITS[channel]} of any rig of this kind; scale = {column.scale * scale:g} would make it plausible"
             )
 
@@ -213,14 +213,14 @@ def _check_time(table: Table, recording: Recording, time_s: FloatArray) -> Float
     if torn.size:
         row = int(torn[0]) + 1
         raise DataError(
-            f"{table.path}, {table.place(row)}: {name} jumps by {steps[row - 1]:.3g} s, {LARGEST_GAP} samples and more",
+            f"{table.path}, {table.label(row)}: {name} jumps by {steps[row - 1]:.3g} s, {LARGEST_GAP} samples and more",
             remedy="Split the file there, or correct the cell",
         )
     bad = np.flatnonzero(steps <= 0.0)
     if bad.size:
         row = int(bad[0]) + 1
         raise DataError(
-            f"{table.path}, {table.place(row)}: {name} = {table.cell(name, row)} does not come after "
+            f"{table.path}, {table.label(row)}: {name} = {table.cell(name, row)} does not come after "
             f"{table.cell(name, row - 1)}",
             remedy="Time must rise from row to row: sort the rows, or split the file where it starts again",
         )

@@ -136,7 +136,7 @@ class BoardNodes:
 
     def _judged(self, topic: str) -> int:
         feed = self.feed
-        message = topics.BY_NAME[topic].message
+        message = topics.TOPIC_OF_NAME[topic].message
         if feed.latest(message) is None:
             return quality.WAITING
         if topic == "state":
@@ -202,7 +202,7 @@ class BoardNodes:
                 await self._interval(topic, self._bins[topic], status, again=True)  # its status has changed
             self._seen[topic] = (None, status)
         for topic in TOPICS[len(TICK_TOPICS) :]:
-            message, status = self.feed.latest(topics.BY_NAME[topic].message), self._status(topic)
+            message, status = self.feed.latest(topics.TOPIC_OF_NAME[topic].message), self._status(topic)
             before = self._seen.get(topic)
             if before is None or before[0] is not message or before[1] != status:
                 self._seen[topic] = (message, status)

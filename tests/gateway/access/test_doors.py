@@ -16,7 +16,7 @@ from gateway.access.certificates import Authority, Issued
 from gateway.access.folder import SecurityFolder
 from gateway.access.private import write_private
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.endpoint import refused_by_router, zenoh_config
+from protocol.bus.endpoint import router_refusal, zenoh_config
 from protocol.errors import ConfigError
 from tests.harness.gateway.access_peers import Client, GuardedRig, fresh, guarded_rig, join
 from tests.harness.gateway.gateway_peers import free_port, wait_for
@@ -189,9 +189,9 @@ def test_on_loopback_without_tls_the_password_decides_alone(keys: SecurityFolder
 def test_the_error_of_a_client_names_the_identity_that_was_not_taken(keys: SecurityFolder) -> None:
     endpoint = "tls/127.0.0.1:7447"
 
-    assert "does not accept the identity ben" in str(refused_by_router([endpoint], keys.identity("ben")))
-    assert "requires --identity" in str(refused_by_router([endpoint], None))
-    assert "identity" not in str(refused_by_router(["tcp/127.0.0.1:7447"], None))
+    assert "does not accept the identity ben" in str(router_refusal([endpoint], keys.identity("ben")))
+    assert "requires --identity" in str(router_refusal([endpoint], None))
+    assert "identity" not in str(router_refusal(["tcp/127.0.0.1:7447"], None))
 
 
 def test_an_expired_identity_is_named_before_the_bus_is_tried(keys: SecurityFolder) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.access.roles import LEAST_ROLE, Role, may, parse_role, refusal_text
+from gateway.access.roles import MINIMUM_ROLE, Role, may, parse_role, refusal_text
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ConfigError
 
@@ -18,7 +18,7 @@ def test_every_kind_of_command_has_a_least_role() -> None:
         for field in message.DESCRIPTOR.oneofs_by_name["what"].fields
     ]
 
-    assert [kind for kind in kinds if kind not in LEAST_ROLE] == []
+    assert [kind for kind in kinds if kind not in MINIMUM_ROLE] == []
 
 
 @pytest.mark.parametrize("act", ["set_mode", "set_reference", "excite", "capture"])
@@ -60,5 +60,5 @@ def test_the_table_on_the_page_is_that_of_the_code() -> None:
     page = (Path(__file__).parents[3] / "gateway" / "README.md").read_text(encoding="utf-8")
 
     for role in Role:
-        acts = ", ".join(act for act, least in LEAST_ROLE.items() if least is role)
+        acts = ", ".join(act for act, least in MINIMUM_ROLE.items() if least is role)
         assert f"\n| {role.word} | {acts} |\n" in page

@@ -107,7 +107,7 @@ def test_a_refused_reference_is_told_in_mm_and_in_the_range_that_holds(
     command = pb.Command(id="a", **reference(x_ref_m))
     wire = to_wire(command, SCALING)
 
-    refusal = gate.beyond(command)  # before counts: the converter ends elsewhere
+    refusal = gate.check_configured_range(command)  # before counts: the converter ends elsewhere
     if refusal is None:
         assert isinstance(wire, WireCommand)
         refusal = gate.check(command, wire, view, 0.0)

@@ -31,8 +31,8 @@ def test_a_limit_is_reached_however_a_sender_converts_millimetres(mm: str) -> No
 
     for x_ref_m in (float(mm) * 1e-3, float(mm) / 1e3, float(mm) * 0.001):
         command = pb.Command(set_reference=pb.SetReference(x_ref_m=x_ref_m))
-        assert gate.beyond(command) is None
-        assert other.beyond(command) is None
+        assert gate.check_configured_range(command) is None
+        assert other.check_configured_range(command) is None
 
 
 @given(
@@ -59,7 +59,7 @@ def test_both_ends_of_what_is_shown_are_let_through(
             command = pb.Command(set_reference=pb.SetReference(x_ref_m=mm / 1e3))
             wire = to_wire(command, s)
             assert isinstance(wire, WireCommand)
-            assert gate.beyond(command) is None
+            assert gate.check_configured_range(command) is None
             assert counts[0] <= int(wire.values["x_ref"]) <= counts[1]
 
 

@@ -131,7 +131,7 @@ def test_it_is_told_on_change_and_every_five_seconds() -> None:
     standing, wrong = Standing(), {LINK: Condition(text="out")}
 
     told = [
-        standing.tell(holding, [], host_ns=1000 + n, now_s=at_s)
+        standing.due_message(holding, [], host_ns=1000 + n, now_s=at_s)
         for n, (holding, at_s) in enumerate(
             [({}, 0.0), ({}, 1.0), (wrong, 2.0), (wrong, 3.0), (wrong, 2.0 + EVERY_S), ({}, 8.0)]
         )

@@ -11,7 +11,7 @@ import pytest
 from gateway.campaign.checks import CheckedRig, Problem, Samples, check, lift_off_v, rest_level_m, samples_of
 from gateway.campaign.plan import CommandLimits
 from protocol.bus import board51_pb2 as pb
-from protocol.experiments import BY_NAME, Burst
+from protocol.experiments import EXPERIMENT_OF_NAME, Burst
 from protocol.wire.messages import Flag
 
 T_S = 2e-3
@@ -71,13 +71,13 @@ def capture(u_from_v: float, u_to_v: float, *, count: int = 1000, gain: float = 
 
 
 def captures(name: str) -> list[pb.CaptureRecord]:
-    return [capture(3.3 * s.u_from, 3.3 * s.u_to) for s in BY_NAME[name].steps if isinstance(s, Burst)]
+    return [capture(3.3 * s.u_from, 3.3 * s.u_to) for s in EXPERIMENT_OF_NAME[name].steps if isinstance(s, Burst)]
 
 
 def problems(
     name: str, samples: Samples, *, events: Sequence[pb.Event] = (), shots: list[pb.CaptureRecord] | None = None
 ) -> tuple[Problem, ...]:
-    return check(BY_NAME[name], samples, captures(name) if shots is None else shots, events, RIG)
+    return check(EXPERIMENT_OF_NAME[name], samples, captures(name) if shots is None else shots, events, RIG)
 
 
 def cut(part: slice) -> Change:

@@ -25,7 +25,7 @@ from gateway.campaign.selection import chosen
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant
 from protocol.errors import UsageError
-from protocol.experiments import BY_NAME, MENU, Experiment
+from protocol.experiments import EXPERIMENT_OF_NAME, MENU, Experiment
 
 CE152 = CommandLimits(
     u_min_v=0.0, u_max_v=4.99878, x_min_m=0.3e-3, x_max_m=5.2e-3, step_m=2.5e-3, slew_m_s=20e-3,
@@ -88,7 +88,10 @@ def test_no_rig_is_driven_beyond_its_limits(scale: Scale, experiment: Experiment
 def test_jumps_of_the_reference_stay_within_the_step_and_waves_within_the_slew() -> None:
     tight = replace(SCALE, limits=replace(CE152, step_m=1.5e-3, slew_m_s=10e-3))
 
-    wide, multisine = actions_of(BY_NAME["wide-steps"], tight), actions_of(BY_NAME["multisine"], tight)
+    wide, multisine = (
+        actions_of(EXPERIMENT_OF_NAME["wide-steps"], tight),
+        actions_of(EXPERIMENT_OF_NAME["multisine"], tight),
+    )
 
     assert not isinstance(wide, Impossible)
     assert not isinstance(multisine, Impossible)
@@ -102,7 +105,7 @@ def test_jumps_of_the_reference_stay_within_the_step_and_waves_within_the_slew()
 def test_a_narrow_range_makes_wide_steps_impossible_and_says_the_numbers() -> None:
     narrow = replace(SCALE, limits=replace(CE152, x_min_m=2.6e-3, x_max_m=3.0e-3))
 
-    plan = actions_of(BY_NAME["wide-steps"], narrow)
+    plan = actions_of(EXPERIMENT_OF_NAME["wide-steps"], narrow)
 
     assert isinstance(plan, Impossible)
     assert "2.6 .. 3 mm" in plan.why
@@ -111,7 +114,7 @@ def test_a_narrow_range_makes_wide_steps_impossible_and_says_the_numbers() -> No
 def test_what_judges_is_never_what_was_fitted() -> None:
     for e in MENU:
         if e.use == "judge":
-            fitted = BY_NAME[e.name.removesuffix("-judge")]
+            fitted = EXPERIMENT_OF_NAME[e.name.removesuffix("-judge")]
             assert fitted.use == "fit"
             assert actions_of(fitted, SCALE) != actions_of(e, SCALE)
 
@@ -130,8 +133,8 @@ def test_every_experiment_of_the_menu_is_possible_on_a_ce152() -> None:
 
 
 def test_another_seed_is_another_random_signal() -> None:
-    one = actions_of(BY_NAME["prbs-reference"], SCALE)
-    other = actions_of(BY_NAME["prbs-reference"], replace(SCALE, seed=2))
+    one = actions_of(EXPERIMENT_OF_NAME["prbs-reference"], SCALE)
+    other = actions_of(EXPERIMENT_OF_NAME["prbs-reference"], replace(SCALE, seed=2))
 
     assert one != other
 
@@ -145,7 +148,7 @@ def test_the_first_ramp_is_guessed_from_the_operating_point() -> None:
 
 
 def test_a_ramp_that_did_not_lift_the_ball_is_raised_to_the_limit_at_last() -> None:
-    ramp = BY_NAME["lift-off"]
+    ramp = EXPERIMENT_OF_NAME["lift-off"]
     scale = replace(SCALE, lift_off_v=2.0)
     tops = []
     for attempt in (1, 2, 3):

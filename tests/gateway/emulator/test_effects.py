@@ -32,7 +32,7 @@ def rig_with(
 ) -> EmulatedPlant:
     """A noiseless plant, placed; keyword arguments name the effect with underscores."""
     plant = EmulatedPlant(rig, {name.replace("_", "-"): value for name, value in effect.items()})
-    plant.place(x_m, v_m_s=v_m_s, i_c_a=i_c_a)
+    plant.set_state(x_m, v_m_s=v_m_s, i_c_a=i_c_a)
     return plant
 
 
@@ -453,7 +453,7 @@ def test_the_listing_has_every_effect_with_its_unit() -> None:
     for effect in EFFECTS.values():
         line = next(line for line in text.splitlines() if f" {effect.name} " in line)
         assert effect.unit in line
-        assert effect.about in line
+        assert effect.description in line
 
 
 def test_check_fills_in_what_is_absent() -> None:

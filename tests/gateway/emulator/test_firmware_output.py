@@ -9,7 +9,7 @@ import pytest
 
 from gateway.emulator.firmware.flash import BOOT_TICKS, CE152_BOARD, GAINS, INPUT, LIMITS, Settings
 from gateway.emulator.firmware.output import OutputFault
-from protocol.wire.messages import BY_NAME, COUNTS_MAX, EventCode, Flag, Mode, Reason
+from protocol.wire.messages import COUNTS_MAX, ROW_OF_NAME, EventCode, Flag, Mode, Reason
 from tests.harness.firmware.random_host import random_settings
 from tests.harness.gateway.board_host import Bench, Host, refusal
 
@@ -198,7 +198,7 @@ def test_whatever_a_memory_holds_parameters_is_a_frame_that_every_host_accepts(s
 
     parameters = host.ask("GET_PARAMETERS").values
 
-    ranges = {field.name: (field.low, field.high) for field in BY_NAME["PARAMETERS"].fields}
+    ranges = {field.name: (field.low, field.high) for field in ROW_OF_NAME["PARAMETERS"].fields}
     for name, value in parameters.items():
         low, high = ranges[name]
         assert isinstance(value, int)

@@ -69,9 +69,9 @@ def test_the_coil_carries_the_magnet_as_published() -> None:
     assert MAGNETOSHIELD.equilibrium_current_a(3e-3) == pytest.approx(at_14_mm, rel=1e-6)
     plant = EmulatedMagnetoShield(QUIET)
     for factor, rises in ((0.98, False), (1.02, True)):
-        plant.place(3e-3)
+        plant.set_state(3e-3)
         volts = factor * MAGNETOSHIELD.equilibrium_input_v(3e-3)
-        plant.place(3e-3, i_c_a=volts * MAGNETOSHIELD.amplifier_gain_a_v)
+        plant.set_state(3e-3, i_c_a=volts * MAGNETOSHIELD.amplifier_gain_a_v)
         plant.advance(PROFILE.input_pin(PROFILE.input.to_count(volts)), 0.02)
         assert (plant.v_m_s > 0.0) == rises
 
@@ -91,7 +91,7 @@ def test_counts_of_x_are_linear_within_a_code_of_the_converter() -> None:
     plant = EmulatedMagnetoShield(QUIET)
     for tenths in range(51):
         x_m = tenths * 1e-4
-        plant.place(x_m)
+        plant.set_state(x_m)
         read = [PROFILE.position.to_si(PROFILE.position_count(plant.sense()[1])) for _ in range(60)]
         # A code is 5 um on the ground and 17 um at the top; 1 gauss of noise is a third of it.
         assert statistics.mean(read) == pytest.approx(x_m, abs=1.5e-5)
@@ -99,9 +99,9 @@ def test_counts_of_x_are_linear_within_a_code_of_the_converter() -> None:
 
 def test_the_coil_shows_in_the_position_and_a_magnet_upside_down_at_the_top() -> None:
     plant = EmulatedMagnetoShield(QUIET)
-    plant.place(2.5e-3)
+    plant.set_state(2.5e-3)
     without = statistics.mean(plant.sense()[1] for _ in range(400))
-    plant.place(2.5e-3, i_c_a=0.05)
+    plant.set_state(2.5e-3, i_c_a=0.05)
     gauss = 800.0 * (without - statistics.mean(plant.sense()[1] for _ in range(400)))
 
     assert gauss == pytest.approx(0.05 * 108.0, abs=0.4)
@@ -113,7 +113,7 @@ def test_the_coil_shows_in_the_position_and_a_magnet_upside_down_at_the_top() ->
 def test_an_effect_on_the_position_shows_in_the_counts(effects: Mapping[str, float]) -> None:
     plain, changed = EmulatedMagnetoShield(QUIET), EmulatedMagnetoShield(QUIET, effects)
     for plant in (plain, changed):
-        plant.place(2.5e-3)
+        plant.set_state(2.5e-3)
     x, y = (
         statistics.mean(PROFILE.position.to_si(PROFILE.position_count(plant.sense()[1])) for _ in range(200))
         for plant in (plain, changed)

@@ -33,7 +33,7 @@ def balance_current_a(x_m: float) -> float:
     for _ in range(40):
         middle = 0.5 * (low + high)
         plant = EmulatedPlant(QUIET)
-        plant.place(x_m, i_c_a=middle)
+        plant.set_state(x_m, i_c_a=middle)
         plant.advance(middle / CE152.amplifier_gain_a_v, 0.001)
         low, high = (low, middle) if plant.v_m_s > 0 else (middle, high)
     return 0.5 * (low + high)
@@ -84,7 +84,7 @@ def test_the_ball_lifts_off_just_above_the_input_of_its_equilibrium_at_the_botto
 
 def test_free_fall_is_half_g_t_squared() -> None:
     plant = EmulatedPlant(FRICTIONLESS)
-    plant.place(5e-3)
+    plant.set_state(5e-3)
 
     for _ in range(15):
         plant.advance(0.0, TICK_S)
@@ -96,7 +96,7 @@ def test_free_fall_is_half_g_t_squared() -> None:
 
 def test_a_fall_with_drag_follows_its_exponential() -> None:
     plant = EmulatedPlant(QUIET)
-    plant.place(5e-3)
+    plant.set_state(5e-3)
 
     plant.advance(0.0, 0.03)
 
@@ -107,7 +107,7 @@ def test_a_fall_with_drag_follows_its_exponential() -> None:
 def test_without_drag_a_steady_current_conserves_energy() -> None:
     current = FRICTIONLESS.equilibrium_current_a(3e-3)
     plant = EmulatedPlant(FRICTIONLESS)
-    plant.place(2e-3, v_m_s=0.08, i_c_a=current)
+    plant.set_state(2e-3, v_m_s=0.08, i_c_a=current)
 
     def energy_j() -> float:
         kinetic = 0.5 * FRICTIONLESS.mass_kg * plant.v_m_s**2
@@ -128,7 +128,7 @@ def test_without_drag_a_steady_current_conserves_energy() -> None:
 def test_halving_the_step_divides_the_error_by_sixteen(duration_s: float) -> None:
     def end_m(step_s: float) -> float:
         plant = EmulatedPlant(QUIET, step_s=step_s)
-        plant.place(4e-3, v_m_s=0.02, i_c_a=1.0)
+        plant.set_state(4e-3, v_m_s=0.02, i_c_a=1.0)
         plant.advance(1.2, duration_s)
         return plant.x_m
 
@@ -142,7 +142,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(duration_s: float) -> Non
 
 def test_a_bounce_keeps_the_restitution_share_of_the_speed() -> None:
     plant = EmulatedPlant(FRICTIONLESS)
-    plant.place(4e-3)
+    plant.set_state(4e-3)
     plant.advance(0.0, 0.028)
     assert plant.v_m_s < 0
 
@@ -156,7 +156,7 @@ def test_a_bounce_keeps_the_restitution_share_of_the_speed() -> None:
 
 def test_rebounds_get_lower_and_end_at_rest_without_chatter() -> None:
     plant = EmulatedPlant(FRICTIONLESS)
-    plant.place(4e-3)
+    plant.set_state(4e-3)
     heights = []
     previous = plant.v_m_s
     for _ in range(10_000):
@@ -253,7 +253,7 @@ def test_the_seed_decides_the_noise_and_nothing_else() -> None:
 def test_sensor_noise_has_the_rigs_standard_deviation_and_no_bias() -> None:
     count = 20_000
     plant = EmulatedPlant(seed=3)
-    plant.place(3e-3, i_c_a=0.5)
+    plant.set_state(3e-3, i_c_a=0.5)
 
     i, x = np.array([plant.sense() for _ in range(count)]).T
 
@@ -279,7 +279,7 @@ def test_an_impossible_advance_is_refused_with_its_values(u_v: float, duration_s
 
 def test_the_ball_is_placed_within_its_travel_only() -> None:
     with pytest.raises(UsageError, match=r"x = 0\.01 m"):
-        EmulatedPlant().place(0.01)
+        EmulatedPlant().set_state(0.01)
 
 
 @pytest.mark.parametrize(("key", "value"), [("mass_kg", 0.0), ("restitution", 1.0), ("travel_m", math.nan)])

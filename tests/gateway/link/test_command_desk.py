@@ -21,7 +21,7 @@ from gateway.link.from_board import Known
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Answer, Opened
-from protocol.wire.messages import BY_NAME, Message
+from protocol.wire.messages import ROW_OF_NAME, Message
 from protocol.wire.session import Session
 from tests.harness.gateway.gateway_peers import Collector, frame, identity_values
 
@@ -94,7 +94,7 @@ class Rig:
         number = message.int("id")
         if message.name == "PING":
             return frame("PONG", id=number, tick=self.tick, bad_frames=0, overruns=0)
-        return frame("ACK", id=number, command=BY_NAME[message.name].type, tick=self.tick)
+        return frame("ACK", id=number, command=ROW_OF_NAME[message.name].type, tick=self.tick)
 
     def wait(self, seconds: float) -> None:
         """Let time pass in steps that a poll would make."""

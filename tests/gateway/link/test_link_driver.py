@@ -16,7 +16,7 @@ from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
-from protocol.wire.messages import BY_NAME, EventCode, Message, Reason
+from protocol.wire.messages import ROW_OF_NAME, EventCode, Message, Reason
 from tests.harness.gateway.gateway_peers import (
     Collector,
     ScriptedBoard,
@@ -149,11 +149,11 @@ def test_an_answer_that_comes_too_late_for_its_command_shows_that_the_board_hear
 
     options = {"command_timeout_s": 0.05, "command_retries": 1}
     with ScriptedBoard(answers=answers) as board, linked(board.url, **options) as (driver, _, collector):
-        wait_for(lambda: driver.session.counters.late_answers > 8, "late answers")
+        wait_for(lambda: driver.session.counters.stray_board_answers > 8, "late answers")
         told = [event for event in collector.messages["event"] if event.name == TO_BOARD]
         first = driver.to_board.state
-        since = driver.session.counters.late_answers
-        wait_for(lambda: driver.session.counters.late_answers > since + 40, "more of them")
+        since = driver.session.counters.stray_board_answers
+        wait_for(lambda: driver.session.counters.stray_board_answers > since + 40, "more of them")
 
         assert first == driver.to_board.state == "answering"
         assert [event for event in collector.messages["event"] if event.name == TO_BOARD] == told
@@ -370,5 +370,5 @@ def _hello_id(data: bytes) -> int:
     (hello,) = StreamDecoder().feed(data)
     assert isinstance(hello, Message)
     assert hello.name == "HELLO"
-    assert BY_NAME[hello.name].to_board
+    assert ROW_OF_NAME[hello.name].to_board
     return hello.int("id")

@@ -24,11 +24,11 @@ class Line:
             self._ms += 1
             now_s = self._ms * 1e-3
             if frames and self._ms % round(self.period_s * 1e3) == 0:
-                self.to_board.heard(now_s, self.period_s)
+                self.to_board.frames_arrived(now_s, self.period_s)
             if self._ms % round(self.ping_s * 1e3) == 0:
                 self.to_board.sent(now_s)
                 if frames and self.answers:
-                    self.to_board.heard(now_s, self.period_s)
+                    self.to_board.frames_arrived(now_s, self.period_s)
                     self.to_board.answered()
             if now_s >= self.to_board.deadline_s:
                 self.to_board.judge(now_s)

@@ -113,7 +113,7 @@ def test_kinds_of_csv(tmp_path: Path, separator: str, compressed: bool) -> None:
         ("", "is empty"),
         ("t,x\n", "no rows"),
         ("0,1\n1,2\n", "line 1 holds numbers instead of column names"),
-        ("t,x,x\n0,1,2\n", "line 1: column name 'x' is empty or there twice"),
+        ("t,x,x\n0,1,2\n", "line 1: column name 'x' is empty or appears twice"),
         ("time,x\n0,1\n1,2\n", "no column 't'.*its columns are: time, x"),
         ("t,gap\n0,1\n1,2\n", "none of the channels.*its columns are: t, gap"),
         ("t,x\n0,1\n1,\n", "line 3: x is empty"),

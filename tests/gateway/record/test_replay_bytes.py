@@ -23,7 +23,7 @@ from protocol.errors import DataError
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import Event, State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, EventCode, Message, Reason, Value
+from protocol.wire.messages import ROW_OF_NAME, EventCode, Message, Reason, Value
 from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[3]
@@ -134,20 +134,28 @@ def test_a_sequence_that_wraps_and_a_long_pause_keep_the_tick() -> None:
     assert [piece.tick for piece in board.pieces] == ticks
 
 
-@pytest.mark.parametrize("name", sorted({r.name for r in BY_NAME.values() if r.to_board} - {"HELLO", "PING"}))
+@pytest.mark.parametrize("name", sorted({r.name for r in ROW_OF_NAME.values() if r.to_board} - {"HELLO", "PING"}))
 def test_a_recording_cannot_be_influenced(name: str) -> None:
     board = RecordedBoard(raw(identity() + state_frame(70_001)))
-    values: dict[str, Value] = {field.name: int(field.low or 0) for field in BY_NAME[name].fields}
+    values: dict[str, Value] = {field.name: int(field.low or 0) for field in ROW_OF_NAME[name].fields}
     values["id"] = 5
 
     answer = ask(board, name, values)
 
-    assert answer.values == {"id": 5, "command": BY_NAME[name].type, "reason": int(Reason.NOT_AVAILABLE), "detail": 0}
+    assert answer.values == {
+        "id": 5,
+        "command": ROW_OF_NAME[name].type,
+        "reason": int(Reason.NOT_AVAILABLE),
+        "detail": 0,
+    }
     assert board.refused == 1
 
 
 def test_ping_and_parameters_are_answered_from_the_log() -> None:
-    parameters = {field.name: int(field.low or 0) for field in BY_NAME["PARAMETERS"].fields} | {"id": 7, "k1_shift": 9}
+    parameters = {field.name: int(field.low or 0) for field in ROW_OF_NAME["PARAMETERS"].fields} | {
+        "id": 7,
+        "k1_shift": 9,
+    }
     pong = encode_frame(encode_body("PONG", id=6, tick=70_005, bad_frames=3, overruns=1))
     stream = identity() + encode_frame(encode_body("PARAMETERS", **parameters)) + pong
     board = RecordedBoard(raw(stream, state_frame(70_010), state_frame(70_020)))

@@ -113,7 +113,7 @@ def expect_field(topic: str, path: list[str]) -> None:
     place = topics.split(topic)
     assert place is not None, topic
     assert place[:2] == ("lab", "rig7")
-    assert not path or has_field(topics.BY_NAME[place[2]].message.DESCRIPTOR, path), (topic, path)
+    assert not path or has_field(topics.TOPIC_OF_NAME[place[2]].message.DESCRIPTOR, path), (topic, path)
 
 
 def test_every_path_of_the_foxglove_layout_exists() -> None:

@@ -52,7 +52,7 @@ def test_every_field_of_the_topics_is_a_variable() -> None:
     paths = {leaf.path for leaf in leaves()}
 
     for topic in TOPICS:
-        for field in topics.BY_NAME[topic].message.DESCRIPTOR.fields:
+        for field in topics.TOPIC_OF_NAME[topic].message.DESCRIPTOR.fields:
             assert any(path.startswith(f"{topic}/{field.name}") for path in paths), (topic, field.name)
     assert {"state/x_m", "state/x_m/min", "state/x_m/max", "twin/divergence/x_m.error/max"} <= paths
     assert "status/latency_p99_ms/max" not in paths

@@ -15,7 +15,7 @@ from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import CURRENT, POSITION, T_S_US
 from gateway.emulator.native.board import NativeFirmware
 from protocol.wire.framing import cobs_decode, encode_frame
-from protocol.wire.messages import BY_NAME, ROWS
+from protocol.wire.messages import ROW_OF_NAME, ROWS
 from tests.harness.gateway.board_host import frame, skip_without_compiler
 
 BYTE_US = 87  # of a line at 115200 baud
@@ -124,7 +124,7 @@ def _command(chance: random.Random, number: int) -> bytes:
     if kind < 0.7:
         return frame("SET_HOST_LOSS", id=number, policy=chance.randrange(3), timeout=chance.choice((50, 5000)))
     if kind < 0.75:
-        row = BY_NAME[chance.choice(("SET_GAINS", "EXCITE", "PING", "SET_MODE"))]  # malformed
+        row = ROW_OF_NAME[chance.choice(("SET_GAINS", "EXCITE", "PING", "SET_MODE"))]  # malformed
         return encode_frame(bytes((row.type, number)) + chance.randbytes(chance.randrange(20)))
     name = chance.choice(("PING", "GET_PARAMETERS", "STOP", "READ_CAPTURE"))
     return frame(name, id=number, **({"index": 3} if name == "READ_CAPTURE" else {}))

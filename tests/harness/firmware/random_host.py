@@ -20,7 +20,7 @@ from gateway.emulator.native.board import NativeFirmware
 from protocol.wire.codec import BODY_SIZE
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, ROWS, EventCode, Field, Message, Reason
+from protocol.wire.messages import ROW_OF_NAME, ROWS, EventCode, Field, Message, Reason
 
 COMMANDS = [row for row in ROWS if row.to_board]
 _SIZES = {"u8": 1, "u16": 2, "i16": 2, "u32": 4}
@@ -125,7 +125,7 @@ class Script:
         target = chance.randrange(2)
         hello = _frame("HELLO", self._next_id(), session=self._session, version_min=1, version_max=1)
         mode = _frame("SET_MODE", self._next_id(), mode=target + 1)
-        signal = bytearray((BY_NAME["EXCITE"].type, self._next_id(), chance.randrange(7), target))
+        signal = bytearray((ROW_OF_NAME["EXCITE"].type, self._next_id(), chance.randrange(7), target))
         signal += chance.randint(-900, 900).to_bytes(2, "little", signed=True)
         for low, high in ((1200, 2600), (1, 300), (1, 300), (1, 65535)):
             signal += chance.randint(low, high).to_bytes(2, "little")
@@ -150,7 +150,7 @@ class Script:
             row = chance.choice(COMMANDS)
             wild = chance.random() < 0.15
             if row.name == "RESET" and chance.random() < 0.95:
-                row = BY_NAME["EXCITE"]
+                row = ROW_OF_NAME["EXCITE"]
             body = bytearray((row.type, number))
             for item in row.fields[1:]:
                 body += self._value(item, wild=wild).to_bytes(_SIZES[item.type], "little", signed=item.type == "i16")
@@ -301,8 +301,8 @@ def random_settings(chance: random.Random) -> Settings:
 
 
 def _frame(name: str, number: int, /, **fields: int) -> bytes:
-    body = bytearray((BY_NAME[name].type, number))
-    for item in BY_NAME[name].fields[1:]:
+    body = bytearray((ROW_OF_NAME[name].type, number))
+    for item in ROW_OF_NAME[name].fields[1:]:
         body += fields[item.name].to_bytes(_SIZES[item.type], "little")
     return encode_frame(bytes(body))
 

@@ -28,7 +28,7 @@ from protocol.bus.endpoint import zenoh_config
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, Flag, Message
+from protocol.wire.messages import ROW_OF_NAME, Flag, Message
 from tests.patience import HANG_S
 
 T = TypeVar("T")
@@ -134,7 +134,7 @@ class ScriptedBoard:
         elif message.name == "GET_PARAMETERS":
             self.send(frame("PARAMETERS", id=number, **parameters_values()))
         else:
-            self.send(frame("ACK", id=number, command=BY_NAME[message.name].type, tick=self.tick))
+            self.send(frame("ACK", id=number, command=ROW_OF_NAME[message.name].type, tick=self.tick))
 
 
 def anybody() -> Sender:
@@ -183,7 +183,7 @@ class Bus:
     def _on_sample(self, sample: zenoh.Sample) -> None:
         _, board, topic = topics.split(str(sample.key_expr)) or ("", "", "")
         if topic:
-            message = topics.BY_NAME[topic].message.FromString(sample.payload.to_bytes())
+            message = topics.TOPIC_OF_NAME[topic].message.FromString(sample.payload.to_bytes())
             self.messages[f"{board}/{topic}"].append(message)
 
     def states(self, board: str = "rig") -> list[pb.State]:

@@ -154,7 +154,7 @@ class Lab:
         )
         self.ask("SET_REFERENCE", x_ref=POSITION.to_count(x_m))
         self.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
-        self.plant.place(x_m, i_c_a=i_0)
+        self.plant.set_state(x_m, i_c_a=i_0)
 
     def excite(self, shape: Shape, *, on_reference: bool, amplitude: int, offset: int, period: int, seed: int) -> None:
         self.ask(

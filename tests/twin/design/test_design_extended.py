@@ -42,7 +42,7 @@ def error_m(effects: dict[str, float], made: Design) -> float:
     )
     lab.ask("SET_REFERENCE", x_ref=POSITION.to_count(MIDDLE_M))
     lab.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
-    lab.plant.place(MIDDLE_M, i_c_a=CE152.equilibrium_current_a(MIDDLE_M))
+    lab.plant.set_state(MIDDLE_M, i_c_a=CE152.equilibrium_current_a(MIDDLE_M))
     lab.run(300)
     span, middle = POSITION.span(0.3e-3), POSITION.to_count(MIDDLE_M)
     lab.excite(Shape.RECTANGLE, on_reference=True, amplitude=span, offset=middle, period=500, seed=1)

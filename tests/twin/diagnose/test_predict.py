@@ -216,9 +216,9 @@ def test_a_recording_of_a_campaign_comes_with_its_columns(
         assert told["rmse_m"] < 1.2e-5
         assert told["samples"] == len(gap_flight.t) - 500
     assert run(model, "other.csv", "--campaign", tmp_path) == 2
-    assert "Name one of: f.csv" in one_line(capsys)
+    assert "Name one of: f.csv" in single_line(capsys)
     assert run(model, tmp_path / "f.csv") == 2
-    assert "'u_c'" in one_line(capsys)
+    assert "'u_c'" in single_line(capsys)
 
 
 def test_lost_samples_and_contacts_are_left_out_and_counted(tmp_path: Path, gap_flight: Record) -> None:
@@ -240,7 +240,7 @@ def test_lost_samples_and_contacts_are_left_out_and_counted(tmp_path: Path, gap_
     assert predicted[1200 + settled + 1 :].all()
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def single_line(capsys: pytest.CaptureFixture[str]) -> str:
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert error.startswith("board51 predict: ")
@@ -262,5 +262,5 @@ def test_bad_input_is_one_line(tmp_path: Path, gap_flight: Record, capsys: pytes
         ((model, recording, "--out", tmp_path / "no" / "p.csv"), "cannot be written"),
     ):
         assert run(*arguments) == 2
-        assert says in one_line(capsys)
+        assert says in single_line(capsys)
     assert run(model, files(tmp_path / "still", still)[0]) == 1

@@ -10,7 +10,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
-from protocol.bus.endpoint import refused_by_router, zenoh_config
+from protocol.bus.endpoint import router_refusal, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
 from twin.mirror.bus.handover import Belief
@@ -53,7 +53,7 @@ def hand_over(
     try:
         session = zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
     except zenoh.ZError:
-        raise refused_by_router(endpoints, identity) from None
+        raise router_refusal(endpoints, identity) from None
     command = pb.TwinCommand(id=command_id or uuid.uuid4().hex, who=belief.who)
     command.use_model.model_json = belief.text
     role, who = (identity.role, identity.name) if identity is not None else ("", "")

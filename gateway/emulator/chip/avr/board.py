@@ -24,7 +24,7 @@ from gateway.emulator.firmware.law import Gains
 from gateway.emulator.firmware.output import OutputFault
 from protocol.errors import ServiceError
 from protocol.wire.framing import cobs_decode
-from protocol.wire.messages import BY_NAME, EventCode, Mode
+from protocol.wire.messages import ROW_OF_NAME, EventCode, Mode
 
 ADC_BITS = 10
 CYCLES_PER_US = 16
@@ -35,7 +35,7 @@ _POSITION_PIN = 3
 _OUTPUT_SIZE = 4096
 _RAM_PATTERN = 0xC5  # after power-on, no mode
 _TIME_IS_OVER, _CONVERSION, _INPUT_CHANGED, _CRASHED = range(4)
-_STATE = BY_NAME["STATE"].type
+_STATE = ROW_OF_NAME["STATE"].type
 _LOST_FOR = 16  # ticks that a STATE may wait in its queue
 
 
@@ -205,42 +205,42 @@ class AvrBoard:
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
         return Mode(self._number(3, 1))
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since the reset."""
+        """The number of frames for which the line had no time, since the reset."""
         return self._number(1, 4)
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
         return self._number(2, 2)
 
     @property
     def integral(self) -> int:
-        """Sum of x_ref - x in the law, counts."""
+        """The sum of x_ref - x in the law, counts."""
         return self._number(4, 4, signed=True)
 
     @property
     def next_tick(self) -> int:
-        """Number of the tick that comes next."""
+        """The number of the tick that comes next."""
         return self._number(0, 4)
 
     @property
     def cycle(self) -> int:
-        """Cycles since the start, as of the last event."""
+        """The cycles since the start, as of the last event."""
         return int(self._view.cycle)
 
     @property
     def cycles_awake(self) -> int:
-        """Cycles in which the chip has not slept, since the start."""
+        """The cycles in which the chip has not slept, since the start."""
         return int(self._view.cycle - self._view.slept)
 
     @property
     def stack_free(self) -> int:
-        """Bytes of RAM that neither variables nor the stack have used since power-on."""
+        """The bytes of RAM that neither variables nor the stack have used since power-on."""
         return int(self._library.chip_untouched(self._chip, self.image.ram("_end")))
 
     def _restart(self, *, power: bool, brown_out: bool) -> None:
@@ -287,13 +287,13 @@ class AvrBoard:
     def _without_lost(self, sent: bytes) -> bytes:
         """Remove the STATEs that the board loses; hold back a frame that has not ended."""
         sequences = {tick & 0xFFFF for tick in self._lost}
-        kept = b""
+        passed = b""
         while sent.startswith(b"\0") and (end := sent.find(b"\0", 1)) > 0:
             body = cobs_decode(sent[1:end])
             if not (body and body[0] == _STATE and int.from_bytes(body[1:3], "little") in sequences):
-                kept += sent[: end + 1]
+                passed += sent[: end + 1]
             sent = sent[end + 1 :]
         if not sent.startswith(b"\0"):  # the rest of a frame that began before
-            return kept + sent
+            return passed + sent
         self._held = sent
-        return kept
+        return passed

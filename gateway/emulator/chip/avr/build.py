@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from gateway.emulator.native.build import SOURCES, compiler, kept
+from gateway.emulator.native.build import SOURCES, cached, compiler
 from protocol.errors import InstallError, ServiceError, UsageError
 
 # 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.  Inlined, all functions of a signal
@@ -51,8 +51,8 @@ def missing() -> str | None:
     if program is None:
         return "a C compiler"
     command = [program, "-x", "c", "-E", "-", "-o", "/dev/null"]
-    found = subprocess.run(command, input=b"#include <simavr/sim_avr.h>\n", capture_output=True, check=False)
-    return "libsimavr" if found.returncode else None
+    probe = subprocess.run(command, input=b"#include <simavr/sim_avr.h>\n", capture_output=True, check=False)
+    return "libsimavr" if probe.returncode else None
 
 
 def compile_image(target: Path, *, baud: int = 115200, profile: str = "", options: tuple[str, ...] = ()) -> None:
@@ -97,7 +97,7 @@ def image(baud: int = 115200, profile: str = "") -> Image:
     Raises:
         InstallError, UsageError, ServiceError: as `compile_image`, or the cache cannot be written.
     """
-    elf = kept(
+    elf = cached(
         "avr.elf",
         [*sources(), *SOURCES.glob("*/*.h")],
         (OPTIONS, baud, profile),
@@ -128,16 +128,16 @@ def simulator() -> Path:
         raise InstallError(f"The simulated AVR needs avr-gcc and libsimavr, and {absent} is not found", remedy=_REMEDY)
     options = ["-O2", "-fPIC", "-shared"]
     command = [str(compiler()), *options, str(_SHIM), "-lsimavr", "-o"]
-    return kept("simavr.so", [_SHIM], options, lambda target: _run([*command, str(target)]))
+    return cached("simavr.so", [_SHIM], options, lambda target: _run([*command, str(target)]))
 
 
 def _run(command: list[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    if done.returncode == 0:
-        return done.stdout
-    said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
-    if "#error BAUD" in said or '#error "BAUD' in said:
+    process = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if process.returncode == 0:
+        return process.stdout
+    message = next((line for line in process.stderr.splitlines() if "error" in line), process.stderr.strip())
+    if "#error BAUD" in message or '#error "BAUD' in message:
         raise UsageError(
             "The AVR at 16 MHz does not give this baud rate within 2.5 %", remedy="Give --baud 57600, 115200 or 250000"
         )
-    raise ServiceError(f"{command[0]} fails: {said}", remedy=_REMEDY)
+    raise ServiceError(f"{command[0]} fails: {message}", remedy=_REMEDY)

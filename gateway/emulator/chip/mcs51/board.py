@@ -118,7 +118,7 @@ class Mcs51Board:
         """
         if fault == OutputFault.DEAF:
             raise UsageError(
-                "The 8051 has its converter on the chip, which cannot be deaf", remedy="Take the fault stuck"
+                "The converter of the 8051 is on the chip, so it cannot be deaf", remedy="Use the fault stuck"
             )
         self._stuck = fault == OutputFault.STUCK
         self._follow_input()
@@ -166,33 +166,33 @@ class Mcs51Board:
 
     @property
     def mode(self) -> Mode:
-        """Mode in force."""
+        """The mode in force."""
         mode = self._look("mode")
         return Mode(mode) if mode < len(Mode) else Mode.IDLE  # before the boot has cleared it
 
     @property
     def dropped(self) -> int:
-        """Number of frames for which the line had no time, since power-on."""
+        """The number of frames for which the line had no time, since power-on."""
         return self._dropped + self._look("dropped")
 
     @property
     def bad_frames(self) -> int:
-        """Number of frames rejected since the reset."""
+        """The number of frames rejected since the reset."""
         return self._look("bad_frames")
 
     @property
     def integral(self) -> int:
-        """Sum of x_ref - x in the law, counts."""
+        """The sum of x_ref - x in the law, counts."""
         return self._look("sum")
 
     @property
     def allowance(self) -> int:
-        """Largest jump of the reference that is accepted now, counts."""
+        """The largest jump of the reference that is accepted now, counts."""
         return self._look("allowance") // 1_000_000
 
     @property
     def next_tick(self) -> int:
-        """Number of the tick that comes next."""
+        """The number of the tick that comes next."""
         return self._look("tick")
 
     def _look(self, name: str) -> int:

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.emulator.native.build import SOURCES, compile_to, kept
+from gateway.emulator.native.build import SOURCES, cached, compile_to
 from protocol.errors import InstallError, ServiceError, UsageError
 
 CLOCK_HZ: Final = 20_000_000  # firmware/mcs51/part.h
@@ -30,8 +30,8 @@ CONFIGURATION = (
 )
 OPTIONS = ("-mmcs51", "--std-c99", "--model-small", "--opt-code-speed")
 _MEMORY = ("--iram-size", "256", "--xram-size", "2042", "--code-size", "63488")  # 'Memory organization'; XRAM_KEPT
-_HERE = Path(__file__).resolve().parent
-_SIMULATOR = (_HERE / "cpu.c", _HERE / "chip.c")
+_FOLDER = Path(__file__).resolve().parent
+_SIMULATOR = (_FOLDER / "cpu.c", _FOLDER / "chip.c")
 _REMEDY = "Install it (Debian: apt-get install gcc libc6-dev sdcc), or fly --firmware python or c"
 _BAUD_ERROR = 0.02
 
@@ -56,11 +56,11 @@ def build_image(target: Path, *, baud: int = 115200, options: Sequence[str] = ()
     program = shutil.which("sdcc")
     if program is None:
         raise InstallError("The firmware of the 8051 needs sdcc, and it is not found", remedy=_REMEDY)
-    compile_one = [program, *OPTIONS, "--Werror", *CONFIGURATION, f"-DBAUD=UINT32_C({baud})", *options, "-c"]
+    compile_command = [program, *OPTIONS, "--Werror", *CONFIGURATION, f"-DBAUD=UINT32_C({baud})", *options, "-c"]
     with tempfile.TemporaryDirectory() as scratch:
         objects = [Path(scratch) / f"{source.stem}.rel" for source in image_sources()]
         for source, compiled in zip(image_sources(), objects, strict=True):
-            _run([*compile_one, str(source), "-o", str(compiled)])
+            _run([*compile_command, str(source), "-o", str(compiled)])
         linked = Path(scratch) / "image.ihx"
         _run([program, *OPTIONS, *_MEMORY, *map(str, objects), "-o", str(linked)])
         image = {
@@ -86,7 +86,7 @@ def image(baud: int = 115200) -> Path:
         )
     made_of = [*image_sources(), *SOURCES.glob("core/*.h"), *SOURCES.glob("mcs51/*.h")]
     make = partial(build_image, baud=baud)
-    return kept("mcs51.json", made_of, (OPTIONS, _MEMORY, CONFIGURATION, baud), make)
+    return cached("mcs51.json", made_of, (OPTIONS, _MEMORY, CONFIGURATION, baud), make)
 
 
 def actual_baud(baud: int, clock_hz: int = CLOCK_HZ) -> float:
@@ -103,8 +103,8 @@ def simulator() -> Path:
         InstallError: there is no C compiler.
         ServiceError: the compiler fails, or the cache cannot be written.
     """
-    made_of = [*_SIMULATOR, *_HERE.glob("*.h")]
-    return kept("mcs51.so", made_of, "simulator", partial(compile_to, files=_SIMULATOR))
+    made_of = [*_SIMULATOR, *_FOLDER.glob("*.h")]
+    return cached("mcs51.so", made_of, "simulator", partial(compile_to, files=_SIMULATOR))
 
 
 def code_of(hex_file: str) -> bytes:
@@ -134,7 +134,7 @@ def _sizes(mem_file: str) -> dict[str, int]:
 
 
 def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    if done.returncode != 0:
-        said = next((line for line in done.stderr.splitlines() if "rror" in line), done.stderr.strip())
-        raise ServiceError(f"{command[0]} fails: {said}", remedy=_REMEDY)
+    process = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if process.returncode != 0:
+        message = next((line for line in process.stderr.splitlines() if "rror" in line), process.stderr.strip())
+        raise ServiceError(f"{command[0]} fails: {message}", remedy=_REMEDY)

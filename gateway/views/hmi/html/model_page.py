@@ -16,7 +16,7 @@ from gateway.views.hmi.model.models import ModelFile, about, plant_assumed
 from gateway.views.hmi.model.work import LIVE_MIN
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
-from protocol.experiments import BY_NAME
+from protocol.experiments import EXPERIMENT_OF_NAME
 from protocol.files import parse_json
 
 KINDS = ("campaign", "identify", "diagnose", "hand-over")
@@ -165,7 +165,7 @@ def _cause(chosen: CampaignFolder, cause: FoundCause, may: May, *, sure: bool) -
 
 
 def _experiment(chosen: CampaignFolder, name: str) -> Markup:
-    person = BY_NAME[name].person
+    person = EXPERIMENT_OF_NAME[name].person
     text = f"Next experiment: {name}" if not person else f"{person} Done: record {name}"
     return controls.job(
         text, "campaign", "start", campaign=chosen.name, experiment=name, prepared=bool(person)

@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
-from gateway.access.roles import LEAST_ROLE
+from gateway.access.roles import MINIMUM_ROLE
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal
 from gateway.views.hmi.html import controls, model_page
@@ -189,7 +189,7 @@ class Pages:
             tag("link", rel="stylesheet", href="/static/hmi.css"),
             tag("meta", name="board51", data_board=board, data_token=session.csrf, data_live=live, data_prefix=prefix,
                 data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
-                data_may="" if replayed else " ".join(a for a in LEAST_ROLE if self._actions.may(session, a))),
+                data_may="" if replayed else " ".join(a for a in MINIMUM_ROLE if self._actions.may(session, a))),
             tag("script", src="/static/vendor/uPlot.iife.min.js") if chips else "",
             tag("script", type="module", src="/static/hmi.js"),
             tag("script", type="module", src=f"/static/{script}") if script else "",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.errors import DataError
-from protocol.experiments import BY_NAME
+from protocol.experiments import EXPERIMENT_OF_NAME
 from protocol.files import parse_json, read_small
 
 _REMEDY = "Diagnose the campaign again"
@@ -86,7 +86,9 @@ def _cause(table: Mapping[str, Any]) -> FoundCause:
         equals=tuple(map(str, table.get("indistinguishable_from", ()))),
         confirm=str(rig.get("confirm", "")),
         cure=str(rig.get("cure", "")),
-        experiments=tuple(n for n in (str(one["name"]) for one in proposal.get("experiments", ())) if n in BY_NAME),
+        experiments=tuple(
+            n for n in (str(one["name"]) for one in proposal.get("experiments", ())) if n in EXPERIMENT_OF_NAME
+        ),
         outside=tuple(map(str, proposal.get("not_separable_here", ()))),
     )
 

@@ -15,7 +15,7 @@ from gateway.views.hmi.model.journal import write_act
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.sessions import LoginSession
 from protocol.bus import board51_pb2 as pb
-from protocol.experiments import BY_NAME
+from protocol.experiments import EXPERIMENT_OF_NAME
 
 LIVE_MIN = 2.0  # of flight that a diagnosis without a campaign takes
 _logger = logging.getLogger("gateway.hmi")
@@ -78,10 +78,10 @@ class ModelWork:
         found = find_campaign(self._root, board, campaign)
         if found is None or found.toml != found.path / "campaign.toml":
             return refusal("no-campaign", "There is no such campaign that can be continued.")
-        if experiment not in BY_NAME:
+        if experiment not in EXPERIMENT_OF_NAME:
             return refusal("no-experiment", "There is no such experiment.")
-        if BY_NAME[experiment].person and not prepared:
-            return refusal("person-needed", BY_NAME[experiment].person)
+        if EXPERIMENT_OF_NAME[experiment].person and not prepared:
+            return refusal("person-needed", EXPERIMENT_OF_NAME[experiment].person)
         words = [*self._run(found.path, board), "--experiment", experiment, *["--yes"] * prepared,
                  "--who", session.name, *self._routes.live(session.name)]  # fmt: skip
         return self._start(session, "campaign", "campaign", board, words, found.path, f"added {experiment}")

@@ -79,7 +79,7 @@ def leaves() -> tuple[Leaf, ...]:
     """Every variable that the topics give."""
     found: list[Leaf] = []
     for topic in TOPICS:
-        row = topics.BY_NAME[topic]
+        row = topics.TOPIC_OF_NAME[topic]
         found += _leaves(row.message, row.message.DESCRIPTOR, topic, "")
     return tuple(found)
 

@@ -79,7 +79,7 @@ class Layout:
         """The folder of a path; made where it is not there yet."""
         folder, _, _ = path.rpartition("/")
         if folder not in self._places:
-            about = topics.BY_NAME[folder].about if folder in TOPICS else FOLDERS[folder]
+            about = topics.TOPIC_OF_NAME[folder].description if folder in TOPICS else FOLDERS[folder]
             self._places[folder] = self._builder.object(self._above(folder), f"{self._root}/{folder}", about)
         return self._places[folder]
 

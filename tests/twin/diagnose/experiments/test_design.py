@@ -150,7 +150,7 @@ def test_an_experiment_four_times_as_long_tells_more_but_not_more_than_four(
 ) -> None:
     _, criterion, own, confounder, _ = gap_or_exponent
     steps = Wave(shape="rectangle", low=0.27, high=0.73, period_s=1.4, duration_s=4.2, on_reference=True)
-    short = Experiment(name="wide-steps", kind="closed-loop", use="fit", about="", expects="flies", steps=(steps,))
+    short = Experiment(name="wide-steps", kind="closed-loop", use="fit", purpose="", expects="flies", steps=(steps,))
     long = replace(short, name="longer", steps=(replace(steps, duration_s=16.8),))
     monkeypatch.setattr(experiments, "MENU", (short, long))
 
