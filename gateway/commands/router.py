@@ -55,10 +55,10 @@ def _guarded(config: zenoh.Config) -> bool:
 
 def _endpoints(config: zenoh.Config) -> list[str]:
     """What it listens on; zenoh's own default is a port on every interface."""
-    found = json.loads(config.get_json("listen/endpoints"))
-    if isinstance(found, dict):
-        found = found.get("router", [])
-    return [str(endpoint) for endpoint in found] or ["tcp/[::]:7447"]
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    if isinstance(endpoints, dict):
+        endpoints = endpoints.get("router", [])
+    return [str(endpoint) for endpoint in endpoints] or ["tcp/[::]:7447"]
 
 
 def _check_readable(path: Path) -> None:

@@ -52,12 +52,12 @@ SILENT_S = 0.5  # without a state for so long (and three of its periods) a board
 GRACE_S = 2.0  # no alarm while a board is being discovered
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
 UNSEEN_S = 120.0  # a board without any message for so long may be removed
-TWIN_GONE_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
-_WANTED = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
+TWIN_TIMEOUT_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
+_TOPICS = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
            "twin/alarm", "twin/alarms", "twin/model")  # fmt: skip
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
-_KEYS = (*(topic for topic in _WANTED if not topic.startswith("twin/")), "twin/*")
+_KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/")), "twin/*")
 _OF_GATEWAY = (pb.Status, pb.Event, pb.State)  # while one of them comes, there is a gateway
 _REASONS = {
     "absent": "Its port is not there.",
@@ -65,7 +65,7 @@ _REASONS = {
     "connecting": "The port is being opened.",
     "handshake": "The board has not answered yet.",
 }
-_TYPES: dict[str, type[Message]] = {name: topics.BY_NAME[name].message for name in _WANTED}
+_TYPES: dict[str, type[Message]] = {name: topics.BY_NAME[name].message for name in _TOPICS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,8 +106,8 @@ class BoardFeed:
 
     def latest(self, message: type[M]) -> M | None:
         """Return the newest message of this type, or None."""
-        found = self._latest.get(message.DESCRIPTOR.full_name)
-        return found if isinstance(found, message) else None
+        newest = self._latest.get(message.DESCRIPTOR.full_name)
+        return newest if isinstance(newest, message) else None
 
     def age_s(self, message: type[Message]) -> float:
         """Return the age of the newest message of this type, s; infinite if there is none."""
@@ -126,8 +126,8 @@ class BoardFeed:
         word = "connecting" if status is None else status.link
         if word == "streaming":  # of a status before the loss
             return Link(state="silent", reason="No samples come.", age_s=age_s)
-        said = self.latest(pb.Alarms)  # the gateway knows more: which port, what was tried
-        why = next((alarm.text for alarm in said.active if alarm.name == LINK), "") if said is not None else ""
+        alarms = self.latest(pb.Alarms)  # the gateway knows more: which port, what was tried
+        why = next((alarm.text for alarm in alarms.active if alarm.name == LINK), "") if alarms is not None else ""
         return Link(state=word, reason=why or _REASONS.get(word, "No samples come."), age_s=age_s)
 
     def alarms(self) -> tuple[Alarm, ...]:
@@ -193,7 +193,7 @@ class BoardFeed:
             self._book.repeated(message, now_ns)
         elif isinstance(message, pb.CommandRecord):
             self._commands.append(message)
-            self._seen(message)
+            self._apply_command(message)
         elif isinstance(message, pb.Status):
             self._book.log(message.log_state, now_ns)
             self._book.to_board(message, now_ns)
@@ -219,18 +219,20 @@ class BoardFeed:
         """Return whether nothing has come from the gateway for UNSEEN_S."""
         return min(self.age_s(kind) for kind in _OF_GATEWAY) > UNSEEN_S
 
-    def _seen(self, record: pb.CommandRecord) -> None:
+    def _apply_command(self, record: pb.CommandRecord) -> None:
         if record.command.WhichOneof("what") == "stop":
             self.stopped_s = self._now_s()
         if record.reply.accepted and record.command.WhichOneof("what") == "acknowledge":
-            seen = record.command.acknowledge
-            self._book.acknowledge(seen.alarm, record.command.who or "unknown", record.received_ns, seen.comment)
+            acknowledgement = record.command.acknowledge
+            self._book.acknowledge(
+                acknowledgement.alarm, record.command.who or "unknown", record.received_ns, acknowledgement.comment
+            )
 
     def _judge(self) -> None:
         link = self.link()
         twin_s = min(self.age_s(pb.TwinAlarms), self._now_s() - self._back_s)
-        if TWIN_GONE_S < twin_s and self.latest(pb.TwinAlarms) is not None and link.state != "no-gateway":
-            self._book.twin_gone(time.time_ns())
+        if TWIN_TIMEOUT_S < twin_s and self.latest(pb.TwinAlarms) is not None and link.state != "no-gateway":
+            self._book.end_twin_alarms(time.time_ns())
         if link.live or self._now_s() - self._first_s > GRACE_S:
             self._book.link("" if link.live else link.reason, time.time_ns())
 
@@ -336,24 +338,24 @@ class Feed:
     def _arrived(self, sample: zenoh.Sample) -> None:
         if is_replayed(sample.attachment) != self._replays:
             return
-        place = topics.split(str(sample.key_expr))
-        kind = _TYPES.get(place[2]) if place is not None else None
+        address = topics.split(str(sample.key_expr))
+        kind = _TYPES.get(address[2]) if address is not None else None
         message = parse(kind, sample.payload.to_bytes()) if kind is not None else None
-        if place is None or message is None:
+        if address is None or message is None:
             self.refused += 1
             return
         with self._lock:
-            board = self._boards.get(place[1])
+            board = self._boards.get(address[1])
             if board is None:
-                if topics.BY_NAME[place[2]].by != "gateway" and not self._replays:
+                if topics.BY_NAME[address[2]].by != "gateway" and not self._replays:
                     return
                 if len(self._boards) >= MAX_BOARDS:
                     self.refused += 1
                     return
-                board = self._boards[place[1]] = BoardFeed(place[1], self._lock, self._now_s)
+                board = self._boards[address[1]] = BoardFeed(address[1], self._lock, self._now_s)
             now_ns = time.time_ns()
-            for one in message.states if isinstance(message, pb.StateBatch) else (message,):
-                board.take(one, now_ns)
+            for part in message.states if isinstance(message, pb.StateBatch) else (message,):
+                board.take(part, now_ns)
 
     def _alive(self, sample: zenoh.Sample) -> None:
         _, _, rest = str(sample.key_expr).partition("/")

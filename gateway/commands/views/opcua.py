@@ -111,9 +111,7 @@ async def _serve(args: argparse.Namespace, settings: OpcuaSettings, identity: Id
     on_end_signal(lambda: loop.call_soon_threadsafe(stop.set))
     with open_bus(args.connect, identity) as session:
         feed = Feed(session, args.site, guarded=identity is not None)
-        shown = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"
-        await serve(
-            feed, settings, stop, lambda port: print(f"OPC UA on opc.tcp://{shown}:{port}/board51/", flush=True)
-        )
+        host = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"
+        await serve(feed, settings, stop, lambda port: print(f"OPC UA on opc.tcp://{host}:{port}/board51/", flush=True))
         feed.close()
     return 0

@@ -90,7 +90,7 @@ class Guard:
         public = path.startswith(PUBLIC)
         answer: Response | None = None
         opened = None
-        if not self._host_is_ours(headers):
+        if not self._host_is_known(headers):
             answer = refusal(421, "host", "This server is for this machine alone: use http://127.0.0.1.")
         elif not reads and not self._same_origin(headers):
             answer = refusal(403, "origin", "The request comes from a page of another origin.")
@@ -125,7 +125,7 @@ class Guard:
     async def _websocket(
         self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: LoginSession | None
     ) -> None:
-        good = session is not None and self._host_is_ours(headers) and self._same_origin(headers)
+        good = session is not None and self._host_is_known(headers) and self._same_origin(headers)
         if good:
             offered = scope.get("subprotocols", [])
             good = len(offered) == 2 and offered[0] == PROTOCOL and _bears_token(offered[1], session)
@@ -145,7 +145,7 @@ class Guard:
 
         await self._app(scope, watched, send)
 
-    def _host_is_ours(self, headers: dict[str, str]) -> bool:
+    def _host_is_known(self, headers: dict[str, str]) -> bool:
         if not self._loopback:
             return True
         return (urlsplit(f"//{headers.get('host', '')}").hostname or "") in LOOPBACK
@@ -157,8 +157,8 @@ class Guard:
     def _with_headers(self, send: Send, opened: LoginSession | None, host: str) -> Send:
         async def sender(message: Message) -> None:
             if message["type"] == "http.response.start":
-                there = {name.lower() for name, _ in message["headers"]}
-                message["headers"] = [*message["headers"], *(h for h in self._added if h[0] not in there)]
+                present = {name.lower() for name, _ in message["headers"]}
+                message["headers"] = [*message["headers"], *(h for h in self._added if h[0] not in present)]
                 if opened is not None:
                     message["headers"].append((b"set-cookie", self.cookie(opened, host).encode("latin-1")))
             await send(message)
@@ -178,14 +178,14 @@ def login_for(path: str, *, over: bool) -> str:
     return "/login" + ("?" + "&".join(words) if words else "")
 
 
-def own_page(asked: str) -> str:
-    """`asked` where it is a path on this server, else "/".
+def local_page(target: str) -> str:
+    """Return `target` if it is a path on this server, else "/".
 
     A browser takes two slashes, one of them turned or not, for another server, and drops control characters before it
     looks.
     """
-    ours = asked.startswith("/") and not asked.startswith(("//", "/login"))
-    return asked if ours and asked.isprintable() and "\\" not in asked else "/"
+    is_local = target.startswith("/") and not target.startswith(("//", "/login"))
+    return target if is_local and target.isprintable() and "\\" not in target else "/"
 
 
 def refusal(status: int, reason: str, text: str) -> JSONResponse:

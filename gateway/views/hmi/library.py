@@ -49,8 +49,8 @@ class Library:
 
     def entries(self) -> list[LibraryFile]:
         """The newest first."""
-        found = {entry.name: entry for entry in self._scan()}
-        return sorted(found.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
+        entries = {entry.name: entry for entry in self._scan()}
+        return sorted(entries.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
 
     def find(self, name: str) -> LibraryFile | None:
         """Return the file of that name, or None if there is none."""
@@ -60,8 +60,8 @@ class Library:
         for root_name, root in self._roots.items():
             for pattern in self._patterns:
                 for path in root.rglob(pattern):
-                    inside = path.relative_to(root)
-                    if any(part.startswith(".") for part in inside.parts):
+                    relative = path.relative_to(root)
+                    if any(part.startswith(".") for part in relative.parts):
                         continue
                     try:
                         real, stat = path.resolve(strict=True), path.stat()
@@ -69,7 +69,7 @@ class Library:
                         continue
                     if path.is_file() and real.is_relative_to(root):
                         yield LibraryFile(
-                            name=f"{root_name}/{inside.as_posix()}",
+                            name=f"{root_name}/{relative.as_posix()}",
                             path=real,
                             bytes=stat.st_size,
                             changed_s=stat.st_mtime,

@@ -71,9 +71,9 @@ class Snapshots:
 
     def _travel_m(self, board: BoardFeed) -> float | None:
         model, parameters = board.latest(pb.TwinModel), board.latest(pb.Parameters)
-        told = travel_of(model.model_json) if model is not None else math.nan
-        if math.isfinite(told):
-            return told
+        travel_m = travel_of(model.model_json) if model is not None else math.nan
+        if math.isfinite(travel_m):
+            return travel_m
         return None if parameters is None else parameters.x_ref_max_m * _MARGIN
 
 

@@ -51,10 +51,10 @@ class Traces:
             self._taps = [self.board.tap(kind, width_s=BIN_S) for kind in (pb.State, pb.TwinState, pb.Divergence)]
         states, twins, divergences = (tap.take() for tap in self._taps)
         for made, bins in ((_state, states), (_twin, twins), (_divergence, divergences)):
-            for done in bins:
+            for closed in bins:
                 if len(self._rows) == MAX_ROWS:
                     self._fold(self._rows[0])
-                self._rows.append(made(done))
+                self._rows.append(made(closed))
                 self._count += 1
 
     def since(self, cursor: int) -> tuple[list[Row], int]:
@@ -70,10 +70,10 @@ class Traces:
 
     def _fold(self, row: Row) -> None:
         """Put a row that leaves the ring into the coarse bin of its kind, session and time."""
-        for place in range(len(self._coarse) - 1, max(len(self._coarse) - 4, -1), -1):
-            bin_ = self._coarse[place]
+        for index in range(len(self._coarse) - 1, max(len(self._coarse) - 4, -1), -1):
+            bin_ = self._coarse[index]
             if bin_[:2] == row[:2] and _slot(bin_) == _slot(row):
-                self._coarse[place] = _widened(bin_, row)
+                self._coarse[index] = _widened(bin_, row)
                 return
         self._coarse.append(row)
 
@@ -90,8 +90,8 @@ def _widened(bin_: Row, row: Row) -> Row:
     wide = list(row)
     for low in _LOWS[str(row[0])]:
         wide[low], wide[low + 1] = _of(min, bin_[low], row[low]), _of(max, bin_[low + 1], row[low + 1])
-    for place in _LARGEST.get(str(row[0]), ()):
-        wide[place] = _of(max, bin_[place], row[place])
+    for index in _LARGEST.get(str(row[0]), ()):
+        wide[index] = _of(max, bin_[index], row[index])
     return wide
 
 

@@ -31,7 +31,7 @@ _logger = logging.getLogger("gateway.opcua")
 class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is untyped
     """asyncua's service for one subscription, with the timestamps asked for and filters as Part 4 has them."""
 
-    _asked = ua.TimestampsToReturn.Source
+    _timestamps = ua.TimestampsToReturn.Source
 
     def __init__(
         self, subscription: InternalSubscription, space: AddressSpace, periodic: AbstractSet[ua.NodeId]
@@ -43,7 +43,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
         """One result for each."""
-        self._asked = params.TimestampsToReturn
+        self._timestamps = params.TimestampsToReturn
         results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
         return results
 
@@ -81,8 +81,8 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
             return
         data.mvalue.set_current_datavalue(value)
         of_value = data.read_value_id.AttributeId == VALUE
-        shown = stamped(value, data.timestamps, datetime.now(UTC), of_value=of_value)
-        event = ua.MonitoredItemNotification(ClientHandle=data.client_handle, Value=shown)
+        reported = stamped(value, data.timestamps, datetime.now(UTC), of_value=of_value)
+        event = ua.MonitoredItemNotification(ClientHandle=data.client_handle, Value=reported)
         await self.isub.enqueue_datachange_event(mid, event, data.queue_size)
 
     def of_events(self) -> dict[int, ua.NodeId]:
@@ -108,7 +108,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         self, params: ua.MonitoredItemCreateRequest
     ) -> tuple[ua.MonitoredItemCreateResult, MonitoredItemData]:
         result, data = super()._make_monitored_item_common(params)
-        data.timestamps = self._asked
+        data.timestamps = self._timestamps
         result.RevisedSamplingInterval = self._revise(data, params.RequestedParameters.SamplingInterval)
         return result, data
 
@@ -118,7 +118,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         data.left_out = data.every
         await super().trigger_datachange(handle, nodeid, attr)
 
-    def _revise(self, data: MonitoredItemData, asked_ms: float) -> float:
+    def _revise(self, data: MonitoredItemData, requested_ms: float) -> float:
         """Return the sampling interval that is served, and note every how many values it is (Part 4, 7.21)."""
         publishing_ms: float = self.isub.data.RevisedPublishingInterval
         data.every = data.left_out = 1
@@ -128,49 +128,51 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         if not interval_ms:
             return publishing_ms
         if node.NodeId in self._periodic:
-            wanted_ms = publishing_ms if math.isnan(asked_ms) or asked_ms < 0 else min(asked_ms, MAX_INTERVAL_MS)
-            data.every = max(1, math.ceil(round(wanted_ms / interval_ms, 3)))
+            sampling_ms = (
+                publishing_ms if math.isnan(requested_ms) or requested_ms < 0 else min(requested_ms, MAX_INTERVAL_MS)
+            )
+            data.every = max(1, math.ceil(round(sampling_ms / interval_ms, 3)))
         return float(data.every * interval_ms)
 
     def _modified(
-        self, item: ua.MonitoredItemModifyRequest, asked: ua.TimestampsToReturn
+        self, item: ua.MonitoredItemModifyRequest, timestamps: ua.TimestampsToReturn
     ) -> ua.MonitoredItemModifyResult:
         result = ua.MonitoredItemModifyResult()
         data = self._monitored_items.get(item.MonitoredItemId)
         if data is None:
             result.StatusCode = ua.StatusCode(ua.StatusCodes.BadMonitoredItemIdInvalid)
             return result
-        wanted = item.RequestedParameters
-        if not _fits(wanted, type(data.filter) if data.filter is not None else ua.DataChangeFilter):
+        parameters = item.RequestedParameters
+        if not _fits(parameters, type(data.filter) if data.filter is not None else ua.DataChangeFilter):
             result.StatusCode = ua.StatusCode(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
             return result
-        data.timestamps, data.client_handle = asked, wanted.ClientHandle
-        data.queue_size = result.RevisedQueueSize = self._revise_queue_size(wanted.QueueSize)
-        result.RevisedSamplingInterval = self._revise(data, wanted.SamplingInterval)
-        if wanted.Filter is not None:
-            data.filter = wanted.Filter
+        data.timestamps, data.client_handle = timestamps, parameters.ClientHandle
+        data.queue_size = result.RevisedQueueSize = self._revise_queue_size(parameters.QueueSize)
+        result.RevisedSamplingInterval = self._revise(data, parameters.SamplingInterval)
+        if parameters.Filter is not None:
+            data.filter = parameters.Filter
         return result
 
 
-def _fits(asked: ua.MonitoringParameters, kind: Any) -> bool:
+def _fits(parameters: ua.MonitoringParameters, kind: Any) -> bool:
     """Whether its filter is of that kind or none; a null one becomes None.
 
     By the data type: asyncua decodes into classes that are not those of the same names in `ua`.
     """
-    asked.Filter = asked.Filter or None
-    return asked.Filter is None or getattr(asked.Filter, "data_type", None) == kind.data_type
+    parameters.Filter = parameters.Filter or None
+    return parameters.Filter is None or getattr(parameters.Filter, "data_type", None) == kind.data_type
 
 
 def _refused() -> ua.MonitoredItemCreateResult:
     return ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(ua.StatusCodes.BadMonitoredItemFilterUnsupported))
 
 
-def is_news(sent: ua.DataValue | None, value: ua.DataValue, asked: Any) -> bool:
-    """Return whether to report `value` to a client after `sent`; `asked`: its DataChangeFilter, or None."""
+def is_news(sent: ua.DataValue | None, value: ua.DataValue, filter_: Any) -> bool:
+    """Return whether to report `value` to a client after `sent`; `filter_`: its DataChangeFilter, or None."""
     if sent is None or sent.StatusCode != value.StatusCode:
         return True
-    trigger = asked.Trigger if asked is not None else Trigger.StatusValue
-    band = asked.DeadbandValue if asked is not None and asked.DeadbandType == ua.DeadbandType.Absolute else 0.0
+    trigger = filter_.Trigger if filter_ is not None else Trigger.StatusValue
+    band = filter_.DeadbandValue if filter_ is not None and filter_.DeadbandType == ua.DeadbandType.Absolute else 0.0
     # With a deadband, a time stamp alone is no news.
     if trigger == Trigger.StatusValueTimestamp and not band and sent.SourceTimestamp != value.SourceTimestamp:
         return True

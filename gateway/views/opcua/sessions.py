@@ -162,8 +162,8 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     @property
     def visitor(self) -> Visitor:
         """Return the user of the session."""
-        found = self.user.visitor if isinstance(self.user, Guest) else None
-        return found if found is not None else NOBODY
+        visitor = self.user.visitor if isinstance(self.user, Guest) else None
+        return visitor if visitor is not None else NOBODY
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """With the timestamps that are asked for."""
@@ -172,9 +172,9 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         now = datetime.now(UTC)
         return [
             timestamps.stamped(
-                value, params.TimestampsToReturn, now, of_value=wanted.AttributeId == ua.AttributeIds.Value
+                value, params.TimestampsToReturn, now, of_value=item.AttributeId == ua.AttributeIds.Value
             )
-            for wanted, value in zip(params.NodesToRead, values, strict=True)
+            for item, value in zip(params.NodesToRead, values, strict=True)
         ]
 
     async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
@@ -208,7 +208,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     ) -> list[ua.MonitoredItemCreateResult]:
         """In a subscription of its own."""
         timestamps.check(params.TimestampsToReturn)
-        self._check_own([params.SubscriptionId])
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().create_monitored_items(params)
         return results
 
@@ -217,35 +217,35 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     ) -> list[ua.MonitoredItemModifyResult]:
         """In a subscription of its own."""
         timestamps.check(params.TimestampsToReturn)
-        self._check_own([params.SubscriptionId])
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().modify_monitored_items(params)
         return results
 
     async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
         """In a subscription of its own."""
-        self._check_own([params.SubscriptionId])
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().set_monitoring_mode(params)
         return results
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
         """In a subscription of its own."""
-        self._check_own([params.SubscriptionId])
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().delete_monitored_items(params)
         return results
 
     async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
         """Of subscriptions of its own."""
-        self._check_own(params.SubscriptionIds)
+        self._check_subscriptions(params.SubscriptionIds)
         results: list[Any] = await super().set_publishing_mode(params)
         return results
 
     async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
         """Its own."""
-        self._check_own(ids)
+        self._check_subscriptions(ids)
         results: list[Any] = await super().delete_subscriptions(ids)
         return results
 
-    def _check_own(self, ids: Iterable[int]) -> None:
+    def _check_subscriptions(self, ids: Iterable[int]) -> None:
         if any(self._is_foreign(number) for number in ids):
             raise ServiceError(S.BadSubscriptionIdInvalid)
 
@@ -253,7 +253,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         subscription = self.subscription_service.subscriptions.get(number)
         return subscription is not None and subscription.session_id != self.session_id
 
-    def _place(self, node: ua.NodeId) -> tuple[str, str]:
+    def _address_of(self, node: ua.NodeId) -> tuple[str, str]:
         """(board, path) of a node of ours, ("", "") of any other."""
         if node.NamespaceIndex != self.iserver.namespace or not isinstance(node.Identifier, str):
             return "", ""
@@ -264,12 +264,12 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         """(board, name) of a method; that of RigType may be called at every rig (Part 4, 5.12.2)."""
         owner, _, name = str(method.Identifier).partition("/")
         if method.NamespaceIndex == self.iserver.spaces.types and owner == RIG_TYPE:
-            board, path = self._place(rig)
+            board, path = self._address_of(rig)
             return ("", "") if path or rig not in self.aspace else (board, name)
-        return self._place(method)
+        return self._address_of(method)
 
     async def _write(self, item: ua.WriteValue) -> int:
-        board, path = self._place(item.NodeId)
+        board, path = self._address_of(item.NodeId)
         if item.NodeId not in self.aspace:
             return int(S.BadNodeIdUnknown)
         folder, _, name = path.partition("/")
@@ -288,7 +288,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         if request.MethodId in _OF_CONDITIONS:
             code, codes = await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs)
             result.StatusCode = ua.StatusCode(code)
-            result.InputArgumentResults = [ua.StatusCode(one) for one in codes]
+            result.InputArgumentResults = [ua.StatusCode(code) for code in codes]
             return result
         board, name = self._method(request.ObjectId, request.MethodId)
         if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
@@ -314,7 +314,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             return int(S.BadArgumentsMissing if len(inputs) < len(types) else S.BadTooManyArguments), []
         fit = [is_of(supplied, variant, is_array=False) for supplied, variant in zip(inputs, types, strict=True)]
         if not all(fit):
-            return int(S.BadInvalidArgument), [int(S.Good if one else S.BadTypeMismatch) for one in fit]
+            return int(S.BadInvalidArgument), [int(S.Good if fits else S.BadTypeMismatch) for fits in fit]
         values = [supplied.Value for supplied in inputs]
         if name == "refresh":
             if self._is_foreign(values[0]):
@@ -329,15 +329,15 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             return int(S.BadConditionDisabled), []
         if values[0] not in condition.event_ids:
             return int(S.BadEventIdUnknown), []
-        said = ((values[1].Text if values[1] is not None else None) or "")[:LONGEST_COMMENT]
+        comment = ((values[1].Text if values[1] is not None else None) or "")[:LONGEST_COMMENT]
         if name == "acknowledge":
-            seen = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=said))
-            code = code_of(await self.iserver.operations.command(self.visitor, condition.board, name, seen))
+            command = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=comment))
+            code = code_of(await self.iserver.operations.command(self.visitor, condition.board, name, command))
             condition.comment = condition.comment if code != S.Good else None  # its comment is the newer one
             return code, []
-        code = await self._remark(condition, f"{condition.alarm}: {said}")
+        code = await self._remark(condition, f"{condition.alarm}: {comment}")
         if code == S.Good:
-            condition.comment, condition.is_changed = (said, self.visitor.name), True
+            condition.comment, condition.is_changed = (comment, self.visitor.name), True
         return code, []
 
     async def _enable(self, condition: ConditionNode, *, enabled: bool) -> int:

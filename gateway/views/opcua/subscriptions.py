@@ -34,10 +34,10 @@ class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncu
         request_callback: Callable[..., Any] | None = None,
     ) -> ua.CreateSubscriptionResult:
         """With the interval revised to what is served."""
-        asked_ms = params.RequestedPublishingInterval
-        if math.isnan(asked_ms):
-            asked_ms = MIN_INTERVAL_MS
-        params.RequestedPublishingInterval = min(max(asked_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
+        interval_ms = params.RequestedPublishingInterval
+        if math.isnan(interval_ms):
+            interval_ms = MIN_INTERVAL_MS
+        params.RequestedPublishingInterval = min(max(interval_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
         result = await super().create_subscription(params, callback, session_id, request_callback)
         subscription = self.subscriptions[result.SubscriptionId]
         subscription.monitored_item_srv = Items(subscription, self.aspace, self.periodic)

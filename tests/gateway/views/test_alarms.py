@@ -41,7 +41,7 @@ def test_an_alarm_that_comes_again_calls_again() -> None:
     book.twin_alarm(divergence(active=False), 30)
     book.twin_alarm(divergence(active=True), 40)
 
-    assert (seen.acknowledged_by, seen.value, seen.threshold_on) == ("eva", 9.0, 5.0)
+    assert (seen.acknowledger, seen.value, seen.threshold_on) == ("eva", 9.0, 5.0)
     assert names(book) == [("divergence-x", True, False)]
 
 
@@ -194,7 +194,7 @@ def test_the_end_of_the_twin_ends_its_alarms_and_is_one_itself() -> None:
     book = AlarmBook("rig")
     book.twin_alarm(divergence(active=True), 10)
 
-    book.twin_gone(20)
+    book.end_twin_alarms(20)
     gone = names(book)
     book.twin_alarms(pb.TwinAlarms(), 30)
 

@@ -26,16 +26,16 @@ def cards(may: Callable[[str], bool]) -> list[Markup]:
 
 def job(text: str, kind: str, act: str, *, then: str = "", **options: str | bool) -> Markup:
     """A button that starts or stops a job; `then` is the page to go to where it was accepted."""
-    wanted = json.dumps({"kind": kind, "act": act, **options})
-    return tag("button", text, type="button", class_="plain", data_job=wanted, data_then=then or None)
+    request = json.dumps({"kind": kind, "act": act, **options})
+    return tag("button", text, type="button", class_="plain", data_job=request, data_then=then or None)
 
 
-def _card(title: str, *inside: Markup) -> Markup:
-    return tag("section", tag("h2", title, class_="card-title"), *inside, class_="card")
+def _card(title: str, *content: Markup) -> Markup:
+    return tag("section", tag("h2", title, class_="card-title"), *content, class_="card")
 
 
-def _row(*inside: Markup) -> Markup:
-    return tag("div", *inside, class_="row-of")
+def _row(*content: Markup) -> Markup:
+    return tag("div", *content, class_="row-of")
 
 
 def _number(label: str, name: str, value: float | None, **attributes: str) -> Markup:

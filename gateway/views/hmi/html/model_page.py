@@ -11,8 +11,8 @@ from gateway.views.hmi.html import controls
 from gateway.views.hmi.html.errors_figure import errors_figure
 from gateway.views.hmi.html.markup import Markup, tag
 from gateway.views.hmi.model.campaigns import CampaignFolder
-from gateway.views.hmi.model.finding import Found, FoundCause
-from gateway.views.hmi.model.models import ModelFile, about, plant_assumed
+from gateway.views.hmi.model.finding import Finding, FindingCause
+from gateway.views.hmi.model.models import ModelFile, plant_assumed, summary
 from gateway.views.hmi.model.work import LIVE_MIN
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
@@ -68,39 +68,39 @@ def steps(chosen: CampaignFolder | None, may: May) -> Markup:
 
 def _twin_now(running: pb.TwinModel | None) -> Markup:
     """Which model the twin runs on, and what it says of it."""
-    said = tag("div", data_live="wrong", class_="wrong", role="status")
+    message = tag("div", data_live="wrong", class_="wrong", role="status")
     if running is None:
-        return _card("The twin", tag("div", "No twin follows this rig: start `board51 twin`.", class_="hint"), said)
+        return _card("The twin", tag("div", "No twin follows this rig: start `board51 twin`.", class_="hint"), message)
     try:
-        content = about(parse_json(running.model_json, where="the twin's model"))
+        content = summary(parse_json(running.model_json, where="the twin's model"))
     except (DataError, AttributeError):
         content = ""
     since = f"handed over by {running.who}" if running.who else "it was started with it"
     return _card(
         "The twin",
-        said,
+        message,
         tag("div", f"It runs on {running.name} ({running.sha256[:12]}), {since}.", class_="strong"),
         tag("div", content, class_="hint"),
     )
 
 
-def found_card(chosen: CampaignFolder | None, found: Found | None, problem: str, report: str, may: May) -> Markup:
+def finding_card(chosen: CampaignFolder | None, finding: Finding | None, problem: str, report: str, may: May) -> Markup:
     """The answer of the diagnosis of a campaign."""
     if chosen is None:
         return _card("What was found", tag("div", "Nothing yet: run a campaign.", class_="hint"))
     title = f"What was found in the campaign of {chosen.made}"
-    if found is None:
+    if finding is None:
         return _card(title, tag("div", problem or "This campaign was not diagnosed yet.", class_="hint"))
-    causes = [_cause(chosen, cause, may, sure=found.sure) for cause in found.causes]
-    quick = () if found.calibrated else (tag("div", "Made quickly: confidence is not calibrated.", class_="hint"),)
-    warnings = [tag("li", text) for text in found.warnings]
+    causes = [_cause(chosen, cause, may, sure=finding.sure) for cause in finding.causes]
+    quick = () if finding.calibrated else (tag("div", "Made quickly: confidence is not calibrated.", class_="hint"),)
+    warnings = [tag("li", text) for text in finding.warnings]
     assumed = "The plant is assumed: K_c and b of this answer hold for a published CE 152 only."
     return _card(
         title,
-        tag("div", _VERDICTS.get(found.verdict, found.verdict), class_="verdict", data_verdict=found.verdict),
-        tag("p", found.sentence, class_="sentence"),
-        _warning(assumed if found.plant_assumed or chosen.plant_assumed else ""),
-        errors_figure(found.ahead) if found.ahead else Markup(),
+        tag("div", _VERDICTS.get(finding.verdict, finding.verdict), class_="verdict", data_verdict=finding.verdict),
+        tag("p", finding.sentence, class_="sentence"),
+        _warning(assumed if finding.plant_assumed or chosen.plant_assumed else ""),
+        errors_figure(finding.ahead) if finding.ahead else Markup(),
         *causes,
         *quick,
         tag("ul", *warnings, class_="hint") if warnings else Markup(),
@@ -127,7 +127,9 @@ def campaigns_card(board: str, campaigns: list[CampaignFolder], chosen: Campaign
     """The campaigns of the rig; one is looked at."""
     if not campaigns:
         return _card("Campaigns", tag("div", "None yet.", class_="hint"))
-    return _card("Campaigns", *(_campaign(board, one, may, looked_at=one is chosen) for one in campaigns))
+    return _card(
+        "Campaigns", *(_campaign(board, campaign, may, looked_at=campaign is chosen) for campaign in campaigns)
+    )
 
 
 def _step(title: str, hint: str, buttons: Markup, kind: str, *, warning: str = "") -> Markup:
@@ -148,20 +150,20 @@ def _warning(text: str) -> Markup:
     return tag("div", text, class_="class-of") if text else Markup()
 
 
-def _cause(chosen: CampaignFolder, cause: FoundCause, may: May, *, sure: bool) -> Markup:
-    said = [tag("div", f"{cause.name}: {cause.sentence}", class_="strong")]
+def _cause(chosen: CampaignFolder, cause: FindingCause, may: May, *, sure: bool) -> Markup:
+    lines = [tag("div", f"{cause.name}: {cause.sentence}", class_="strong")]
     word = "cause" if sure else "candidate"
-    said.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
+    lines.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
     if cause.equals:
-        said.append(tag("div", f"These recordings cannot tell it from: {', '.join(cause.equals)}.", class_="class-of"))
+        lines.append(tag("div", f"These recordings cannot tell it from: {', '.join(cause.equals)}.", class_="class-of"))
     if cause.experiments and may("campaign"):
-        said.append(_row(*(_experiment(chosen, name) for name in cause.experiments[:3])))
-    said += [tag("div", f"Only with another instrument: {text}", class_="hint") for text in cause.outside]
+        lines.append(_row(*(_experiment(chosen, name) for name in cause.experiments[:3])))
+    lines += [tag("div", f"Only with another instrument: {text}", class_="hint") for text in cause.outside]
     if cause.confirm:
-        said.append(tag("div", f"To see it at the rig: {cause.confirm}.", class_="hint"))
+        lines.append(tag("div", f"To see it at the rig: {cause.confirm}.", class_="hint"))
     if cause.cure:
-        said.append(tag("div", f"To be rid of it: {cause.cure}.", class_="hint"))
-    return tag("div", *said, class_="cause")
+        lines.append(tag("div", f"To be rid of it: {cause.cure}.", class_="hint"))
+    return tag("div", *lines, class_="cause")
 
 
 def _experiment(chosen: CampaignFolder, name: str) -> Markup:
@@ -181,7 +183,7 @@ def _model(model: ModelFile, may: May) -> Markup:
     else:
         act = Markup()
     words = tag(
-        "div", tag("div", model.kind, class_="strong"), tag("div", model.about, class_="hint"), class_="file-name"
+        "div", tag("div", model.kind, class_="strong"), tag("div", model.summary, class_="hint"), class_="file-name"
     )
     return tag("div", words, tag("span", model.made, class_="at"), act, class_="file")
 
@@ -193,31 +195,31 @@ def _campaign(board: str, campaign: CampaignFolder, may: May, *, looked_at: bool
         ("not finished", campaign.interrupted),
         ("plant assumed", campaign.plant_assumed),
     )
-    done = [word for word, holds in stages if holds]
+    marks = [word for word, holds in stages if holds]
     acts = [tag("div", f"{act.at} {act.who} {act.what}", class_="hint") for act in campaign.acts]
     title = tag("a", f"Campaign of {campaign.made}", href=f"/model/{board}?campaign={campaign.name}",
                 aria_current="true" if looked_at else None)  # fmt: skip
-    about_it = ", ".join([f"{campaign.recordings} recordings", *done])
+    details = ", ".join([f"{campaign.recordings} recordings", *marks])
     resume = controls.job("Continue", "campaign", "start", campaign=campaign.name, resume=True)
     act = tag("span", resume, data_idle="campaign") if campaign.interrupted and may("campaign") else Markup()
     words = tag("div", title, *acts, class_="file-name")
-    return tag("div", words, tag("span", about_it, class_="at"), act, class_="file")
+    return tag("div", words, tag("span", details, class_="at"), act, class_="file")
 
 
-def _card(title: str, *inside: Markup) -> Markup:
-    return tag("section", tag("h2", title, class_="card-title"), *inside, class_="card")
+def _card(title: str, *content: Markup) -> Markup:
+    return tag("section", tag("h2", title, class_="card-title"), *content, class_="card")
 
 
-def _row(*inside: Markup) -> Markup:
-    return tag("div", *inside, class_="row-of")
+def _row(*content: Markup) -> Markup:
+    return tag("div", *content, class_="row-of")
 
 
 def page(running: pb.TwinModel | None, work: Markup, *results: Markup) -> Markup:
     """The cards; static/model.js replaces what bears `data-part`."""
-    twin, shown = _twin_now(running), "" if running is None else running.sha256[:12]
+    twin, model_id = _twin_now(running), "" if running is None else running.sha256[:12]
     return tag(
         "main",
-        tag("div", tag("div", twin, data_part="twin"), work, class_="work", data_model=shown),
+        tag("div", tag("div", twin, data_part="twin"), work, class_="work", data_model=model_id),
         tag("div", *results, class_="results", data_part="results"),
         class_="model",
     )

@@ -21,7 +21,7 @@ from protocol.campaign import load_plant
 from protocol.errors import Board51Error, DataError
 from protocol.files import parse_json, read_small
 
-SHOWN = 50  # the newest
+MAX_CAMPAIGNS = 50  # the newest
 MODEL, DIAGNOSIS = "model.json", "diagnosis"
 _NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
 
@@ -92,22 +92,22 @@ def campaigns_of(root: Path, board: str) -> list[CampaignFolder]:
         names = sorted((path.name for path in root.iterdir() if path.is_dir() and not path.is_symlink()), reverse=True)
     except OSError:
         return []
-    mine = [name for name in names if board_of(name) == board][:SHOWN]
+    mine = [name for name in names if board_of(name) == board][:MAX_CAMPAIGNS]
     return [_campaign(root / name, board) for name in mine]
 
 
 def choose(campaigns: list[CampaignFolder], name: str) -> CampaignFolder | None:
     """The campaign of that name; for an empty name the newest finished one, else the newest with recordings."""
     if name:
-        return next((one for one in campaigns if one.name == name), None)
-    recorded = [one for one in campaigns if one.toml is not None]
-    return next((one for one in recorded if not one.interrupted), recorded[0] if recorded else None)
+        return next((campaign for campaign in campaigns if campaign.name == name), None)
+    recorded = [campaign for campaign in campaigns if campaign.toml is not None]
+    return next((campaign for campaign in recorded if not campaign.interrupted), recorded[0] if recorded else None)
 
 
 def find_campaign(root: Path, board: str, name: str) -> CampaignFolder | None:
     """The campaign of that name; the newest for an empty name."""
-    found = campaigns_of(root, board)
-    return next((one for one in found if name in ("", one.name)), None)
+    campaigns = campaigns_of(root, board)
+    return next((campaign for campaign in campaigns if name in ("", campaign.name)), None)
 
 
 def _campaign(path: Path, board: str) -> CampaignFolder:

@@ -20,8 +20,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 from protocol.files import parse_json, read_small
 
-KEPT_SHOWN = 10  # the newest
-_KEPT = "kept"
+MAX_REPLACED = 10  # the newest
+_REPLACED = "kept"
 _RESTS_ON_THE_PLANT = ("K_c", "b")
 
 
@@ -39,15 +39,15 @@ class ModelFile:
     @property
     def was_replaced(self) -> bool:
         """Whether it is here because a hand-over replaced it."""
-        return self.name.startswith(f"{_KEPT}/")
+        return self.name.startswith(f"{_REPLACED}/")
 
     @property
-    def about(self) -> str:
+    def summary(self) -> str:
         """Parameters and causes in one line."""
-        return about(self.content)
+        return summary(self.content)
 
 
-def about(content: dict[str, Any]) -> str:
+def summary(content: dict[str, Any]) -> str:
     """The parameters (SI units) and causes of a model file in one line; what rests on an assumed plant is marked."""
     words, assumed = [], plant_assumed(content)
     for name, parameter in (content.get("parameters") or {}).items():
@@ -96,10 +96,10 @@ def _files(data: Path, board: str, campaigns: list[CampaignFolder]) -> Iterator[
         for path, kind in ((campaign.extended_model, "extended by diagnose"), (campaign.model, "identified")):
             if path is not None:
                 yield f"{campaign.name}/{path.name}", path, f"{kind}, campaign of {campaign.made}", _changed(path)
-    kept = sorted((data / "models" / board).glob("*.json"), reverse=True)[:KEPT_SHOWN]
-    for path in kept:
+    replaced = sorted((data / "models" / board).glob("*.json"), reverse=True)[:MAX_REPLACED]
+    for path in replaced:
         if path.is_file() and not path.is_symlink():
-            yield f"{_KEPT}/{path.name}", path, "the twin had it before a hand-over", _changed(path)
+            yield f"{_REPLACED}/{path.name}", path, "the twin had it before a hand-over", _changed(path)
 
 
 def _changed(path: Path) -> str:

@@ -48,11 +48,11 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
         return ""
     if abs(signal.rolling_mean) >= _DIRECTED * signal.rolling_rmse:
         size = f"{_digits(abs(signal.rolling_mean) * scale)} {unit}"
-        said = (above if signal.rolling_mean > 0.0 else below).format(size)
+        difference = (above if signal.rolling_mean > 0.0 else below).format(size)
     else:
-        said = differ.format(f"{_digits(signal.rolling_rmse * scale)} {unit}")
+        difference = differ.format(f"{_digits(signal.rolling_rmse * scale)} {unit}")
     times = signal.rolling_rmse / abs(signal.error / signal.normalised)
-    return f"{said} since {since}, {_times(times)} what noise explains"
+    return f"{difference} since {since}, {_times(times)} what noise explains"
 
 
 def _times(times: float) -> str:

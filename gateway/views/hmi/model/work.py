@@ -58,75 +58,78 @@ class ModelWork:
         folder = self._new(board)
         what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
         words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
-        said = "investigates the rig" if investigate else f"began a {'quick ' * quick}campaign"
-        return self._start(session, "campaign", "campaign", board, words, folder, said)
+        entry = "investigates the rig" if investigate else f"began a {'quick ' * quick}campaign"
+        return self._start(session, "campaign", "campaign", board, words, folder, entry)
 
     def resume_campaign(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """What an interrupted campaign or investigation has left to do, into the same folder."""
-        found = find_campaign(self._root, board, campaign) if campaign else None
-        if found is None or not found.interrupted:
+        chosen = find_campaign(self._root, board, campaign) if campaign else None
+        if chosen is None or not chosen.interrupted:
             return refusal("no-campaign", "There is no such campaign, or nothing of it is left to do.")
-        what = ["investigate", board, "--out", str(found.path)] if found.investigation else self._run(found.path, board)
-        wanted = () if found.investigation else (word for name in found.left for word in ("--experiment", name))
-        words = [*what, *wanted, *["--quick"] * found.quick, "--who", session.name, *self._routes.live(session.name)]
-        return self._start(session, "campaign", "campaign", board, words, found.path, "continued it")
+        if chosen.investigation:
+            what = ["investigate", board, "--out", str(chosen.path)]
+        else:
+            what = self._run(chosen.path, board)
+            what += [word for name in chosen.left for word in ("--experiment", name)]
+        words = [*what, *["--quick"] * chosen.quick, "--who", session.name, *self._routes.live(session.name)]
+        return self._start(session, "campaign", "campaign", board, words, chosen.path, "continued it")
 
     def add_experiment(
         self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False
     ) -> pb.CommandReply:
         """One more experiment into a campaign; `prepared`: what it needs of a person has been done."""
-        found = find_campaign(self._root, board, campaign)
-        if found is None or found.toml != found.path / "campaign.toml":
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml != chosen.path / "campaign.toml":
             return refusal("no-campaign", "There is no such campaign that can be continued.")
         if experiment not in BY_NAME:
             return refusal("no-experiment", "There is no such experiment.")
         if BY_NAME[experiment].person and not prepared:
             return refusal("person-needed", BY_NAME[experiment].person)
-        words = [*self._run(found.path, board), "--experiment", experiment, *["--yes"] * prepared,
+        words = [*self._run(chosen.path, board), "--experiment", experiment, *["--yes"] * prepared,
                  "--who", session.name, *self._routes.live(session.name)]  # fmt: skip
-        return self._start(session, "campaign", "campaign", board, words, found.path, f"added {experiment}")
+        return self._start(session, "campaign", "campaign", board, words, chosen.path, f"added {experiment}")
 
     def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """K_A, T_A, K_c, b from a campaign."""
-        found = find_campaign(self._root, board, campaign)
-        if found is None or found.toml is None:
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml is None:
             return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
-        words = ["identify", str(found.toml), "--out", str(found.path / MODEL)]
-        return self._start(session, "diagnose", "identify", board, words, found.path, "identified")
+        words = ["identify", str(chosen.toml), "--out", str(chosen.path / MODEL)]
+        return self._start(session, "diagnose", "identify", board, words, chosen.path, "identified")
 
     def diagnose(self, session: LoginSession, board: str, campaign: str, *, quick: bool) -> pb.CommandReply:
         """The causes of the model's errors in a campaign."""
-        found = find_campaign(self._root, board, campaign)
-        if found is None or found.toml is None:
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml is None:
             return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
-        words = ["diagnose", str(found.toml), "--out", str(found.path / DIAGNOSIS), "--next-experiment",
+        words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / DIAGNOSIS), "--next-experiment",
                  *["--quick"] * quick]  # fmt: skip
-        return self._start(session, "diagnose", "diagnose", board, words, found.path, "diagnosed" + ", quick" * quick)
+        return self._start(session, "diagnose", "diagnose", board, words, chosen.path, "diagnosed" + ", quick" * quick)
 
     def diagnose_live(self, session: LoginSession, board: str) -> pb.CommandReply:
         """The causes of the model's errors in what the rig flew in the last minutes."""
         folder = self._new(board)
         words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", board, "--logs", str(self._logs), "--quick",
                  "--next-experiment", "--out", str(folder / DIAGNOSIS), *self._routes.live(session.name)]  # fmt: skip
-        said = f"diagnosed the last {LIVE_MIN:g} minutes of flight"
-        return self._start(session, "diagnose", "diagnose", board, words, folder, said)
+        entry = f"diagnosed the last {LIVE_MIN:g} minutes of flight"
+        return self._start(session, "diagnose", "diagnose", board, words, folder, entry)
 
     def hand_over(self, session: LoginSession, board: str, model: str) -> pb.CommandReply:
         """Give a model of the list to the running twin; what it replaces is kept."""
-        wanted = next((one for one in self.models(board) if one.name == model), None)
-        if wanted is None:
+        chosen = next((file for file in self.models(board) if file.name == model), None)
+        if chosen is None:
             return refusal("no-model", "There is no such model.")
         running = self.running(board)
         try:
-            if running is not None and not any(one.in_use for one in self.models(board)):
+            if running is not None and not any(file.in_use for file in self.models(board)):
                 keep(self._data, running, board)
         except OSError as error:
             return refusal("failed", f"The present model cannot be kept: {error.strerror}. Nothing was handed over.")
-        words = ["twin", "--hand-over", str(wanted.path), "--board", board, "--who", session.name,
+        words = ["twin", "--hand-over", str(chosen.path), "--board", board, "--who", session.name,
                  *self._routes.live(session.name)]  # fmt: skip
-        folder = wanted.path.parent if wanted.path.name == MODEL else wanted.path.parent.parent
+        folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
         folder = folder if folder.parent == self._root else self._data / "models" / board
-        return self._start(session, "use_model", "hand-over", board, words, folder, f"handed {wanted.kind} model over")
+        return self._start(session, "use_model", "hand-over", board, words, folder, f"handed {chosen.kind} model over")
 
     def _new(self, board: str) -> Path:
         return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -135,12 +138,12 @@ class ModelWork:
         return ["campaign", "run", str(folder), "--board", board]
 
     def _start(
-        self, session: LoginSession, act: str, kind: str, board: str, words: list[str], folder: Path, said: str
+        self, session: LoginSession, act: str, kind: str, board: str, words: list[str], folder: Path, entry: str
     ) -> pb.CommandReply:
         reply = self._actions.start_job(session, act, kind, board, words, title=folder.name)
         if reply.accepted:
             try:
-                write_act(folder, who=session.name, what=said)
+                write_act(folder, who=session.name, what=entry)
             except OSError as error:
                 _logger.warning("%s: who did it cannot be written (%s)", folder, error.strerror)
         return reply

@@ -62,11 +62,11 @@ class Track:
     def value(self, column: int, row: int) -> ua.DataValue:
         """The value in a row, counted from the oldest."""
         at = self._slot(row)
-        found = data_value(
+        value = data_value(
             self._values[column][at], ua.VariantType.Double, self._codes[column][at], self._stamps_ns[at]
         )
-        found.ServerTimestamp = datetime_of(self._retained_ns[at])
-        return found
+        value.ServerTimestamp = datetime_of(self._retained_ns[at])
+        return value
 
     def stamp(self, row: int) -> datetime:
         """Of a row."""
@@ -150,14 +150,13 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
         """Return one result for each requested node."""
         results: list[ua.HistoryReadResult] = await super().read_history(params)
         return [
-            self._judged(params, wanted.NodeId, result)
-            for wanted, result in zip(params.NodesToRead, results, strict=True)
+            self._checked(params, item.NodeId, result) for item, result in zip(params.NodesToRead, results, strict=True)
         ]
 
-    def _judged(
+    def _checked(
         self, params: ua.HistoryReadParameters, node: ua.NodeId, result: ua.HistoryReadResult
     ) -> ua.HistoryReadResult:
-        details, asked = params.HistoryReadDetails, params.TimestampsToReturn
+        details, requested = params.HistoryReadDetails, params.TimestampsToReturn
         raw = isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified
         if node not in self._server.aspace:
             code = S.BadNodeIdUnknown
@@ -165,7 +164,7 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
             code = S.BadHistoryOperationUnsupported
         else:
             values = result.HistoryData.DataValues
-            result.HistoryData.DataValues = [stamped(value, asked, value.ServerTimestamp) for value in values]
+            result.HistoryData.DataValues = [stamped(value, requested, value.ServerTimestamp) for value in values]
             if not values:
                 result.StatusCode = ua.StatusCode(S.GoodNoData)
             return result

@@ -10,7 +10,7 @@
 | a converter at its end: the value is clipped | UncertainSensorNotAccurate (x_m, i_c_a) |
 | samples lost within the interval: a spike may be missing | UncertainSubNormal (min, max) |
 | twin settling or out of step | UncertainSubNormal |
-| twin gone | UncertainLastUsableValue, after TWIN_GONE_S BadNoCommunication |
+| twin gone | UncertainLastUsableValue, after TWIN_TIMEOUT_S BadNoCommunication |
 | a figure that does not exist (NaN, absent) | BadDataUnavailable |
 """
 
@@ -33,7 +33,7 @@ CLIPPED: int = S.UncertainSensorNotAccurate
 SENSOR_FAILURE: int = S.BadSensorFailure
 
 TWIN_STALE_S = 0.5
-TWIN_GONE_S = 5.0
+TWIN_TIMEOUT_S = 5.0
 STATUS_STALE_S = 3.5  # published once a second
 _SOFT = frozenset({"silent", "handshake", "connecting", "streaming"})  # the gateway is there and tries
 
@@ -64,7 +64,7 @@ def of_gateway(link: Link, status_age_s: float) -> int:
 
 def of_twin(age_s: float, sync: str) -> int:
     """Of `twin/state` and `twin/divergence`."""
-    if age_s > TWIN_GONE_S:
+    if age_s > TWIN_TIMEOUT_S:
         return NO_COMMUNICATION
     if age_s > TWIN_STALE_S:
         return STALE

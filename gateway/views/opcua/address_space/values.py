@@ -43,7 +43,7 @@ def data_value(value: object, variant: ua.VariantType, code: int, stamp_ns: int)
     return Value(Value=held, StatusCode=status, SourceTimestamp=datetime_of(stamp_ns) if stamp_ns else None)
 
 
-async def tell(attribute: Any, value: Value) -> None:
+async def notify(attribute: Any, value: Value) -> None:
     """Send a value to the subscribers of an attribute of asyncua's address space."""
     for handle, callback in list(attribute.datachange_callbacks.items()):
         await callback(handle, value)

@@ -41,26 +41,26 @@ class Builder:
     Args:
         server: asyncua's.
         spaces: indices of all namespaces.
-        own: that of the node ids.
+        index: of the namespace of the node ids.
     """
 
-    def __init__(self, server: InternalServer, spaces: Namespaces, own: int) -> None:
-        self._server, self.spaces, self.own = server, spaces, own
+    def __init__(self, server: InternalServer, spaces: Namespaces, index: int) -> None:
+        self._server, self.spaces, self.index = server, spaces, index
 
     def id(self, path: str) -> ua.NodeId:
         """The node id of a path."""
-        return ua.NodeId(path, self.own)
+        return ua.NodeId(path, self.index)
 
     def name(self, path: str) -> ua.QualifiedName:
         """The last chunk of a path: below a rig, as the type has it; a rig's or site's own name is the site's."""
         _, slash, last = path.rpartition("/")
-        return ua.QualifiedName(last, self.spaces.types if slash else self.own)
+        return ua.QualifiedName(last, self.spaces.types if slash else self.index)
 
     def object(
         self,
         parent: ua.NodeId,
         path: str,
-        about: str,
+        description: str,
         *,
         kind: ua.NodeId | int = _O.BaseObjectType,
         events: bool = False,
@@ -70,7 +70,7 @@ class Builder:
         """An object; its name is the last chunk of the path where none is given."""
         attributes = ua.ObjectAttributes()
         attributes.EventNotifier = 1 if events else 0
-        _describe(attributes, path, about, name)
+        _describe(attributes, path, description, name)
         return self.add(parent, path, ua.NodeClass.Object, attributes, reference, kind, name=name)
 
     def variable(
@@ -78,7 +78,7 @@ class Builder:
         parent: ua.NodeId,
         path: str,
         variant: ua.VariantType,
-        about: str = "",
+        description: str = "",
         *,
         is_array: bool = False,
         access: int = READ,
@@ -90,7 +90,7 @@ class Builder:
         attributes = _variable(variant, is_array=is_array, access=access)
         attributes.MinimumSamplingInterval = min_sampling_ms
         attributes.DataType = data_type or attributes.DataType
-        _describe(attributes, path, about)
+        _describe(attributes, path, description)
         node = self.add(parent, path, ua.NodeClass.Variable, attributes, _O.HasComponent, kind)
         self.await_value(node, variant)
         return node
@@ -103,7 +103,7 @@ class Builder:
         variant: ua.VariantType,
         data_type: int,
         *,
-        about: str = "",
+        description: str = "",
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
         """A property with its value; without one its status says so.  Its name is of the standard if not given."""
@@ -112,7 +112,7 @@ class Builder:
         attributes.Value = ua.Variant(value, variant if value is not None else ua.VariantType.Null)
         last = path.rpartition("/")[2]
         name = name or ua.QualifiedName(last, 0)
-        _describe(attributes, path, about or PROPERTIES[last], name)
+        _describe(attributes, path, description or PROPERTIES[last], name)
         kind = _O.PropertyType
         node = self.add(parent, path, ua.NodeClass.Variable, attributes, _O.HasProperty, kind, name=name)
         if value is None:
@@ -124,12 +124,12 @@ class Builder:
         self._server.aspace[node].attributes[VALUE].value = data_value(None, variant, WAITING, 0)
 
     def method(
-        self, parent: ua.NodeId, path: str, about: str, inputs: Sequence[Argument], outputs: Sequence[Argument]
+        self, parent: ua.NodeId, path: str, description: str, inputs: Sequence[Argument], outputs: Sequence[Argument]
     ) -> ua.NodeId:
         """A method; what it does is decided in `sessions.py`."""
         attributes = ua.MethodAttributes()
         attributes.Executable = attributes.UserExecutable = True
-        _describe(attributes, path, about)
+        _describe(attributes, path, description)
         node = self.add(parent, path, ua.NodeClass.Method, attributes, _O.HasComponent, None)
         for name, arguments in (("InputArguments", inputs), ("OutputArguments", outputs)):
             if arguments:
@@ -165,9 +165,9 @@ class Builder:
     def refer(self, source: ua.NodeId, reference: int, target: ua.NodeId, *, both: bool = True) -> None:
         """A reference, and its inverse where `both`."""
         ends = ((source, target, True), (target, source, False))
-        for one, other, forward in ends if both else ends[:1]:
+        for start, end, forward in ends if both else ends[:1]:
             item = ua.AddReferencesItem()
-            item.SourceNodeId, item.TargetNodeId, item.IsForward = one, other, forward
+            item.SourceNodeId, item.TargetNodeId, item.IsForward = start, end, forward
             item.ReferenceTypeId, item.TargetNodeClass = ua.NodeId(reference), ua.NodeClass.Unspecified
             for status in self._server.node_mgt_service.add_references([item]):
                 status.check()
@@ -197,9 +197,9 @@ class TypeBuilder(Builder):
         return node
 
 
-def _describe(attributes: Any, path: str, about: str, name: ua.QualifiedName | None = None) -> None:
+def _describe(attributes: Any, path: str, description: str, name: ua.QualifiedName | None = None) -> None:
     attributes.DisplayName = ua.LocalizedText(name.Name if name is not None else path.rpartition("/")[2])
-    attributes.Description = ua.LocalizedText(about)
+    attributes.Description = ua.LocalizedText(description)
     attributes.WriteMask = attributes.UserWriteMask = 0
 
 
@@ -219,5 +219,5 @@ def _argument(argument: Argument) -> ua.Argument:
     made.DataType = ua.NodeId(argument.variant.value)
     made.ValueRank = _SEVERAL if argument.is_array else -1
     made.ArrayDimensions = []
-    made.Description = ua.LocalizedText(argument.about)
+    made.Description = ua.LocalizedText(argument.description)
     return made
