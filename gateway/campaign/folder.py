@@ -35,7 +35,7 @@ ASSUMED = replace(CE152, assumed=True)  # of a rig whose plant nobody stated
 
 @dataclass(slots=True, kw_only=True)
 class Retained:
-    """One recording of the folder."""
+    """A recording of the folder."""
 
     bytes: Whole
     seconds: Number
@@ -167,7 +167,7 @@ class Folder:
         self.left = [name for name in self.left if name not in names]
 
     def has(self, name: str, plan: Mapping[str, Any]) -> bool:
-        """Whether the folder has the complete recording.
+        """Return whether the folder has the complete recording.
 
         Raises:
             UsageError: it has one that was made by another plan.

@@ -24,7 +24,7 @@ class Outcome:
 
     @property
     def is_recorded(self) -> bool:
-        """Whether the recording is in the folder."""
+        """Return whether the recording is in the folder."""
         return self.standing in ("recorded", "already-there")
 
 
@@ -42,7 +42,7 @@ class Summary:
 
     @property
     def complete(self) -> bool:
-        """Whether all requested experiments are in the folder or were skipped, and the run ended normally."""
+        """Return whether all requested experiments are in the folder or were skipped, and the run ended normally."""
         all_complete = all(o.is_recorded or o.standing == "skipped" for o in self.outcomes)
         return all_complete and not (self.interrupted or self.failure or self.parked)
 

@@ -1,4 +1,4 @@
-"""From the shares of the menu to volts, metres and commands of one rig.  Pure.
+"""Turn the shares of the menu into volts, metres and commands of one rig.  Pure.
 
 Rule 1: all signals are within the limits.  A larger signal is reduced; if too little of it is left, the result is
         `Impossible`, which is reported before the ball moves.
@@ -239,7 +239,7 @@ def _send(wave: Wave, scale: Scale, low: float, high: float) -> Send:
 
 
 def needs_lift_off(experiment: Experiment) -> bool:
-    """Whether the experiment needs a measured lift-off input."""
+    """Return whether the experiment needs a measured lift-off input."""
     return experiment.name != LIFT_OFF and any(
         isinstance(step, Burst | Constant) or (isinstance(step, Wave) and not step.on_reference)
         for step in experiment.steps

@@ -39,7 +39,7 @@ class Stopped(Exception):  # noqa: N818  # not an error: somebody wanted it
 
 
 class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
-    """This attempt gives no usable recording."""
+    """The attempt gives no usable recording."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.text)
@@ -47,7 +47,7 @@ class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
 
 
 class RigControl:
-    """One board, through its gateway.
+    """The control of one board through its gateway.
 
     Args:
         session: of the bus.

@@ -23,7 +23,7 @@ _RECORDED = ("state", "parameters", "capture", "event", "command/record", "statu
 
 
 class Logged(NamedTuple):
-    """One message in the form of the log."""
+    """A message in the form of the log."""
 
     key: str
     data: bytes
@@ -41,7 +41,7 @@ class Recorded(NamedTuple):
 
 
 def is_foreign(record: pb.CommandRecord) -> bool:
-    """Whether the command was accepted and is not one of the campaign."""
+    """Return whether the command was accepted and is not one of the campaign."""
     return record.reply.accepted and not record.command.id.startswith(ID_PREFIX)
 
 

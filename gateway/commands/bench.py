@@ -24,7 +24,7 @@ def names() -> list[str]:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Which benchmarks."""
+    """Add the arguments: which benchmarks."""
     parser.epilog = (
         "examples:\n"
         "  board51 bench decoder twin\n"

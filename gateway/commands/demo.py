@@ -38,7 +38,7 @@ NOT_ALL = (0, 1)  # exit codes of work that was done and says no: shown, not the
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Where the results go."""
+    """Add the arguments: where the results go."""
     parser.epilog = "examples:\n  board51 demo --out demo-out\n  board51 demo --effect coulomb-friction=1e-4"
     parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results (demo-out)")
     parser.add_argument(

@@ -97,7 +97,7 @@ def _calibrated(ground_m: float | None, ceiling_m: float | None) -> HallCurve | 
 
 
 def _command(port: str | None, image: Path) -> list[str]:
-    """What writes and verifies the flash memory; fuses, boot loader and EEPROM stay as they are."""
+    """Return the command that writes and verifies the flash memory; fuses, boot loader and EEPROM stay as they are."""
     options = ["-q", "-p", "atmega328p", "-c", "arduino", "-b", str(_BOOT_LOADER_BAUD), "-P", port or "PORT", "-D"]
     return ["avrdude", *options, "-U", f"flash:w:{image}:i"]
 

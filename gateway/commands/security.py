@@ -30,7 +30,7 @@ _USER = "NAME:ROLE"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """One sub-command for each step."""
+    """Add a sub-command for each step."""
     parser.epilog = (
         "examples:\n"
         "  board51 security init keys --host 10.0.0.5 --user ana:engineer --user ben:operator\n"

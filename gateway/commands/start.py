@@ -32,7 +32,7 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Which board, which model, where."""
+    """Add the arguments: which board, which model, where."""
     parser.epilog = (
         "examples:\n  board51 start --emulated\n  board51 start --emulated --effect coulomb-friction=2e-3\n"
         "  board51 start --board /dev/ttyUSB0"
@@ -105,7 +105,7 @@ def _services(args: argparse.Namespace, tty: Path) -> list[Service]:
 
 
 def _named(boards: list[str]) -> list[str]:
-    """Each with a name; a URL may have = in it, but not before its first slash."""
+    """Return the boards with their names; a URL may contain =, but not before its first slash."""
     return [
         board if "=" in board.partition("/")[0] else f"rig{number}={board}" for number, board in enumerate(boards, 1)
     ]
@@ -129,7 +129,7 @@ def _check_free(address: tuple[str, int], *, option: str) -> None:
 
 @contextlib.contextmanager
 def _until_stopped() -> Iterator[threading.Event]:
-    """An event that SIGINT, SIGTERM and SIGHUP set."""
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set."""
     stopped = threading.Event()
     before = {number: signal.signal(number, lambda *_: stopped.set()) for number in _STOPS}
     try:
@@ -140,7 +140,7 @@ def _until_stopped() -> Iterator[threading.Event]:
 
 
 def _answers(address: tuple[str, int], stopped: threading.Event) -> bool:
-    """Wait until a server listens there; False after READY_S, or when stopped."""
+    """Wait until a server listens at the address; False after READY_S, or when stopped."""
     for _ in range(round(READY_S / POLL_S)):
         with contextlib.suppress(OSError), socket.create_connection(address, timeout=1.0):
             return True

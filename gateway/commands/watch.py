@@ -21,7 +21,7 @@ _OFTEN = ("every tick", "every 20 ms")  # rates that are printed on request only
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Which keys, how many, how often."""
+    """Add the arguments: which keys, how many, how often."""
     parser.epilog = (
         "examples:\n  board51 watch                       everything but samples, 1 line a message"
         "\n  board51 watch --topic state --every 0.5"
@@ -55,7 +55,7 @@ def _format(value: object) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when something came, 1 when nothing did before the time-out."""
+    """Print messages; return 0 if any arrived, 1 if none did before the time-out."""
     rare = [t.name for t in topics.TOPICS if t.bus and t.by != "client" and not t.rate.startswith(_OFTEN)]
     names = args.topic or rare
     printed, last = 0, dict[str, float]()

@@ -33,7 +33,7 @@ class Flight:
     allowed_m_s2: float = math.nan  # process noise of the model in the twin, which raises the thresholds of alarms
 
     def currents(self) -> dict[float, tuple[float, float]]:
-        """By reference in mm: i_c of rig and twin at rest, A."""
+        """Return i_c of rig and twin at rest in A, by reference in mm."""
         result = {}
         for x_ref, pairs in sorted(self.rest.items()):
             rest = pairs[-REST_SAMPLES:]
@@ -41,7 +41,7 @@ class Flight:
         return result
 
     def innovation(self) -> tuple[float, float, float]:
-        """(rms of the one-step innovation of x in m, of i_c in A, mean NIS); NaN without innovations."""
+        """Return (rms of the one-step innovation of x in m, of i_c in A, mean NIS); NaN without innovations."""
         n = len(self.innovations)
         if not n:
             return math.nan, math.nan, math.nan

@@ -128,6 +128,6 @@ def free_port() -> int:
 
 
 def listens(port: int) -> bool:
-    """Whether a server listens on this port of loopback."""
+    """Return whether a server listens on this port of loopback."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0

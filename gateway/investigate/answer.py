@@ -12,7 +12,7 @@ from protocol.errors import DataError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suspect:
-    """One cause of the answer, with the causes that the recordings cannot distinguish from it."""
+    """A cause of the answer, with the causes that the recordings cannot distinguish from it."""
 
     name: str
     confidence: float
@@ -31,7 +31,7 @@ class Answer:
 
     @property
     def is_open(self) -> bool:
-        """Whether a cause has confounders."""
+        """Return whether a cause has confounders."""
         return any(suspect.confounders for suspect in self.suspects)
 
 

@@ -125,7 +125,7 @@ def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
 
 
 def _lacking(answer: Answer, *, thorough: bool) -> str:
-    """Why the answer is not final; "" if it is.  Confidence counts only if it is calibrated (`thorough`)."""
+    """Return why the answer is not final; "" if it is.  Confidence counts only if it is calibrated (`thorough`)."""
     if answer.verdict == "model-adequate":
         return "what is left is noise, in what was excited"
     if answer.verdict != "causes-found":

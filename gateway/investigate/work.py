@@ -49,7 +49,7 @@ class Work:
 
     @property
     def stopped(self) -> bool:
-        """Whether `stop` was called."""
+        """Return whether `stop` was called."""
         return self._stopped
 
     def perform(self, experiments: Sequence[str]) -> dict[str, Any]:
@@ -88,7 +88,7 @@ class Work:
         return diagnosis
 
     def _call(self, *words: str) -> tuple[int, str, str]:
-        """(exit code, stdout, last line of stderr)."""
+        """Return (exit code, stdout, last line of stderr)."""
         if self._stopped:
             raise Interrupted
         self._process = process = start(

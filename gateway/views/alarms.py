@@ -1,4 +1,4 @@
-"""Alarms of one board: divergence alarms, faults, a link without samples, a failing log.  Pure.
+"""The alarms of one board: divergence alarms, faults, a link without samples, a failing log.  Pure.
 
 An alarm is active (the condition holds) and acknowledged (an operator has seen it), independently:
 
@@ -72,7 +72,7 @@ class AlarmBook:
         return tuple(urgency)
 
     def twin_alarm(self, alarm: pb.Alarm, now_ns: int) -> None:
-        """From `twin/alarm`."""
+        """Process `twin/alarm`."""
         at_ns = alarm.host_time_ns or now_ns
         if not alarm.active:
             self.go(alarm.name, at_ns)
@@ -148,7 +148,7 @@ class AlarmBook:
             self.go(name, now_ns)
 
     def to_board(self, status: pb.Status, now_ns: int) -> None:
-        """From `status`: a view that joined late has not seen the event."""
+        """Process `to_board` of `status`: a view that joined late has not seen the event."""
         known = self._alarms.get(TO_BOARD)
         if known is not None and status.host_time_ns < known.changed_ns:
             return  # the event was quicker
@@ -159,7 +159,7 @@ class AlarmBook:
             self.come(TO_BOARD, "fault", "The board answers nothing: a STOP may not reach it.", since_ns)
 
     def log(self, log_state: str, now_ns: int) -> None:
-        """From `status`: a view that joined late has not seen the event."""
+        """Process `log_state` of `status`: a view that joined late has not seen the event."""
         if log_state in ("writing", "off"):
             self.go(LOG, now_ns)
         elif log_state and not self._is_active(LOG):

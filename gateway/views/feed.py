@@ -70,7 +70,7 @@ _TYPES: dict[str, type[Message]] = {name: topics.BY_NAME[name].message for name 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Link:
-    """Whether samples arrive, and if not, why.
+    """The state of the link: whether samples arrive, and if not, why.
 
     `state`: "live"; of the gateway "connecting", "handshake", "streaming" (but its samples do not reach this view),
     "silent", "absent"; "no-gateway" where nothing at all comes.
@@ -82,7 +82,7 @@ class Link:
 
     @property
     def live(self) -> bool:
-        """Samples come."""
+        """Return whether samples arrive."""
         return self.state == "live"
 
 
@@ -131,24 +131,24 @@ class BoardFeed:
         return Link(state=word, reason=why or _REASONS.get(word, "No samples come."), age_s=age_s)
 
     def alarms(self) -> tuple[Alarm, ...]:
-        """Active or not acknowledged, the most urgent first."""
+        """Return the alarms that are active or not acknowledged, the most urgent first."""
         with self._lock:
             self._judge()
             return self._book.listed()
 
     def alarms_revision(self) -> int:
-        """Rises with each change of `alarms()`."""
+        """Return a number that rises with each change of `alarms()`."""
         with self._lock:
             self._judge()
             return self._book.revision
 
     def fault(self) -> str:
-        """The fault that the board has latched, such as "sensor-fault"; empty where none."""
+        """Return the fault that the board has latched, such as "sensor-fault"; empty if there is none."""
         with self._lock:
             return self._book.fault()
 
     def events(self) -> tuple[pb.Event, ...]:
-        """The newest 200, oldest first."""
+        """Return the newest 200 events, oldest first."""
         with self._lock:
             return tuple(self._events)
 
@@ -158,7 +158,7 @@ class BoardFeed:
             return tuple(self._commands)
 
     def tap(self, message: type[Message], *, width_s: float, keep: int = 256) -> TopicBins:
-        """Bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, 1 at least."""
+        """Return bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, at least 1."""
 
         def decimator() -> Decimator:
             parameters = self.latest(pb.Parameters)
@@ -205,13 +205,13 @@ class BoardFeed:
         self._alive = alive
 
     def waits(self, alarm: str) -> bool:
-        """Whether there is an alarm of that name to acknowledge."""
+        """Return whether there is an alarm of that name to acknowledge."""
         with self._lock:
             self._judge()
             return self._book.waits(alarm)
 
     def acknowledge(self, alarm: str, who: str, now_ns: int, comment: str) -> None:
-        """In this view alone; see Feed.acknowledge."""
+        """Acknowledge an alarm in this view only; see Feed.acknowledge."""
         with self._lock:
             self._book.acknowledge(alarm, who, now_ns, comment)
 
@@ -332,7 +332,7 @@ class Feed:
         )  # fmt: skip
 
     def now_ns(self) -> int:
-        """Unix time of this host."""
+        """Return the Unix time of this host."""
         return time.time_ns()
 
     def _arrived(self, sample: zenoh.Sample) -> None:

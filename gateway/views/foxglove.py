@@ -30,7 +30,7 @@ _logger = logging.getLogger("gateway.foxglove")
 
 
 class FoxgloveView:
-    """One server over one bus session.
+    """A Foxglove server on one bus session.
 
     Args:
         session: of the bus.

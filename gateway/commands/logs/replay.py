@@ -194,7 +194,7 @@ def _address(text: str) -> tuple[str, int]:
 
 
 class _Progress:
-    """One line on a terminal, once a second."""
+    """A line of progress on a terminal, once a second."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._is_enabled = not quiet and sys.stderr.isatty()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # asyncua and pydantic take a second to import: --help answer
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Where, how fast, who."""
+    """Add the arguments: address, rate, users."""
     parser.epilog = (
         "examples:\n  board51 opcua                                   opc.tcp://127.0.0.1:4840/board51/\n"
         "  board51 opcua --security /etc/board51 --listen 0.0.0.0:4840 --rate 50\n"
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def anonymous(host: str, *, secured: bool, guarded: bool) -> str:
-    """What a client without a name may do: here no less than on the bus, where whoever reaches it may command."""
+    """Return the role of a client without a name: as on the bus, where everybody who reaches it may command."""
     from gateway.access.listeners import is_loopback
 
     if secured:

@@ -41,7 +41,7 @@ _logger = logging.getLogger("gateway.hmi")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Routes:
-    """How jobs reach the bus, as options of `board51`."""
+    """The options of `board51` by which jobs reach the bus."""
 
     connect: str
     site: str
@@ -49,12 +49,15 @@ class Routes:
     identities: Path | None  # on a guarded bus: the folder with those of people and of the views
 
     def live(self, name: str) -> list[str]:
-        """To the live bus, as `name`: a person where the job commands, the views' account where it listens."""
+        """Return the options for the live bus, as user `name`.
+
+        A job that sends commands runs as the person; a job that only listens runs as the account of the views.
+        """
         words = ["--connect", self.connect, "--site", self.site]
         return words if self.identities is None else [*words, "--identity", str(self.identities / name)]
 
     def replayed(self) -> list[str]:
-        """To the replays' bus."""
+        """Return the options for the bus of replays."""
         return ["--connect", self.replay, "--as-site", REPLAY_SITE]
 
 
@@ -161,7 +164,7 @@ class Actions:
         )
 
     def gains(self, board: str, data: bytes) -> tuple[pb.SetGains, list[dict[str, str]]]:
-        """What a file of gains would set on a board, and the table that shows it.
+        """Return what a file of gains would set on a board, and the table that shows it.
 
         Raises:
             DataError: of `parse_gains`.

@@ -46,7 +46,7 @@ SEND_BUFFER = 16_384  # bytes that the system holds for a browser that does not 
 
 @dataclass(frozen=True, kw_only=True)
 class HmiSettings:
-    """Of one server."""
+    """The settings of one server."""
 
     site: str
     users: Users | None  # None: every client is the local operator

@@ -71,7 +71,7 @@ class Guard:
         self._added = _HEADERS + (_HTTPS_HEADERS if https else ())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request or one WebSocket."""
+        """Check one request or one WebSocket, and pass it on."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -166,14 +166,14 @@ class Guard:
         return sender
 
     def cookie(self, session: LoginSession | None, host: str) -> str:
-        """The Set-Cookie of a session for a browser that asked `host`; a session of None ends it."""
+        """Return the Set-Cookie header of a session for a browser that requested `host`; with None it ends."""
         secure = "; Secure" if self._https else ""
         value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
         return f"{cookie_name(host)}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
 
 
 def login_for(path: str, *, over: bool) -> str:
-    """The login form that leads back to a page."""
+    """Return the address of the login form that leads back to a page."""
     words = ["over"] * over + [f"next={quote(path, safe='/')}"] * (path != "/")
     return "/login" + ("?" + "&".join(words) if words else "")
 
@@ -189,12 +189,12 @@ def local_page(target: str) -> str:
 
 
 def refusal(status: int, reason: str, text: str) -> JSONResponse:
-    """What a program gets instead of an answer."""
+    """Return the answer of a refused request."""
     return JSONResponse({"accepted": False, "refused_by": "hmi", "reason": reason, "text": text}, status_code=status)
 
 
 def cookie_name(host: str) -> str:
-    """The cookie for a Host header, by the port in the browser's address bar.
+    """Return the name of the cookie for a Host header, by the port in the browser's address bar.
 
     Cookies do not tell ports apart: with one name, two control rooms on one host, or behind two ssh tunnels, would log
     each other out.  Our own port would not do: behind two tunnels to two machines it may be the same.
@@ -223,7 +223,7 @@ def _too_long(headers: dict[str, str]) -> bool:
 
 
 def _bounded(receive: Receive) -> Receive:
-    """A body without Content-Length is bounded, too: what comes after MAX_BODY ends the request."""
+    """Bound a body without Content-Length, too: more than MAX_BODY bytes end the request."""
     got = 0
 
     async def bounded() -> Message:

@@ -17,7 +17,7 @@ MAX_FILES = 500  # the newest are listed
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LibraryFile:
-    """One file."""
+    """A file that a page may show."""
 
     name: str  # folder of the scan, slash, path within it
     path: Path
@@ -26,7 +26,7 @@ class LibraryFile:
 
     @property
     def changed(self) -> str:
-        """For people."""
+        """Return the time of the last change, for people."""
         return time.strftime("%Y-%m-%d %H:%M", time.localtime(self.changed_s))
 
 
@@ -44,7 +44,7 @@ class Library:
 
     @property
     def folders(self) -> list[Path]:
-        """Where it looks."""
+        """Return the folders that are searched."""
         return list(self._roots.values())
 
     def entries(self) -> list[LibraryFile]:

@@ -39,7 +39,7 @@ _MARGIN = 1.1  # of the drawing above the highest reference, if the travel is no
 
 
 class Snapshots:
-    """One feed, prepared for any number of browsers: the traces of its boards, pumped once for all.
+    """The traces of all boards of one feed, pumped once for any number of browsers.
 
     Args:
         feed: of one site.

@@ -73,7 +73,7 @@ class Requests:
         self.guard: Guard | None = None  # makes the cookies; set once it stands
 
     def routes(self) -> list[Route]:
-        """What is served, before the pages."""
+        """Return the routes of the requests."""
         changes = {
             "/login": self.login,
             "/logout": self.logout,
@@ -97,7 +97,7 @@ class Requests:
         ]
 
     async def stop(self, request: Request) -> Response:
-        """Coil off at once."""
+        """Switch the coil off at once."""
         board, session = request.path_params["board"], _session(request)
         replies = await self._dispatch.stop([board], lambda: self._actions.stop(session, board))
         if board != "*":
@@ -106,7 +106,7 @@ class Requests:
         return JSONResponse({"boards": boards}, status_code=200 if all(r.accepted for r in replies.values()) else 409)
 
     async def command(self, request: Request) -> Response:
-        """Any command of the bus."""
+        """Send any command of the bus."""
         table = await _json(request)
         if table is None:
             return refusal(400, "malformed", "The body is not a JSON object.")
@@ -192,14 +192,14 @@ class Requests:
         )
 
     async def log(self, request: Request) -> Response:
-        """One MCAP file."""
+        """Return one MCAP file."""
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", "There is no such log.")
         return FileResponse(entry.path, media_type="application/octet-stream", filename=entry.path.name)
 
     async def report(self, request: Request) -> Response:
-        """One page of a diagnosis."""
+        """Return one report of a diagnosis."""
         entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
@@ -215,7 +215,7 @@ class Requests:
         return refusal(503, "busy", BUSY) if text is None else JSONResponse({"accepted": True, "text": text})
 
     async def login_form(self, request: Request) -> Response:
-        """The form."""
+        """Return the login form."""
         if self._logins is None:
             return RedirectResponse("/", status_code=303)
         query = request.query_params
@@ -272,7 +272,7 @@ BUSY = "Other summaries are being read. Try again in a minute, or use `board51 i
 def _starts(
     actions: Actions, work: ModelWork
 ) -> dict[str, Callable[[LoginSession, str, dict[str, object]], pb.CommandReply]]:
-    """What starts a job, by its kind: (session, board, the request) -> answer."""
+    """Return the functions that start a job, by its kind: (session, board, the request) -> answer."""
 
     def word(table: dict[str, object], name: str) -> str:
         return str(table.get(name) or "")

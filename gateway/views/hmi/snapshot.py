@@ -121,7 +121,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
 
 
 def _wrong(board: BoardFeed, alarms: Sequence[Alarm]) -> str:
-    """What the model gets wrong now, in numbers; empty where no alarm says that it does."""
+    """Return the present error of the model in numbers; empty without an alarm of the twin."""
     divergence = board.latest(pb.Divergence)
     if divergence is None or board.age_s(pb.Divergence) > TWIN_STALE_S:
         return ""
@@ -131,7 +131,7 @@ def _wrong(board: BoardFeed, alarms: Sequence[Alarm]) -> str:
 
 
 def job(running: Job) -> dict[str, Any]:
-    """What a page says of a job; a table's columns do not fit into a card: dots separate what stood in them."""
+    """Return the lines that a page shows of a job; columns of a table do not fit into a card, so dots separate them."""
     lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-MAX_LINES:]]
     return {
         "title": running.title,
@@ -143,7 +143,7 @@ def job(running: Job) -> dict[str, Any]:
 
 
 def summary(board: BoardFeed) -> dict[str, Any]:
-    """For the list of all boards."""
+    """Return the entry of a board in the list of all boards."""
     alarms = board.alarms()
     return now(board) | {
         "name": board.name,

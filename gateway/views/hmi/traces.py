@@ -30,7 +30,7 @@ Row = list[object]
 
 
 class Traces:
-    """Of one board.
+    """The traces of one board.
 
     Args:
         board: as heard on the bus.
@@ -58,14 +58,14 @@ class Traces:
                 self._count += 1
 
     def since(self, cursor: int) -> tuple[list[Row], int]:
-        """(rows that a reader at `cursor` has not seen, its next cursor)."""
+        """Return (rows that a reader at `cursor` has not received, its next cursor)."""
         missing = min(self._count - cursor, len(self._rows))
         if missing <= 0:
             return [], self._count
         return list(self._rows)[-missing:], self._count
 
     def past(self) -> list[Row]:
-        """What is older than the rows of `since(0)`, in bins of COARSE_S, up to LONGEST_S."""
+        """Return the rows older than those of `since(0)`, in bins of COARSE_S, up to LONGEST_S."""
         return list(self._coarse)
 
     def _fold(self, row: Row) -> None:
@@ -86,7 +86,10 @@ def _slot(row: Row) -> int:
 
 
 def _widened(bin_: Row, row: Row) -> Row:
-    """`row` with the lowest and highest values of both; of a value without a band the newest counts, or the largest."""
+    """Return `row` with the lowest and highest values of both rows.
+
+    Of a value without a band the newest counts, or the largest.
+    """
     wide = list(row)
     for low in _LOWS[str(row[0])]:
         wide[low], wide[low + 1] = _of(min, bin_[low], row[low]), _of(max, bin_[low + 1], row[low + 1])

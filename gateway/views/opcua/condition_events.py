@@ -33,7 +33,7 @@ _INPUTS = {  # the variable that an alarm judges, by its name; of the board's fa
 
 @dataclass
 class ConditionNode:
-    """What a condition's node stands for, what was said of it and what clients did to it."""
+    """The state of a condition's node: its alarm, what was sent of it and what clients changed."""
 
     board: str
     alarm: str
@@ -47,7 +47,7 @@ class ConditionNode:
 
 
 def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now: datetime, *, retain: bool) -> Any:
-    """The event that tells of a condition as it is.
+    """Return the event that reports the present state of a condition.
 
     Args:
         alarm: as the feed has it.

@@ -73,7 +73,7 @@ class Conditions:
                 await self._report(alarm, retain=name in self._sent, switched=True)
 
     async def _report(self, alarm: Alarm, *, retain: bool, came: bool = False, switched: bool = False) -> None:
-        """Tell of a condition; of a disabled one, only that it has been switched."""
+        """Send the event of a condition; for a disabled one only if it was just disabled."""
         node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
         condition = self._server.conditions.setdefault(node, ConditionNode(alarm.board, alarm.name))
         self._known[alarm.name] = condition, alarm
@@ -104,7 +104,7 @@ class Conditions:
 
     @staticmethod
     def _after(retained: tuple[Any, ...], last: Any) -> tuple[Any, ...]:
-        """Those after `last`; all that are kept where it has dropped out."""
+        """Return the entries after `last`; all if `last` is no longer among them."""
         index = next((n for n in range(len(retained) - 1, -1, -1) if retained[n] is last), -1)
         return retained[index + 1 :]
 

@@ -42,7 +42,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
-        """One result for each."""
+        """Create items; return one result for each."""
         self._timestamps = params.TimestampsToReturn
         results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
         return results
@@ -60,11 +60,11 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         return super()._create_events_monitored_item(params)
 
     def modify_monitored_items(self, params: ua.ModifyMonitoredItemsParameters) -> list[ua.MonitoredItemModifyResult]:
-        """One result for each, with what is served of what was asked for."""
+        """Modify items; return one result for each, with the values that are served."""
         return [self._modified(item, params.TimestampsToReturn) for item in params.ItemsToModify]
 
     async def datachange_callback(self, handle: int, value: ua.DataValue, error: ua.StatusCode | None = None) -> None:
-        """A value has been sampled: queue it where it is news."""
+        """Queue a sampled value if it must be reported."""
         if error is not None:
             await super().datachange_callback(handle, value, error)
             return
@@ -86,11 +86,11 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         await self.isub.enqueue_datachange_event(mid, event, data.queue_size)
 
     def of_events(self) -> dict[int, ua.NodeId]:
-        """The items that get events, with the node that they listen at."""
+        """Return the items that receive events, each with its node."""
         return {mid: node for node, mids in self._monitored_events.items() for mid in mids}
 
     async def send_event(self, event: Any, mid: int) -> None:
-        """To one item, through its filter, whoever emits it."""
+        """Send an event to one item, through its filter, whichever node emits it."""
         await self._trigger_event(event, mid)
 
     async def _trigger_event(self, event: Any, mid: int) -> None:
@@ -101,7 +101,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
             self._delete_monitored_items(mid)
 
     def held(self) -> int:
-        """How many items there are."""
+        """Return the number of items."""
         return len(self._monitored_items)
 
     def _make_monitored_item_common(
@@ -155,7 +155,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
 
 
 def _fits(parameters: ua.MonitoringParameters, kind: Any) -> bool:
-    """Whether its filter is of that kind or none; a null one becomes None.
+    """Return whether the filter is of that kind or None; a null filter becomes None.
 
     By the data type: asyncua decodes into classes that are not those of the same names in `ua`.
     """

@@ -1,4 +1,4 @@
-"""One board's nodes, kept up to date from its feed.
+"""The nodes of one board, kept up to date from its feed.
 
 Rule 1: only subscribed values are made at the rate; all others are made when they are read.
 Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
@@ -130,7 +130,7 @@ class BoardNodes:
         return lambda: extra_value(self.feed, path, variant, time.time_ns())
 
     def _status(self, topic: str) -> int:
-        """Of everything of a topic, now."""
+        """Return the present status of all values of a topic."""
         status = self._source_status(topic)
         return quality.STALE if topic in self._outlived and not quality.is_down(status) else status
 
@@ -250,7 +250,7 @@ class BoardNodes:
                     await notify(attribute, attribute.value_callback(None, VALUE))
 
     async def _update_parameters(self) -> None:
-        """Ranges and nameplate, where the board has stated others."""
+        """Update ranges and nameplate if the board has sent new parameters."""
         parameters = self.feed.latest(pb.Parameters)
         if parameters is None or parameters is self._parameters:
             return

@@ -76,7 +76,7 @@ class Operations:
         self._dispatch = Dispatch("opcua", feed.stopped_s)
 
     async def command(self, visitor: Visitor, board: str, act: str, command: pb.Command) -> pb.CommandReply:
-        """What became of it.
+        """Carry out a command and return its reply.
 
         A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
         STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
@@ -143,7 +143,7 @@ def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, 
 
 
 def is_of(supplied: ua.Variant, variant: ua.VariantType, *, is_array: bool) -> bool:
-    """Whether it is just of that type: a server converts nothing (Part 4, 5.11.4 and 5.12.2).
+    """Return whether a value has exactly that type: a server converts nothing (Part 4, 5.11.4 and 5.12.2).
 
     A Float that was meant as a Double is 3.0000000260770321e-3 m where the sender wrote 3 mm.
     """

@@ -45,7 +45,7 @@ _logger = logging.getLogger("gateway.opcua")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpcuaSettings:
-    """How the rigs are served."""
+    """The settings of the OPC UA server."""
 
     host: str = "127.0.0.1"
     port: int = 4840

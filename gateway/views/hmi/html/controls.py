@@ -18,14 +18,14 @@ _SHAPES = ("step", "rectangle", "sawtooth", "prbs", "multisine", "chirp")
 
 
 def cards(may: Callable[[str], bool]) -> list[Markup]:
-    """Those for which `may` says yes."""
+    """Return the cards of the actions that `may` allows."""
     made = (("set_mode", _mode), ("set_reference", _reference), ("excite", _excitation), ("recording", _recording),
             ("set_gains", _gains))  # fmt: skip
     return [make() for act, make in made if may(act)]
 
 
 def job(text: str, kind: str, act: str, *, then: str = "", **options: str | bool) -> Markup:
-    """A button that starts or stops a job; `then` is the page to go to where it was accepted."""
+    """Return a button that starts or stops a job; `then` is the page to open if the request is accepted."""
     request = json.dumps({"kind": kind, "act": act, **options})
     return tag("button", text, type="button", class_="plain", data_job=request, data_then=then or None)
 
@@ -57,7 +57,7 @@ def _text(label: str, name: str, longest: int) -> Markup:
 
 
 def _choice(label: str, name: str, options: dict[str, str], chosen: str) -> Markup:
-    """Buttons, not a list that opens: Esc would close it by habit, and Esc is STOP."""
+    """Return radio buttons.  In a list that opens, people close it with Esc by habit, and Esc is STOP."""
     buttons = [
         tag("label", tag("input", type="radio", name=name, value=value, checked=value == chosen), tag("span", text))
         for value, text in options.items()

@@ -17,7 +17,7 @@ class Markup(str):
 
 
 def tag(name: str, /, *children: str, **attributes: str | float | None) -> Markup:
-    """One element.
+    """Return one element.
 
     Args:
         name: of the element.
@@ -31,7 +31,7 @@ def tag(name: str, /, *children: str, **attributes: str | float | None) -> Marku
 
 
 def join(*parts: str) -> Markup:
-    """One after the other."""
+    """Return the pieces of markup, one after the other."""
     return Markup("".join(part if isinstance(part, Markup) else html.escape(part) for part in parts))
 
 

@@ -36,7 +36,7 @@ _VERDICTS = {
 
 
 def steps(chosen: CampaignFolder | None, may: May) -> Markup:
-    """The buttons, in the order of the work, and what they said."""
+    """Return the buttons in the order of the work, with their messages."""
     name = chosen.name if chosen is not None and chosen.toml is not None else ""
     measure = _row(
         controls.job("Run quick (35 s)", "campaign", "start", quick=True),
@@ -67,7 +67,7 @@ def steps(chosen: CampaignFolder | None, may: May) -> Markup:
 
 
 def _twin_now(running: pb.TwinModel | None) -> Markup:
-    """Which model the twin runs on, and what it says of it."""
+    """Return the card of the model on which the twin runs."""
     message = tag("div", data_live="wrong", class_="wrong", role="status")
     if running is None:
         return _card("The twin", tag("div", "No twin follows this rig: start `board51 twin`.", class_="hint"), message)
@@ -85,7 +85,7 @@ def _twin_now(running: pb.TwinModel | None) -> Markup:
 
 
 def finding_card(chosen: CampaignFolder | None, finding: Finding | None, problem: str, report: str, may: May) -> Markup:
-    """The answer of the diagnosis of a campaign."""
+    """Return the card with the result of the diagnosis of a campaign."""
     if chosen is None:
         return _card("What was found", tag("div", "Nothing yet: run a campaign.", class_="hint"))
     title = f"What was found in the campaign of {chosen.made}"
@@ -109,7 +109,7 @@ def finding_card(chosen: CampaignFolder | None, finding: Finding | None, problem
 
 
 def models_card(models: list[ModelFile], may: May) -> Markup:
-    """The models, each with where it comes from."""
+    """Return the card of the models, each with its origin."""
     rows = [_model(model, may) for model in models]
     if not rows:
         return _card("Models", tag("div", "None yet: identify or diagnose a campaign.", class_="hint"))
@@ -124,7 +124,7 @@ def models_card(models: list[ModelFile], may: May) -> Markup:
 
 
 def campaigns_card(board: str, campaigns: list[CampaignFolder], chosen: CampaignFolder | None, may: May) -> Markup:
-    """The campaigns of the rig; one is looked at."""
+    """Return the card of the rig's campaigns; the chosen one is marked."""
     if not campaigns:
         return _card("Campaigns", tag("div", "None yet.", class_="hint"))
     return _card(
@@ -215,7 +215,7 @@ def _row(*content: Markup) -> Markup:
 
 
 def page(running: pb.TwinModel | None, work: Markup, *results: Markup) -> Markup:
-    """The cards; static/model.js replaces what bears `data-part`."""
+    """Return the cards; static/model.js replaces the elements with `data-part`."""
     twin, model_id = _twin_now(running), "" if running is None else running.sha256[:12]
     return tag(
         "main",

@@ -46,7 +46,7 @@ class Pages:
         self._actions, self._work = actions, work
 
     def routes(self) -> list[Route]:
-        """Where they are."""
+        """Return the routes of the pages."""
         pages = {
             "/": self.overview,
             "/rig/{board}": self.rig,
@@ -59,11 +59,11 @@ class Pages:
         return [Route(path, endpoint, methods=["GET"]) for path, endpoint in pages.items()]
 
     async def overview(self, request: Request) -> Response:
-        """All rigs."""
+        """Return the page of all rigs."""
         return self._page(request, "All rigs", _boards(), live="/live", prefix="/rig")
 
     async def rig(self, request: Request) -> Response:
-        """One rig, with what this session may do."""
+        """Return the page of one rig, with the controls that this session may use."""
         board, session = request.path_params["board"], _session(request)
         reports = [entry for entry in await asyncio.to_thread(self._actions.reports.entries) if rig_of(entry) == board]
         cards = controls.cards(lambda act: self._actions.may(session, act))
@@ -78,7 +78,7 @@ class Pages:
         return self._page(request, board, body, live=f"/live/{board}", board=board, chips=True)
 
     async def model(self, request: Request) -> Response:
-        """The model of a rig: from a campaign to a model that has what was missing."""
+        """Return the page of a rig's model: from a campaign to an extended model."""
         board, session = request.path_params["board"], _session(request)
         body = await asyncio.to_thread(self._model, board, request.query_params.get("campaign", ""), session)
         return self._page(
@@ -109,11 +109,11 @@ class Pages:
         )
 
     async def replays(self, request: Request) -> Response:
-        """What is replayed."""
+        """Return the page of all replayed rigs."""
         return self._page(request, "Replay", self._replay_banner(), _boards(), live=REPLAY, prefix="/replay")
 
     async def replay(self, request: Request) -> Response:
-        """One rig of a recording."""
+        """Return the page of one rig of a recording."""
         board = request.path_params["board"]
         lists = (_list("Alarms", "alarms"), _list("Events", "events"), _list("Commands", "commands"))
         body = tag("main", _measured(), tag("div", *lists, class_="side"), class_="rig replayed")
@@ -123,7 +123,7 @@ class Pages:
         )
 
     async def logs(self, request: Request) -> Response:
-        """Files."""
+        """Return the page of reports and logs."""
         session = _session(request)
         logs = await asyncio.to_thread(self._actions.logs.entries)
         reports = await asyncio.to_thread(self._actions.reports.entries)
@@ -143,7 +143,7 @@ class Pages:
         return self._page(request, "Logs and reports", body, live="/live")
 
     async def report(self, request: Request) -> Response:
-        """A report within a page of ours, which has STOP; the report itself runs no script."""
+        """Return a report within a page that has STOP; the report itself runs no script."""
         entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
@@ -242,7 +242,7 @@ def _what_stops(stops: str, replayed: bool) -> str:
 
 
 def _live(name: str, element: str = "span", **attributes: str) -> Markup:
-    """An element that hmi.js fills."""
+    """Return an element that hmi.js fills."""
     return tag(element, data_live=name, **attributes)
 
 

@@ -1,4 +1,4 @@
-"""What a page shows of a diagnosis.json."""
+"""The part of a diagnosis.json that a page shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who did what with a campaign: `acts.jsonl` in its folder, a line for each act."""
+"""The record of who did what with a campaign: `acts.jsonl` in its folder, one line for each act."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TAIL_BYTES = 65_536  # of the end of the file that is read
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Act:
-    """One line."""
+    """An act: one line of the file."""
 
     at: str  # for people
     who: str

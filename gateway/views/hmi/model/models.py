@@ -27,7 +27,7 @@ _RESTS_ON_THE_PLANT = ("K_c", "b")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFile:
-    """One file."""
+    """A model file."""
 
     name: str  # of the file, for requests
     path: Path
@@ -38,17 +38,20 @@ class ModelFile:
 
     @property
     def was_replaced(self) -> bool:
-        """Whether it is here because a hand-over replaced it."""
+        """Return whether a hand-over replaced this model."""
         return self.name.startswith(f"{_REPLACED}/")
 
     @property
     def summary(self) -> str:
-        """Parameters and causes in one line."""
+        """Return parameters and causes in one line."""
         return summary(self.content)
 
 
 def summary(content: dict[str, Any]) -> str:
-    """The parameters (SI units) and causes of a model file in one line; what rests on an assumed plant is marked."""
+    """Return the parameters (SI units) and causes of a model file in one line.
+
+    Parameters that depend on an assumed plant are marked.
+    """
     words, assumed = [], plant_assumed(content)
     for name, parameter in (content.get("parameters") or {}).items():
         value = parameter.get("value") if isinstance(parameter, dict) else parameter
@@ -61,13 +64,13 @@ def summary(content: dict[str, Any]) -> str:
 
 
 def plant_assumed(content: dict[str, Any]) -> bool:
-    """Whether nobody stated the plant of the rig that a model file is of."""
+    """Return whether nobody stated the plant of the rig of a model file."""
     plant = content.get("plant")
     return isinstance(plant, dict) and plant.get("assumed") is True
 
 
 def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: pb.TwinModel | None) -> list[ModelFile]:
-    """Those of one board, the newest first; a file that cannot be read is left out."""
+    """Return the models of one board, the newest first; a file that cannot be read is left out."""
     now = _parsed(running.model_json, where="the twin's model") if running is not None else None
     return [
         ModelFile(name=name, path=path, kind=kind, made=made, content=content, in_use=content == now)
@@ -77,7 +80,7 @@ def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: 
 
 
 def _is_reference(content: dict[str, Any]) -> bool:
-    """Whether a diagnosis found no model that predicts better: its extended_model.json is the reference itself."""
+    """Return whether an extended model is the reference itself: no model of the diagnosis predicts better."""
     provenance = content.get("provenance")
     return isinstance(provenance, dict) and provenance.get("extends") == "reference" and not content.get("causes")
 

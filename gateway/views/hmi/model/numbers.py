@@ -25,7 +25,7 @@ SPOKEN = ("divergence-i_c", "divergence-x", "innovation")  # alarms that have nu
 
 
 def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
-    """One sentence on an active alarm.
+    """Return a sentence with numbers on an active alarm.
 
     Args:
         name: of the alarm.

@@ -39,22 +39,22 @@ class ModelWork:
         return self._data / "campaigns"
 
     def campaigns(self, board: str) -> list[CampaignFolder]:
-        """Those of a board, the newest first."""
+        """Return the campaigns of a board, the newest first."""
         return campaigns_of(self._root, board)
 
     def running(self, board: str) -> pb.TwinModel | None:
-        """The model that the twin says it runs on."""
+        """Return the model on which the twin runs, as the twin reports it."""
         feed = self._actions.feed.board(board)
         return None if feed is None else feed.latest(pb.TwinModel)
 
     def models(self, board: str) -> list[ModelFile]:
-        """Those of a board, the newest campaign's first."""
+        """Return the models of a board, those of the newest campaign first."""
         return models_of(self._data, board, self.campaigns(board), self.running(board))
 
     def start_campaign(
         self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False
     ) -> pb.CommandReply:
-        """The paper's experiments into a new folder; or those that a diagnosis asks for, one after the other."""
+        """Start a campaign of the paper's experiments, or an investigation, in a new folder."""
         folder = self._new(board)
         what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
         words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
@@ -62,7 +62,7 @@ class ModelWork:
         return self._start(session, "campaign", "campaign", board, words, folder, entry)
 
     def resume_campaign(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
-        """What an interrupted campaign or investigation has left to do, into the same folder."""
+        """Continue an interrupted campaign or investigation in its folder."""
         chosen = find_campaign(self._root, board, campaign) if campaign else None
         if chosen is None or not chosen.interrupted:
             return refusal("no-campaign", "There is no such campaign, or nothing of it is left to do.")
@@ -77,7 +77,7 @@ class ModelWork:
     def add_experiment(
         self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False
     ) -> pb.CommandReply:
-        """One more experiment into a campaign; `prepared`: what it needs of a person has been done."""
+        """Add an experiment to a campaign; `prepared`: a person has made the manual preparation."""
         chosen = find_campaign(self._root, board, campaign)
         if chosen is None or chosen.toml != chosen.path / "campaign.toml":
             return refusal("no-campaign", "There is no such campaign that can be continued.")
@@ -90,7 +90,7 @@ class ModelWork:
         return self._start(session, "campaign", "campaign", board, words, chosen.path, f"added {experiment}")
 
     def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
-        """K_A, T_A, K_c, b from a campaign."""
+        """Identify K_A, T_A, K_c and b from a campaign."""
         chosen = find_campaign(self._root, board, campaign)
         if chosen is None or chosen.toml is None:
             return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
@@ -98,7 +98,7 @@ class ModelWork:
         return self._start(session, "diagnose", "identify", board, words, chosen.path, "identified")
 
     def diagnose(self, session: LoginSession, board: str, campaign: str, *, quick: bool) -> pb.CommandReply:
-        """The causes of the model's errors in a campaign."""
+        """Diagnose the causes of the model's errors in a campaign."""
         chosen = find_campaign(self._root, board, campaign)
         if chosen is None or chosen.toml is None:
             return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
@@ -107,7 +107,7 @@ class ModelWork:
         return self._start(session, "diagnose", "diagnose", board, words, chosen.path, "diagnosed" + ", quick" * quick)
 
     def diagnose_live(self, session: LoginSession, board: str) -> pb.CommandReply:
-        """The causes of the model's errors in what the rig flew in the last minutes."""
+        """Diagnose the causes of the model's errors in the last minutes of flight."""
         folder = self._new(board)
         words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", board, "--logs", str(self._logs), "--quick",
                  "--next-experiment", "--out", str(folder / DIAGNOSIS), *self._routes.live(session.name)]  # fmt: skip

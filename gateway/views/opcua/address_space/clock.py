@@ -20,7 +20,7 @@ class StampClock:
         self._newest_ns = 0
 
     def stamp(self, *, session: int, t_s: float, host_time_ns: int) -> int:
-        """When the sample with board time `t_s` was made; `host_time_ns` 0 where its arrival is not known."""
+        """Return the time of the sample with board time `t_s`; `host_time_ns` is 0 if its arrival is not known."""
         t_ns = round(t_s * 1e9)
         if host_time_ns:
             delay_ns = host_time_ns - (self._origin_ns + t_ns)
@@ -33,5 +33,5 @@ class StampClock:
         return self._newest_ns
 
     def time_ns(self, t_s: float) -> int:
-        """The time of another message of the same session, such as the twin's, without learning from it."""
+        """Return the time of another message of the same session, such as the twin's, without updating the estimate."""
         return self._origin_ns + round(t_s * 1e9)

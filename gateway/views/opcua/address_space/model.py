@@ -40,7 +40,7 @@ VARIANTS: dict[int, ua.VariantType] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leaf:
-    """One variable of a board."""
+    """A variable of a board."""
 
     path: str  # below the board: state/x_m, state/x_m/min
     topic: str
@@ -56,7 +56,7 @@ class Leaf:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Argument:
-    """One input of a method: a field of the command's message."""
+    """An input of a method: a field of the command's message."""
 
     name: str
     variant: ua.VariantType
@@ -66,7 +66,7 @@ class Argument:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """One kind of command."""
+    """A method: one kind of command."""
 
     name: str  # SetReference
     act: str  # set_reference: its field in pb.Command, and its name in the table of rights
@@ -76,7 +76,7 @@ class Method:
 
 @cache
 def leaves() -> tuple[Leaf, ...]:
-    """Every variable that the topics give."""
+    """Return all variables of the topics."""
     collected: list[Leaf] = []
     for topic in TOPICS:
         row = topics.BY_NAME[topic]
@@ -86,7 +86,7 @@ def leaves() -> tuple[Leaf, ...]:
 
 @cache
 def methods() -> tuple[Method, ...]:
-    """Every kind of command."""
+    """Return the methods of all kinds of commands."""
     kinds = pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields
     return tuple(
         Method(

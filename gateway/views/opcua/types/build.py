@@ -48,11 +48,14 @@ class Builder:
         self._server, self.spaces, self.index = server, spaces, index
 
     def id(self, path: str) -> ua.NodeId:
-        """The node id of a path."""
+        """Return the node id of a path."""
         return ua.NodeId(path, self.index)
 
     def name(self, path: str) -> ua.QualifiedName:
-        """The last chunk of a path: below a rig, as the type has it; a rig's or site's own name is the site's."""
+        """Return the last chunk of a path as a name.
+
+        Below a rig it is in the namespace of the types, for a rig or a site in that of the site.
+        """
         _, slash, last = path.rpartition("/")
         return ua.QualifiedName(last, self.spaces.types if slash else self.index)
 
@@ -67,7 +70,7 @@ class Builder:
         reference: int = _O.HasComponent,
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
-        """An object; its name is the last chunk of the path where none is given."""
+        """Add an object; without a name it is named by the last chunk of its path."""
         attributes = ua.ObjectAttributes()
         attributes.EventNotifier = 1 if events else 0
         _describe(attributes, path, description, name)
@@ -86,7 +89,7 @@ class Builder:
         data_type: ua.NodeId | None = None,
         min_sampling_ms: float = 0.0,
     ) -> ua.NodeId:
-        """A variable without a value: until it has one, its status says so."""
+        """Add a variable without a value; its status says so until the first value."""
         attributes = _variable(variant, is_array=is_array, access=access)
         attributes.MinimumSamplingInterval = min_sampling_ms
         attributes.DataType = data_type or attributes.DataType
@@ -106,7 +109,7 @@ class Builder:
         description: str = "",
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
-        """A property with its value; without one its status says so.  Its name is of the standard if not given."""
+        """Add a property; without a value its status says so.  The default name is that of the standard."""
         attributes = _variable(variant, is_array=isinstance(value, list), access=READ)
         attributes.DataType = ua.NodeId(data_type)
         attributes.Value = ua.Variant(value, variant if value is not None else ua.VariantType.Null)
@@ -126,7 +129,7 @@ class Builder:
     def method(
         self, parent: ua.NodeId, path: str, description: str, inputs: Sequence[Argument], outputs: Sequence[Argument]
     ) -> ua.NodeId:
-        """A method; what it does is decided in `sessions.py`."""
+        """Add a method; `sessions.py` carries it out."""
         attributes = ua.MethodAttributes()
         attributes.Executable = attributes.UserExecutable = True
         _describe(attributes, path, description)
@@ -163,7 +166,7 @@ class Builder:
         return item.RequestedNewNodeId
 
     def refer(self, source: ua.NodeId, reference: int, target: ua.NodeId, *, both: bool = True) -> None:
-        """A reference, and its inverse where `both`."""
+        """Add a reference, with `both` also its inverse."""
         ends = ((source, target, True), (target, source, False))
         for start, end, forward in ends if both else ends[:1]:
             item = ua.AddReferencesItem()
@@ -187,7 +190,7 @@ class TypeBuilder(Builder):
         *,
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
-        """Any node; below the type itself with a rule.  A rig that nobody simulates may be without a twin."""
+        """Add any node, below the type with a modelling rule.  The twin is optional."""
         node = super().add(parent, path, node_class, attributes, reference, kind, name=name)
         _, slash, below = path.partition("/")
         if slash:

@@ -40,7 +40,7 @@ _METADATA_NUMBERS = {"di": range(15001, 15009), "machinery": (5001, 6033, 6034, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metadata:
-    """What Server/Namespaces says of a namespace."""
+    """The metadata of a namespace in Server/Namespaces."""
 
     uri: str
     version: str
@@ -60,12 +60,12 @@ class _Numbered(Builder):
     numbers: dict[str, int]
 
     def id(self, path: str) -> ua.NodeId:
-        """The node id of a path."""
+        """Return the node id of a path."""
         return ua.NodeId(self.numbers[path], self.index)
 
 
 def add_companions(server: InternalServer, spaces: Namespaces) -> None:
-    """Add them to an address space without."""
+    """Add the nodes of the companion specifications to an address space without them."""
     di, machinery = (_Numbered(server, spaces, index) for index in (spaces.di, spaces.machinery))
     di.numbers = machinery.numbers = _NUMBERS
     group = object_type(di, ua.NodeId(_O.FolderType), "FunctionalGroupType", "groups parameters and methods")
@@ -103,7 +103,7 @@ def add_companions(server: InternalServer, spaces: Namespaces) -> None:
 
 
 def object_type(builder: Builder, above: ua.NodeId, name: str, description: str) -> ua.NodeId:
-    """An object type below another."""
+    """Add an object type below another."""
     attributes: Any = ua.ObjectTypeAttributes()
     attributes.DisplayName, attributes.Description = ua.LocalizedText(name), ua.LocalizedText(description)
     attributes.IsAbstract = False
@@ -111,7 +111,7 @@ def object_type(builder: Builder, above: ua.NodeId, name: str, description: str)
 
 
 def metadata_values(metadata: Metadata) -> dict[str, tuple[Any, ua.VariantType, int, str]]:
-    """(value, variant, data type, description) of each property of NamespaceMetadataType (Part 5, 6.3.14)."""
+    """Return (value, variant, data type, description) of each property of NamespaceMetadataType (Part 5, 6.3.14)."""
     return {
         "NamespaceUri": (metadata.uri, _V.String, _O.String, "URI of the namespace"),
         "NamespaceVersion": (metadata.version, _V.String, _O.String, "version of the specification"),
@@ -129,7 +129,7 @@ def metadata_values(metadata: Metadata) -> dict[str, tuple[Any, ua.VariantType, 
 
 
 def add_metadata(builder: Builder, metadata: Metadata) -> ua.NodeId:
-    """An entry of Server/Namespaces; the paths are its URI and those of its properties below it."""
+    """Add an entry to Server/Namespaces; its path is the URI, and its properties are below it."""
     node = builder.object(
         ua.NodeId(_O.Server_Namespaces),
         metadata.uri,

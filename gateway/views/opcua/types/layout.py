@@ -76,7 +76,7 @@ class Layout:
         self._nameplate(top)
 
     def _above(self, path: str) -> ua.NodeId:
-        """The folder of a path; made where it is not there yet."""
+        """Return the folder of a path; make it if it is missing."""
         folder, _, _ = path.rpartition("/")
         if folder not in self._places:
             description = topics.BY_NAME[folder].about if folder in TOPICS else FOLDERS[folder]
@@ -99,7 +99,7 @@ class Layout:
         self._describe_value(node, leaf, leaf.path)
 
     def _describe_value(self, node: ua.NodeId, leaf: Leaf, path: str) -> None:
-        """Unit, ranges or words; a range comes with the board's parameters."""
+        """Add unit, ranges or words; the values of a range come with the board's parameters."""
         path, relative = f"{self._root}/{path}", path
         if leaf.unit is not None:
             self._builder.property(
@@ -135,7 +135,7 @@ class Layout:
 
 
 def _kind(leaf: Leaf, path: str) -> int:
-    """The type of a variable: AnalogItemType promises an EURange, MultiStateDiscreteType words."""
+    """Return the type of a variable: AnalogItemType promises an EURange, MultiStateDiscreteType words."""
     if leaf.unit is not None:
         return int(_O.AnalogItemType if path in RANGED else _O.AnalogUnitType)
     return int(_O.MultiStateDiscreteType if leaf.words else _O.BaseDataVariableType)
