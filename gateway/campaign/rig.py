@@ -105,13 +105,13 @@ class RigControl:
         if self._subscriber.stop_sender is not None:
             raise ServiceError(
                 f"{self._subscriber.stop_sender} stopped the board",
-                remedy="When it is safe again, the same command goes on where this ended",
+                remedy="When it is safe again, the same command continues where it stopped",
             )
 
     def _lost(self, what: str) -> ServiceError:
         return ServiceError(
             f"{what} from {self._site}/{self._board} for {SILENCE_S:g} s: gateway, link or board is gone",
-            remedy="Look at `board51 watch --topic status`; when it is back, the same command goes on where this ended",
+            remedy="Look at `board51 watch --topic status`; when it is back, the same command continues where it stopped",
         )
 
     def await_board(self) -> tuple[pb.State, pb.Parameters]:
@@ -123,7 +123,7 @@ class RigControl:
         self.wait(lambda: self._subscriber.state is not None)
         if not self.wait(lambda: self._subscriber.parameters is not None, timeout_s=8.0):
             raise ServiceError(
-                f"{self._site}/{self._board} streams but does not say its parameters", remedy="Restart its gateway"
+                f"{self._site}/{self._board} streams but does not send its parameters", remedy="Restart its gateway"
             )
         assert self._subscriber.state is not None
         assert self._subscriber.parameters is not None

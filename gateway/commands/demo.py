@@ -107,7 +107,7 @@ def _demo(out: Path, effects: list[str]) -> int:
         refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
         _show_model(model)
         if refused:
-            _write_line("      identify itself calls this model not usable; the twin shows how wrong it is:")
+            _write_line("      identify rejects this model; the twin shows how large its errors are:")
             for line in lines:
                 if line.startswith("! "):
                     _wrap(line)
@@ -129,7 +129,7 @@ def _demo(out: Path, effects: list[str]) -> int:
             flights.append(_fly(bus, "extended"))
         else:
             _wrap(
-                "no model of the diagnosis surely predicts better: the twin keeps the identified one, no third flight"
+                "no model of the diagnosis surely predicts better: the twin keeps the identified one, without a third flight"
             )
         bus.hold(0.3)
         processes.close()

@@ -131,10 +131,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "text", type=_text
     )
     acknowledge = what.add_parser(
-        "acknowledge", parents=[options], help="somebody has seen an alarm; in every view and log"
+        "acknowledge", parents=[options], help="acknowledge an alarm, in every view and in the log"
     )
     acknowledge.add_argument("alarm", type=_text, help="its name, such as divergence-x")
-    acknowledge.add_argument("--comment", type=_text, default="", metavar="TEXT", help="why it may be so")
+    acknowledge.add_argument("--comment", type=_text, default="", metavar="TEXT", help="the reason")
     what.add_parser("stop", parents=[options], help="coil off at once")
     what.add_parser("ping", parents=[options], help="sign of life")
 

@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
                 outputs = ", ".join(str(service.output) for service in services)
                 raise ServiceError(
                     f"the control room did not appear at {args.page} within {READY_S:.0f} s",
-                    remedy=f"What the processes say is in {outputs}",
+                    remedy=f"The output of the processes is in {outputs}",
                 )
     print("everything stopped", file=sys.stderr)
     return 0
@@ -122,7 +122,7 @@ def _check_free(address: tuple[str, int], *, option: str) -> None:
             pass
     except OSError as error:
         raise UsageError(
-            f"{host}:{port} cannot be listened on ({error.strerror})",
+            f"Cannot listen on {host}:{port} ({error.strerror})",
             remedy=f"If another board51 runs here, stop it, or give {option}HOST:PORT",
         ) from None
 

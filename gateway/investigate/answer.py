@@ -49,7 +49,9 @@ def read_answer(data: Mapping[str, Any], *, where: str) -> Answer:
         suspects = tuple(_suspect(entry) for entry in data["causes"] or data["candidates"])
         return Answer(verdict=str(data["verdict"]), sentence=str(data["sentence"]), suspects=suspects)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{where} is no answer of board51 diagnose ({error!r})", remedy="Delete it") from None
+        raise DataError(
+            f"{where} is not a diagnosis.json of board51 diagnose ({error!r})", remedy="Delete it"
+        ) from None
 
 
 def _suspect(data: Mapping[str, Any]) -> Suspect:

@@ -27,7 +27,7 @@ JUDGES = ("wide-steps-judge", "multisine-judge")
 ENOUGH_Z = 3.0  # from this z on, the diagnosis does not put two causes into one equivalence class (9 = 2 * 4.5)
 SURE_Z = 5.0
 SURE = 0.9  # confidence
-_TO_STAND = "the answer is confirmed with all recordings and every candidate"
+_TO_STAND = "to confirm the answer with all recordings and every candidate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,15 +91,15 @@ def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
     if not known.recordings & set(FLIGHTS):  # a diagnosis needs a flight
         missing = [name for name in START if name not in known.recordings | known.refused]
         if missing:
-            why = "to begin with, what every model needs: input and current of lift-off, noise, amplifier, one flight"
+            why = "every model first needs input and current of lift-off, noise, amplifier, one flight"
             return _perform(known, menu, missing, why)
         for name in (name for name in FLIGHTS if name not in known.refused):
             return _perform(known, menu, [name], "no flight is recorded yet, and without one there is no force law")
         return Finish(stands=False, why="no flight could be recorded on this rig")
     if known.answer is None or known.diagnosed != known.recordings:
         if known.quick or not known.recordings & set(JUDGES):
-            why = "not thorough, as requested" if known.quick else "to choose the next experiment, quick suffices"
-            return Diagnose(thorough=False, why=f"there is {', '.join(sorted(known.recordings))}; {why}")
+            why = "quick, as requested" if known.quick else "a quick diagnosis suffices to choose the next experiment"
+            return Diagnose(thorough=False, why=f"recordings so far: {', '.join(sorted(known.recordings))}; {why}")
         return Diagnose(thorough=True, why=_TO_STAND)
     action = _after(known, known.answer, menu)
     if isinstance(action, Finish) and not known.thorough and not known.quick:
@@ -120,14 +120,14 @@ def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
                 return _perform(known, menu, [name], f"{lacking}; not excited yet: {menu[name].purpose}")
     judges = [name for name in JUDGES if name not in known.recordings | known.refused]
     if judges:
-        return _perform(known, menu, judges, "the answer is to be judged by recordings that it was not chosen by")
+        return _perform(known, menu, judges, "the answer must be judged by recordings that were not used to choose it")
     return _finish(known, answer, menu)
 
 
 def _lacking(answer: Answer, *, thorough: bool) -> str:
     """Return why the answer is not final; "" if it is.  Confidence counts only if it is calibrated (`thorough`)."""
     if answer.verdict == "model-adequate":
-        return "what is left is noise, in what was excited"
+        return "only noise is left, as far as the rig was excited"
     if answer.verdict != "causes-found":
         return "more than noise is left"
     weak = [
@@ -196,7 +196,7 @@ def _perform(known: Known, menu: Mapping[str, Offer], names: Sequence[str], why:
 
 def _finish(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Finish:
     if answer.verdict == "unknown-cause":
-        return Finish(stands=False, why="nothing in the catalogue explains it, and every experiment was made")
+        return Finish(stands=False, why="no cause of the catalogue explains it, and all experiments were made")
     if answer.is_open:
         outside = [text for suspect in answer.suspects for text in suspect.outside]
         for name in sorted(
@@ -204,10 +204,10 @@ def _finish(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Finish:
         ):
             if menu[name].preparation:
                 outside.append(f"`board51 campaign run --experiment {name}` may: {menu[name].preparation}")
-        return Finish(stands=True, why=f"{_classes(answer)}: no experiment tells them apart; " + " ".join(outside))
+        return Finish(stands=True, why=f"{_classes(answer)}: no experiment distinguishes them; " + " ".join(outside))
     if answer.verdict == "model-adequate":
-        return Finish(stands=True, why="every experiment was made, and what is left is noise")
+        return Finish(stands=True, why="all experiments were made, and only noise is left")
     if answer.verdict == "partly-explained":
-        return Finish(stands=True, why="the names hold, something else is left, and every experiment was made")
+        return Finish(stands=True, why="the named causes hold, more than noise is left, and all experiments were made")
     names = " and ".join(suspect.name for suspect in answer.suspects)
-    return Finish(stands=True, why=f"one name is left for each effect: {names}")
+    return Finish(stands=True, why=f"one cause is left for each effect: {names}")

@@ -84,7 +84,8 @@ def _perform(work: Work, journal: Journal, action: Perform) -> None:
         raise Interrupted
     if summary["failure"]:
         raise ServiceError(
-            str(summary["failure"]).rstrip("."), remedy="The ball is parked; the same command goes on where this ended"
+            str(summary["failure"]).rstrip("."),
+            remedy="The ball is parked; the same command continues where it stopped",
         )
 
 

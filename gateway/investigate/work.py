@@ -114,4 +114,4 @@ class Work:
         message = last.partition(": ")[2] if last.startswith("board51 ") else last
         problem = f"{what} ended with exit code {code}: {message}".rstrip(".")
         error = UsageError if code == 2 else ServiceError
-        return error(problem, remedy="When that is put right, the same command goes on where this ended")
+        return error(problem, remedy="Correct this; the same command continues where it stopped")

@@ -156,14 +156,14 @@ class AlarmBook:
             self.go(TO_BOARD, now_ns)
         elif not self._is_active(TO_BOARD):
             since_ns = (status.host_time_ns or now_ns) - round(status.unanswered_s * 1e9)
-            self.come(TO_BOARD, "fault", "The board answers nothing: a STOP may not reach it.", since_ns)
+            self.come(TO_BOARD, "fault", "The board does not answer: a STOP may not reach it.", since_ns)
 
     def log(self, log_state: str, now_ns: int) -> None:
         """Process `log_state` of `status`: a view that joined late has not seen the event."""
         if log_state in ("writing", "off"):
             self.go(LOG, now_ns)
         elif log_state and not self._is_active(LOG):
-            self.come(LOG, "fault", f"The log is not written: {log_state}.", now_ns)
+            self.come(LOG, "fault", f"The log is not being written: {log_state}.", now_ns)
 
     def waits(self, name: str) -> bool:
         """Return whether there is an alarm of that name to acknowledge."""

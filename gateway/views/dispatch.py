@@ -75,10 +75,12 @@ class Dispatch:
 
     def _refuse_outdated(self, wish: Wish) -> pb.CommandReply | None:
         if wish.board and self._last_stop_s(wish.board) >= wish.arrived_s:
-            return self._refusal("superseded-by-stop", "A STOP of this rig came before it was sent; nothing was done.")
+            return self._refusal(
+                "superseded-by-stop", "A STOP of this rig came before this command was sent; nothing was done."
+            )
         age_s = time.monotonic() - wish.arrived_s
         if wish.has_left or age_s > FRESH_S:
-            text = f"It was delayed by {age_s:.1f} s; nothing was done. Repeat it if it is still needed."
+            text = f"The command was delayed by {age_s:.1f} s; nothing was done. Repeat it if it is still needed."
             return self._refusal("not-fresh", text)
         return None
 

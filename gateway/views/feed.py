@@ -60,7 +60,7 @@ _TOPICS = ("states", "status", "event", "alarms", "parameters", "command/record"
 _KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/")), "twin/*")
 _OF_GATEWAY = (pb.Status, pb.Event, pb.State)  # while one of them comes, there is a gateway
 _REASONS = {
-    "absent": "Its port is not there.",
+    "absent": "Its port is missing.",
     "silent": "The board sends nothing.",
     "connecting": "The port is being opened.",
     "handshake": "The board has not answered yet.",
@@ -122,13 +122,13 @@ class BoardFeed:
         if age_s < limit_s and self._alive:
             return Link(state="live", reason="", age_s=age_s)
         if min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
-            return Link(state="no-gateway", reason="Nothing comes from the gateway.", age_s=age_s)
+            return Link(state="no-gateway", reason="Nothing arrives from the gateway.", age_s=age_s)
         word = "connecting" if status is None else status.link
         if word == "streaming":  # of a status before the loss
-            return Link(state="silent", reason="No samples come.", age_s=age_s)
+            return Link(state="silent", reason="No samples arrive.", age_s=age_s)
         alarms = self.latest(pb.Alarms)  # the gateway knows more: which port, what was tried
         why = next((alarm.text for alarm in alarms.active if alarm.name == LINK), "") if alarms is not None else ""
-        return Link(state=word, reason=why or _REASONS.get(word, "No samples come."), age_s=age_s)
+        return Link(state=word, reason=why or _REASONS.get(word, "No samples arrive."), age_s=age_s)
 
     def alarms(self) -> tuple[Alarm, ...]:
         """Return the alarms that are active or not acknowledged, the most urgent first."""
@@ -303,12 +303,12 @@ class Feed:
         """
         feed = self._boards.get(board)
         if feed is None or not feed.waits(alarm):
-            text = "There is no such alarm, or it was acknowledged before."
+            text = "There is no such alarm, or it is already acknowledged."
             return pb.CommandReply(refused_by="view", reason="no-alarm", text=text)
         what = pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment))
         reply = self.command(board, what, who=who, role=role, issued_ns=issued_ns)
         if reply.reason == "not-delivered":
-            reply = pb.CommandReply(accepted=True, text="Seen in this view alone: no gateway answers.")
+            reply = pb.CommandReply(accepted=True, text="Acknowledged in this view only: no gateway answers.")
         if reply.accepted:  # at once: the record may take a moment
             feed.acknowledge(alarm, who, self.now_ns(), comment)
         return reply

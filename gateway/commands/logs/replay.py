@@ -139,8 +139,8 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
 def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:
     reader.check(last_ns=None)
     available = sorted({channel.topic for scan in reader.scans for channel in scan.channels.values()})
-    selection = " ".join([*(args.topic or ()), *(args.board or ())]) or "what goes onto the bus"
-    raise DataError(f"Log {reader.name} has nothing of {selection}", remedy=f"It has: {', '.join(available)}")
+    selection = " ".join([*(args.topic or ()), *(args.board or ())]) or "any topic of the bus"
+    raise DataError(f"Log {reader.name} has no messages of {selection}", remedy=f"It has: {', '.join(available)}")
 
 
 def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:

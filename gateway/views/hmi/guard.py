@@ -91,7 +91,7 @@ class Guard:
         answer: Response | None = None
         opened = None
         if not self._host_is_known(headers):
-            answer = refusal(421, "host", "This server is for this machine alone: use http://127.0.0.1.")
+            answer = refusal(421, "host", "This server serves this machine only: use http://127.0.0.1.")
         elif not reads and not self._same_origin(headers):
             answer = refusal(403, "origin", "The request comes from a page of another origin.")
         elif session is None and not public:
@@ -102,14 +102,16 @@ class Guard:
                 over = cookie_name(headers.get("host", "")) in headers.get("cookie", "")
                 answer = RedirectResponse(login_for(path, over=over), status_code=303)
             else:
-                answer = refusal(401, "session", "Log in: there is no session, or it is over.")
+                answer = refusal(401, "session", "Log in: there is no session, or it has ended.")
         elif (
             not public
             and (TOKEN_HEADER in headers or not reads)
             and not _bears_token(headers.get(TOKEN_HEADER, ""), session)
         ):  # a page of an earlier session also sends a token: it must reload
             status = 401 if reads else 403
-            answer = refusal(status, "token", f"The request does not bear this session's token in {TOKEN_HEADER}.")
+            answer = refusal(
+                status, "token", f"The request does not carry the token of this session in {TOKEN_HEADER}."
+            )
         if answer is None and _too_long(headers):
             answer = refusal(413, "oversize", f"At most {MAX_BODY} bytes.")
         send = self._with_headers(send, opened, headers.get("host", ""))

@@ -157,7 +157,7 @@ def test_an_alarm_says_by_how_much_which_way_and_how_often_noise_explains_it() -
     )
     assert (
         in_numbers("divergence-x", "14:59", lower)
-        == "the ball is 40 \u00b5m lower than the model has it since 14:59, 5.1 times what noise explains"
+        == "the ball is 40 \u00b5m lower than in the model since 14:59, 5.1 times what noise explains"
     )
     assert in_numbers("divergence-x", "9:00", to_and_fro).startswith("position and model differ by 120 \u00b5m rms")
     assert in_numbers("innovation", "9:00", more) == (

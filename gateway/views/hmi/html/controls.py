@@ -89,7 +89,7 @@ def _excitation() -> Markup:
         _number("around, mm", "offset", 2.5),
         _number("period, s", "period", 2.0, min="0"),
         _number("last period, s", "period_end", 0.1, min="0"),
-        _number("for, s (0: endless)", "duration", 20.0, min="0"),
+        _number("duration, s (0: endless)", "duration", 20.0, min="0"),
         class_="fields",
     )
     acts = _row(

@@ -39,9 +39,13 @@ def errors_figure(ahead: Sequence[Ahead]) -> Markup:
         parts += [_bar(a, y(bottom), y(top), y(value), name) for a, (value, bottom, top) in zip(at, of, strict=True)]
     figure = tag("svg", *parts, viewBox=f"0 0 {_WIDTH:g} {_HEIGHT:g}", role="img",
                  aria_label="Prediction error before and after the diagnosis")  # fmt: skip
-    names = (("before", "the model before"), ("after", "extended by the causes"), ("noise", "sensor noise alone"))
+    names = (
+        ("before", "model before the diagnosis"),
+        ("after", "model extended by the causes"),
+        ("noise", "sensor noise only"),
+    )
     legend = [tag("span", tag("span", class_=f"mark {name}"), text, class_="entry") for name, text in names]
-    caption = tag("figcaption", "rms error of the position on recordings that no fit has seen, with 95 % intervals. ",
+    caption = tag("figcaption", "rms error of the predicted position on recordings that were not used for fitting, with 95 % intervals. ",
                   *legend)  # fmt: skip
     return tag("figure", figure, caption, class_="errors")
 

@@ -28,7 +28,7 @@ _ASSUMED = (
 )
 _VERDICTS = {
     "causes-found": "causes found",
-    "partly-explained": "explained in part",
+    "partly-explained": "partly explained",
     "adequate": "the model is right",
     "unknown-cause": "no known cause explains it",
     "unfinished": "the search did not finish",
@@ -53,15 +53,15 @@ def steps(chosen: CampaignFolder | None, may: May) -> Markup:
         *(of_campaign if name else ()),
         controls.job(f"Diagnose the last {LIVE_MIN:g} minutes of flight", "diagnose", "start", live=True),
     )
-    of = f"Of the campaign of {chosen.made}." if chosen is not None else "There is no campaign yet: run one first."
-    of += " Nothing was recorded in it." if chosen is not None and not name else ""
+    of = f"It uses the campaign of {chosen.made}." if chosen is not None else "There is no campaign yet: run one first."
+    of += " It has no recordings." if chosen is not None and not name else ""
     if not may("campaign"):
-        return _card("Work", tag("div", "An engineer runs campaigns, identifies and diagnoses.", class_="hint"))
+        return _card("Work", tag("div", "Only an engineer may run campaigns, identify and diagnose.", class_="hint"))
     return _card(
         "Work",
         _step("1 Measure: a campaign", "It moves the ball; the board must be idle.", measure, "campaign"),
         _step("2 Identify: K_A, T_A, K_c, b", of, identify if name else Markup(), "identify", warning=assumed),
-        _step("3 Diagnose: what the model gets wrong, and why", of, diagnose, "diagnose"),
+        _step("3 Diagnose: the errors of the model and their causes", of, diagnose, "diagnose"),
         _step("4 Hand over", "Choose one of the models; the twin uses it at once.", Markup(), "hand-over"),
     )
 
@@ -75,11 +75,11 @@ def _twin_now(running: pb.TwinModel | None) -> Markup:
         content = summary(parse_json(running.model_json, where="the twin's model"))
     except (DataError, AttributeError):
         content = ""
-    since = f"handed over by {running.who}" if running.who else "it was started with it"
+    since = f"handed over by {running.who}" if running.who else "the model with which it was started"
     return _card(
         "The twin",
         message,
-        tag("div", f"It runs on {running.name} ({running.sha256[:12]}), {since}.", class_="strong"),
+        tag("div", f"The twin runs on {running.name} ({running.sha256[:12]}), {since}.", class_="strong"),
         tag("div", content, class_="hint"),
     )
 
@@ -87,12 +87,14 @@ def _twin_now(running: pb.TwinModel | None) -> Markup:
 def finding_card(chosen: CampaignFolder | None, finding: Finding | None, problem: str, report: str, may: May) -> Markup:
     """Return the card with the result of the diagnosis of a campaign."""
     if chosen is None:
-        return _card("What was found", tag("div", "Nothing yet: run a campaign.", class_="hint"))
-    title = f"What was found in the campaign of {chosen.made}"
+        return _card("Result of the diagnosis", tag("div", "Nothing yet: run a campaign.", class_="hint"))
+    title = f"Result of the diagnosis, campaign of {chosen.made}"
     if finding is None:
-        return _card(title, tag("div", problem or "This campaign was not diagnosed yet.", class_="hint"))
+        return _card(title, tag("div", problem or "This campaign has not been diagnosed yet.", class_="hint"))
     causes = [_cause(chosen, cause, may, sure=finding.sure) for cause in finding.causes]
-    quick = () if finding.calibrated else (tag("div", "Made quickly: confidence is not calibrated.", class_="hint"),)
+    quick = (
+        () if finding.calibrated else (tag("div", "Quick diagnosis: its confidence is not calibrated.", class_="hint"),)
+    )
     warnings = [tag("li", text) for text in finding.warnings]
     assumed = "The plant is assumed: K_c and b of this answer hold for a published CE 152 only."
     return _card(
@@ -114,7 +116,7 @@ def models_card(models: list[ModelFile], may: May) -> Markup:
     if not rows:
         return _card("Models", tag("div", "None yet: identify or diagnose a campaign.", class_="hint"))
     assumed = any(plant_assumed(model.content) for model in models)
-    note = "Plant assumed: nobody stated it, and the value holds for a published CE 152 only." if assumed else ""
+    note = "Plant assumed: nobody stated it. The values hold for a published CE 152 only." if assumed else ""
     return _card(
         "Models",
         *rows,
@@ -155,20 +157,22 @@ def _cause(chosen: CampaignFolder, cause: FindingCause, may: May, *, sure: bool)
     word = "cause" if sure else "candidate"
     lines.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
     if cause.equals:
-        lines.append(tag("div", f"These recordings cannot tell it from: {', '.join(cause.equals)}.", class_="class-of"))
+        lines.append(
+            tag("div", f"These recordings cannot distinguish it from {', '.join(cause.equals)}.", class_="class-of")
+        )
     if cause.experiments and may("campaign"):
         lines.append(_row(*(_experiment(chosen, name) for name in cause.experiments[:3])))
-    lines += [tag("div", f"Only with another instrument: {text}", class_="hint") for text in cause.outside]
+    lines += [tag("div", f"It needs another instrument: {text}", class_="hint") for text in cause.outside]
     if cause.confirm:
-        lines.append(tag("div", f"To see it at the rig: {cause.confirm}.", class_="hint"))
+        lines.append(tag("div", f"To confirm it at the rig: {cause.confirm}.", class_="hint"))
     if cause.cure:
-        lines.append(tag("div", f"To be rid of it: {cause.cure}.", class_="hint"))
+        lines.append(tag("div", f"To remedy it: {cause.cure}.", class_="hint"))
     return tag("div", *lines, class_="cause")
 
 
 def _experiment(chosen: CampaignFolder, name: str) -> Markup:
     person = BY_NAME[name].person
-    text = f"Next experiment: {name}" if not person else f"{person} Done: record {name}"
+    text = f"Next experiment: {name}" if not person else f"{person} When done: record {name}"
     return controls.job(
         text, "campaign", "start", campaign=chosen.name, experiment=name, prepared=bool(person)
     )  # fmt: skip
@@ -178,7 +182,7 @@ def _model(model: ModelFile, may: May) -> Markup:
     if model.in_use:
         act = tag("span", "\u25cf in use", class_="in-use")
     elif may("use_model"):
-        text = "Back to this model" if model.was_replaced else "Hand over to the twin"
+        text = "Return to this model" if model.was_replaced else "Hand over to the twin"
         act = controls.job(text, "hand-over", "start", model=model.name)
     else:
         act = Markup()

@@ -238,7 +238,9 @@ def _coils(stops: str, replayed: bool) -> str:
 def _what_stops(stops: str, replayed: bool) -> str:
     if stops != "*":
         return f"STOP or Esc: the coil of {stops} off, at once."
-    return f"STOP or Esc: the coils of {_coils(stops, replayed)} off, at once, for this page belongs to no single one."
+    return (
+        f"STOP or Esc: the coils of {_coils(stops, replayed)} off, at once: this page does not belong to a single rig."
+    )
 
 
 def _live(name: str, element: str = "span", **attributes: str) -> Markup:

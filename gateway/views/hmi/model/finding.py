@@ -73,7 +73,7 @@ def read_finding(path: Path) -> Finding:
             warnings=tuple(map(str, table.get("warnings", ()))),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{path} is no answer of board51 diagnose ({error!r})", remedy=_REMEDY) from None
+        raise DataError(f"{path} is not a diagnosis.json of board51 diagnose ({error!r})", remedy=_REMEDY) from None
 
 
 def _cause(table: Mapping[str, Any]) -> FindingCause:

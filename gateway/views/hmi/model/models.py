@@ -102,7 +102,7 @@ def _files(data: Path, board: str, campaigns: list[CampaignFolder]) -> Iterator[
     replaced = sorted((data / "models" / board).glob("*.json"), reverse=True)[:MAX_REPLACED]
     for path in replaced:
         if path.is_file() and not path.is_symlink():
-            yield f"{_REPLACED}/{path.name}", path, "the twin had it before a hand-over", _changed(path)
+            yield f"{_REPLACED}/{path.name}", path, "used by the twin before a hand-over", _changed(path)
 
 
 def _changed(path: Path) -> str:

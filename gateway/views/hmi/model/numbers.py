@@ -11,12 +11,12 @@ _SIGNALS = {
     "divergence-i_c": (
         "i_c_a", 1.0, "A",
         "the coil draws {} more than the model", "the coil draws {} less than the model",
-        "current and model differ by {} rms",
+        "measured and modelled current differ by {} rms",
     ),
     "divergence-x": (
         "x_m", 1e6, "\u00b5m",
-        "the ball is {} higher than the model has it", "the ball is {} lower than the model has it",
-        "position and model differ by {} rms",
+        "the ball is {} higher than in the model", "the ball is {} lower than in the model",
+        "measured and modelled position differ by {} rms",
     ),
 }  # fmt: skip
 
@@ -39,7 +39,7 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
         if not (divergence.innovation_valid and divergence.nis_mean > 0.0):
             return ""
         times = math.sqrt(divergence.nis_mean / 2.0)  # two degrees of freedom
-        return f"one sample ahead the model errs {_times(times)} what noise explains, since {since}"
+        return f"the prediction of the next sample errs {_times(times)} as much as noise explains, since {since}"
     if name not in _SIGNALS or divergence.sync != "in-step":
         return ""
     field, scale, unit, above, below, differ = _SIGNALS[name]
@@ -52,7 +52,7 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
     else:
         difference = differ.format(f"{_digits(signal.rolling_rmse * scale)} {unit}")
     times = signal.rolling_rmse / abs(signal.error / signal.normalised)
-    return f"{difference} since {since}, {_times(times)} what noise explains"
+    return f"{difference} since {since}, {_times(times)} as much as noise explains"
 
 
 def _times(times: float) -> str:

@@ -58,21 +58,21 @@ class ModelWork:
         folder = self._new(board)
         what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
         words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
-        entry = "investigates the rig" if investigate else f"began a {'quick ' * quick}campaign"
+        entry = "started an investigation" if investigate else f"started a {'quick ' * quick}campaign"
         return self._start(session, "campaign", "campaign", board, words, folder, entry)
 
     def resume_campaign(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Continue an interrupted campaign or investigation in its folder."""
         chosen = find_campaign(self._root, board, campaign) if campaign else None
         if chosen is None or not chosen.interrupted:
-            return refusal("no-campaign", "There is no such campaign, or nothing of it is left to do.")
+            return refusal("no-campaign", "There is no such campaign, or it is complete.")
         if chosen.investigation:
             what = ["investigate", board, "--out", str(chosen.path)]
         else:
             what = self._run(chosen.path, board)
             what += [word for name in chosen.left for word in ("--experiment", name)]
         words = [*what, *["--quick"] * chosen.quick, "--who", session.name, *self._routes.live(session.name)]
-        return self._start(session, "campaign", "campaign", board, words, chosen.path, "continued it")
+        return self._start(session, "campaign", "campaign", board, words, chosen.path, "continued the campaign")
 
     def add_experiment(
         self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False
@@ -80,14 +80,16 @@ class ModelWork:
         """Add an experiment to a campaign; `prepared`: a person has made the manual preparation."""
         chosen = find_campaign(self._root, board, campaign)
         if chosen is None or chosen.toml != chosen.path / "campaign.toml":
-            return refusal("no-campaign", "There is no such campaign that can be continued.")
+            return refusal("no-campaign", "There is no such campaign, or it cannot be continued.")
         if experiment not in BY_NAME:
             return refusal("no-experiment", "There is no such experiment.")
         if BY_NAME[experiment].person and not prepared:
             return refusal("person-needed", BY_NAME[experiment].person)
         words = [*self._run(chosen.path, board), "--experiment", experiment, *["--yes"] * prepared,
                  "--who", session.name, *self._routes.live(session.name)]  # fmt: skip
-        return self._start(session, "campaign", "campaign", board, words, chosen.path, f"added {experiment}")
+        return self._start(
+            session, "campaign", "campaign", board, words, chosen.path, f"added the experiment {experiment}"
+        )
 
     def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Identify K_A, T_A, K_c and b from a campaign."""
@@ -124,12 +126,14 @@ class ModelWork:
             if running is not None and not any(file.in_use for file in self.models(board)):
                 keep(self._data, running, board)
         except OSError as error:
-            return refusal("failed", f"The present model cannot be kept: {error.strerror}. Nothing was handed over.")
+            return refusal("failed", f"The present model cannot be saved: {error.strerror}. Nothing was handed over.")
         words = ["twin", "--hand-over", str(chosen.path), "--board", board, "--who", session.name,
                  *self._routes.live(session.name)]  # fmt: skip
         folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
         folder = folder if folder.parent == self._root else self._data / "models" / board
-        return self._start(session, "use_model", "hand-over", board, words, folder, f"handed {chosen.kind} model over")
+        return self._start(
+            session, "use_model", "hand-over", board, words, folder, f"handed over the model: {chosen.kind}"
+        )
 
     def _new(self, board: str) -> Path:
         return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -145,5 +149,5 @@ class ModelWork:
             try:
                 write_act(folder, who=session.name, what=entry)
             except OSError as error:
-                _logger.warning("%s: who did it cannot be written (%s)", folder, error.strerror)
+                _logger.warning("%s: the act cannot be recorded (%s)", folder, error.strerror)
         return reply
