@@ -34,7 +34,7 @@ __all__ = ["EmulatorFactory", "GatewayFactory", "RunningGateway"]
 
 
 class EmulatorFactory(Protocol):
-    """What the fixture `board51_emulator` is; to be called once or more often in a test."""
+    """The fixture `board51_emulator`; a test may call it several times."""
 
     def __call__(
         self,
@@ -69,7 +69,7 @@ class EmulatorFactory(Protocol):
 
 
 class GatewayFactory(Protocol):
-    """What the fixture `board51_gateway` is; to be called once or more often in a test."""
+    """The fixture `board51_gateway`; a test may call it several times."""
 
     def __call__(
         self,

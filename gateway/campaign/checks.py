@@ -23,7 +23,7 @@ from protocol.wire.messages import Flag
 FloatArray = NDArray[np.float64]
 Cure = Literal["again", "raise", "lower", "none"]
 
-MOST_LOST_SHARE = 0.15  # of the samples; with fewer single losses a rig can be identified
+MAX_LOST_SHARE = 0.15  # of the samples; with fewer single losses a rig can be identified
 LONGEST_GAP_S = 0.05  # four time constants of the unstable pole
 CLIPPED_SHARE = 0.01  # of the samples at a converter's end
 SATURATED_SHARE = 0.25  # of the samples with u_c at a limit: the law no longer controls
@@ -32,7 +32,7 @@ STOP_SHARE = 0.03  # of the travel: a ball nearer to a stop is at it
 AT_STOP_S = 0.1  # longest time at a stop in closed loop; an overshoot touches it for some 10 ms
 OFF_SHARE = 0.06  # of the travel: largest median distance of x from x_ref
 FOLLOWED_SHARE = 0.2  # of the reference's range: a ball that moves less does not follow it
-STILL_SHARE = 0.02  # of the travel: largest motion of a clamped ball
+MAX_CLAMPED_SHARE = 0.02  # of the travel: largest motion of a clamped ball
 AT_LIMIT_SHARE = 0.98
 FEWEST_CROSSINGS_PER_S = 1.0  # of the middle of the travel, in open-loop flight
 
@@ -130,18 +130,18 @@ def departures_v(samples: Samples, rig: CheckedRig) -> list[float]:
     which is accurate enough to choose amplitudes; identification finds the instant itself.
     """
     away = samples.x_m - rig.rest_m > STOP_SHARE * rig.travel_m
-    settled = round(0.1 / rig.sample_time_s)
-    found = []
+    rest_samples = round(0.1 / rig.sample_time_s)
+    departures = []
     for k in np.flatnonzero(away[1:] & ~away[:-1]) + 1:
-        if k >= settled and not away[k - settled : k].any():
-            found.append(float(samples.u_v[k]))
-    return found
+        if k >= rest_samples and not away[k - rest_samples : k].any():
+            departures.append(float(samples.u_v[k]))
+    return departures
 
 
 def lift_off_v(samples: Samples, rig: CheckedRig) -> float | None:
     """The lift-off input, V: the median over all lift-offs; None without any."""
-    found = departures_v(samples, rig)
-    return float(np.median(found)) if found else None
+    departures = departures_v(samples, rig)
+    return float(np.median(departures)) if departures else None
 
 
 def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> tuple[Problem, ...]:
@@ -158,12 +158,12 @@ def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> tupl
     lost = int(np.sum(steps - 1))
     gap_s = float(np.max(steps) - 1) * rig.sample_time_s
     share = lost / (len(s) + lost)
-    if share > MOST_LOST_SHARE or gap_s > LONGEST_GAP_S:
+    if share > MAX_LOST_SHARE or gap_s > LONGEST_GAP_S:
         return (
             Problem(
                 code="samples-lost",
                 text=f"{lost} samples are missing ({100 * share:.2g} %), {gap_s * 1e3:.3g} ms in one place"
-                f" (allowed: {100 * MOST_LOST_SHARE:g} %, {LONGEST_GAP_S * 1e3:g} ms)",
+                f" (allowed: {100 * MAX_LOST_SHARE:g} %, {LONGEST_GAP_S * 1e3:g} ms)",
             ),
         )
     return ()
@@ -208,9 +208,9 @@ def _correlation(a: FloatArray, b: FloatArray) -> float:
 
 
 def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> tuple[Problem, ...]:
-    wanted = sum(isinstance(step, Burst) for step in experiment.steps)
-    if len(captures) < wanted:
-        return (Problem(code="captures-missing", text=f"{len(captures)} of {wanted} captures came"),)
+    expected = sum(isinstance(step, Burst) for step in experiment.steps)
+    if len(captures) < expected:
+        return (Problem(code="captures-missing", text=f"{len(captures)} of {expected} captures came"),)
     clear = 0
     for capture in captures:
         i = np.array(capture.i_c_a)
@@ -219,9 +219,9 @@ def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> t
         before, after = i[: capture.step_index], i[-len(i) // 4 :]
         noise = max(float(np.std(before)), float(np.std(after)), 1e-9)
         clear += abs(float(np.mean(after) - np.mean(before))) > 3.0 * noise
-    if 2 * clear < wanted:  # small steps may lie within a dead zone of the rig
+    if 2 * clear < expected:  # small steps may lie within a dead zone of the rig
         return (
-            Problem(code="no-response", cure="none", text=f"i_c answers {clear} of {wanted} captured steps of u_c"),
+            Problem(code="no-response", cure="none", text=f"i_c answers {clear} of {expected} captured steps of u_c"),
         )
     return ()
 
@@ -230,7 +230,7 @@ def _at_rest(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Probl
     far = float(np.max(np.abs(s.x_m - rig.rest_m))) / rig.travel_m
     if experiment.expects == "is-clamped":
         far = float(np.ptp(s.x_m)) / rig.travel_m
-        if far > STILL_SHARE:
+        if far > MAX_CLAMPED_SHARE:
             return (Problem(code="ball-moves", cure="none", text=f"the ball moves by {100 * far:.0f} % of its travel"),)
     elif far > LIFTED_SHARE:
         return (Problem(code="ball-moves", cure="lower", text="the ball left its rest, where it should lie still"),)
@@ -239,7 +239,7 @@ def _at_rest(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Probl
 
 def _lifts(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
     ramps = sum(int(step.duration_s / step.period_s + 1e-6) for step in experiment.steps if isinstance(step, Wave))
-    found = departures_v(s, rig)
+    departures = departures_v(s, rig)
     highest = float(np.max(s.x_m)) - rig.rest_m
     if highest < LIFTED_SHARE * rig.travel_m:
         top = float(np.max(s.u_v))
@@ -252,14 +252,17 @@ def _lifts(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem
                 text=f"the ball never left its rest (u_c went up to {top:.3g} V{hint})",
             ),
         )
-    if len(found) < max(ramps - 1, 1):
-        return (Problem(code="few-lift-offs", text=f"the ball left a steady rest {len(found)} times in {ramps} ramps"),)
-    spread = float(np.ptp(found)) / float(np.median(found))
+    if len(departures) < max(ramps - 1, 1):
+        return (
+            Problem(code="few-lift-offs", text=f"the ball left a steady rest {len(departures)} times in {ramps} ramps"),
+        )
+    spread = float(np.ptp(departures)) / float(np.median(departures))
     if spread > 0.1:
         return (
             Problem(
                 code="unsteady-lift-off",
-                text=f"it leaves its rest between {min(found):.3g} and {max(found):.3g} V: it sticks or is pushed",
+                text=f"it leaves its rest between {min(departures):.3g} and {max(departures):.3g} V:"
+                " it sticks or is pushed",
             ),
         )
     return ()

@@ -35,7 +35,7 @@ ASSUMED = replace(CE152, assumed=True)  # of a rig whose plant nobody stated
 
 @dataclass(slots=True, kw_only=True)
 class Retained:
-    """One recording of the folder."""
+    """A recording of the folder."""
 
     bytes: Whole
     seconds: Number
@@ -167,7 +167,7 @@ class Folder:
         self.left = [name for name in self.left if name not in names]
 
     def has(self, name: str, plan: Mapping[str, Any]) -> bool:
-        """Whether the folder has the complete recording.
+        """Return whether the folder has the complete recording.
 
         Raises:
             UsageError: it has one that was made by another plan.
@@ -196,20 +196,20 @@ class Folder:
         Raises:
             ServiceError: the file cannot be written.
         """
-        file, beside = self.file_of(experiment.name), self.path / f".{experiment.name}.part"
-        beside.unlink(missing_ok=True)
-        about = {"experiment": experiment.name, "kind": experiment.kind, "use": experiment.use}
-        writer = LogWriter(beside, metadata={"campaign": about}, compression="zstd")
+        file, part = self.file_of(experiment.name), self.path / f".{experiment.name}.part"
+        part.unlink(missing_ok=True)
+        description = {"experiment": experiment.name, "kind": experiment.kind, "use": experiment.use}
+        writer = LogWriter(part, metadata={"campaign": description}, compression="zstd")
         try:
             for message in recorded.messages:
                 writer.write(*message)
             writer.close()
         except ServiceError:
             writer.abandon()
-            beside.unlink(missing_ok=True)
+            part.unlink(missing_ok=True)
             raise
-        retained.bytes = beside.stat().st_size
-        beside.replace(file)
+        retained.bytes = part.stat().st_size
+        part.replace(file)
         self.retained[experiment.name] = retained
         self.settle([experiment.name])
         self.save(controller)

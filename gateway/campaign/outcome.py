@@ -20,11 +20,11 @@ class Outcome:
     standing: Standing = "not-reached"
     attempts: int = 0
     seconds: float = 0.0
-    said: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
     @property
-    def is_there(self) -> bool:
-        """Whether the recording is in the folder."""
+    def is_recorded(self) -> bool:
+        """Return whether the recording is in the folder."""
         return self.standing in ("recorded", "already-there")
 
 
@@ -42,9 +42,9 @@ class Summary:
 
     @property
     def complete(self) -> bool:
-        """Whether all requested experiments are in the folder or were skipped, and the run ended normally."""
-        settled = all(o.is_there or o.standing == "skipped" for o in self.outcomes)
-        return settled and not (self.interrupted or self.failure or self.parked)
+        """Return whether all requested experiments are in the folder or were skipped, and the run ended normally."""
+        all_complete = all(o.is_recorded or o.standing == "skipped" for o in self.outcomes)
+        return all_complete and not (self.interrupted or self.failure or self.parked)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,4 +60,4 @@ class Wishes:
     x_min_m: float | None = None
     x_max_m: float | None = None
     # Called before an experiment with manual preparation; returns "" to go ahead, otherwise the reason to skip it.
-    ask: Callable[[Experiment], str] = lambda experiment: "it needs a person"
+    prepare: Callable[[Experiment], str] = lambda experiment: "it needs a person"

@@ -1,4 +1,4 @@
-"""From the shares of the menu to volts, metres and commands of one rig.  Pure.
+"""Turn the shares of the menu into volts, metres and commands of one rig.  Pure.
 
 Rule 1: all signals are within the limits.  A larger signal is reduced; if too little of it is left, the result is
         `Impossible`, which is reported before the ball moves.
@@ -195,8 +195,8 @@ def _metres(share: float, scale: Scale) -> float:
 
 def _on_input(wave: Wave, scale: Scale) -> Send | Impossible:
     low, high = _volts(wave.low, scale), _volts(wave.high, scale)
-    wanted = (wave.high - wave.low) * scale.lift_off_v
-    if high - low < LEFT_SHARE * wanted:
+    span = (wave.high - wave.low) * scale.lift_off_v
+    if high - low < LEFT_SHARE * span:
         return Impossible(why=f"u_c up to {scale.limits.u_max_v:.4g} V leaves too little of the {wave.shape}")
     return _send(wave, scale, low, high)
 
@@ -206,15 +206,15 @@ def _on_reference(wave: Wave, scale: Scale) -> Send | Impossible:
     low, high = _metres(wave.low, scale), _metres(wave.high, scale)
     if low >= high:  # the whole signal is outside the limits: use the full range
         low, high = limits.x_min_m, limits.x_max_m
-    middle, wanted = (low + high) / 2, (wave.high - wave.low) * scale.travel_m
-    half = min((high - low) / 2, wanted / 2) * scale.x_factor
+    middle, span = (low + high) / 2, (wave.high - wave.low) * scale.travel_m
+    half = min((high - low) / 2, span / 2) * scale.x_factor
     if wave.shape in _JUMPS:
         half = min(half, limits.step_m / 2)
     else:
         fastest = min(wave.period_s, wave.period_end_s or wave.period_s)
         slope = 2 * math.pi / fastest * (_MULTISINE_SLOPE if wave.shape == "multisine" else 1.0)
         half = min(half, limits.slew_m_s / slope)
-    if 2 * half < LEFT_SHARE * wanted * min(scale.x_factor, 1.0):
+    if 2 * half < LEFT_SHARE * span * min(scale.x_factor, 1.0):
         return Impossible(
             why=f"x_ref {limits.x_min_m * 1e3:.3g} .. {limits.x_max_m * 1e3:.3g} mm, {limits.step_m * 1e3:.3g} mm at"
             f" once and {limits.slew_m_s * 1e3:.3g} mm/s leave too little of the {wave.shape}"
@@ -239,7 +239,7 @@ def _send(wave: Wave, scale: Scale, low: float, high: float) -> Send:
 
 
 def needs_lift_off(experiment: Experiment) -> bool:
-    """Whether the experiment needs a measured lift-off input."""
+    """Return whether the experiment needs a measured lift-off input."""
     return experiment.name != LIFT_OFF and any(
         isinstance(step, Burst | Constant) or (isinstance(step, Wave) and not step.on_reference)
         for step in experiment.steps

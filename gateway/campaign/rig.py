@@ -39,7 +39,7 @@ class Stopped(Exception):  # noqa: N818  # not an error: somebody wanted it
 
 
 class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
-    """This attempt gives no usable recording."""
+    """The attempt gives no usable recording."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.text)
@@ -47,7 +47,7 @@ class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
 
 
 class RigControl:
-    """One board, through its gateway.
+    """The control of one board through its gateway.
 
     Args:
         session: of the bus.
@@ -102,16 +102,16 @@ class RigControl:
         return True
 
     def _heed(self) -> None:
-        if self._subscriber.stopped_by is not None:
+        if self._subscriber.stop_sender is not None:
             raise ServiceError(
-                f"{self._subscriber.stopped_by} stopped the board",
-                remedy="When it is safe again, the same command goes on where this ended",
+                f"{self._subscriber.stop_sender} stopped the board",
+                remedy="When it is safe again, the same command continues where it stopped",
             )
 
     def _lost(self, what: str) -> ServiceError:
         return ServiceError(
             f"{what} from {self._site}/{self._board} for {SILENCE_S:g} s: gateway, link or board is gone",
-            remedy="Look at `board51 watch --topic status`; when it is back, the same command goes on where this ended",
+            remedy="Look at `board51 watch --topic status`. When it is back, repeat the command: it continues",
         )
 
     def await_board(self) -> tuple[pb.State, pb.Parameters]:
@@ -123,7 +123,7 @@ class RigControl:
         self.wait(lambda: self._subscriber.state is not None)
         if not self.wait(lambda: self._subscriber.parameters is not None, timeout_s=8.0):
             raise ServiceError(
-                f"{self._site}/{self._board} streams but does not say its parameters", remedy="Restart its gateway"
+                f"{self._site}/{self._board} streams but does not send its parameters", remedy="Restart its gateway"
             )
         assert self._subscriber.state is not None
         assert self._subscriber.parameters is not None
@@ -202,10 +202,10 @@ class RigControl:
             self._stop.wait(0.1)
 
     def _send(self, command: pb.Command, *, timeout_s: float = 5.0) -> pb.CommandReply:
-        own = pb.Command()
-        own.CopyFrom(command)
-        own.id, own.who = f"{ID_PREFIX}{uuid.uuid4().hex}", self._who
-        return send(self._session, self._site, self._board, own, timeout_s=timeout_s, identity=self._identity)
+        request = pb.Command()
+        request.CopyFrom(command)
+        request.id, request.who = f"{ID_PREFIX}{uuid.uuid4().hex}", self._who
+        return send(self._session, self._site, self._board, request, timeout_s=timeout_s, identity=self._identity)
 
     def mode(self, mode: pb.Mode) -> None:
         """Enter a mode."""
@@ -252,15 +252,15 @@ class RigControl:
             left_m = x_ref_m - at_m
             if abs(left_m) <= count_m:
                 return
-            there = x_ref_m if abs(left_m) <= step_m else at_m + (step_m if left_m > 0 else -step_m)
-            tick = self.command(pb.Command(set_reference=pb.SetReference(x_ref_m=there)))
+            target_m = x_ref_m if abs(left_m) <= step_m else at_m + (step_m if left_m > 0 else -step_m)
+            tick = self.command(pb.Command(set_reference=pb.SetReference(x_ref_m=target_m)))
             session = self._newest().session
 
-            def seen(tick: int = tick, session: int = session) -> bool:
+            def has_tick(tick: int = tick, session: int = session) -> bool:
                 self._watch(self._newest(), session)
                 return self._newest().tick >= tick
 
-            self.wait(seen)
+            self.wait(has_tick)
 
     def lift(self, x_ref_m: float) -> None:
         """Close the loop and wait until the ball is steady at the reference.
@@ -277,8 +277,8 @@ class RigControl:
             nonlocal since
             state = self._newest()
             self._watch(state, session)
-            near = abs(state.x_m - state.x_ref_m) < STOP_SHARE * self._travel_m and not self._at_stop(state)
-            since = (state.tick if since < 0 else since) if near else -1
+            is_close = abs(state.x_m - state.x_ref_m) < STOP_SHARE * self._travel_m and not self._at_stop(state)
+            since = (state.tick if since < 0 else since) if is_close else -1
             if (state.tick - first) * period_s > SETTLE_S:
                 height = (state.x_m - self.rest_m) * 1e3
                 raise Cut(
@@ -319,7 +319,7 @@ class RigControl:
     def put_back(self, x_ref_m: float, *, stream_divider: int) -> str:
         """Restore reference and stream; returns "" or why that was not possible."""
         self._stop = threading.Event()  # the user's stop and
-        self._subscriber.stopped_by = None  # the STOP of another client have been handled
+        self._subscriber.stop_sender = None  # the STOP of another client have been handled
         try:
             self.go_to(x_ref_m)
             if stream_divider != 1:

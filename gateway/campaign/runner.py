@@ -49,7 +49,7 @@ class Runner:
         folder: receives the recordings.
         board: its name.
         wishes: options of the user.
-        say: is called with lines of progress.
+        write_line: is called with lines of progress.
     """
 
     def __init__(
@@ -59,10 +59,10 @@ class Runner:
         folder: Folder,
         board: str,
         wishes: Wishes,
-        say: Callable[[str], None],
+        write_line: Callable[[str], None],
     ) -> None:
         self._rig, self._subscriber, self._folder, self._board = rig, subscriber, folder, board
-        self._wishes, self._say = wishes, say
+        self._wishes, self._write_line = wishes, write_line
         self._limits: CommandLimits
         self._parameters: pb.Parameters
         self._x_ref_m: float | None = None
@@ -85,7 +85,9 @@ class Runner:
         self._limits = limits_of(self._parameters, u_max_v=w.u_max_v, x_min_m=w.x_min_m, x_max_m=w.x_max_m)
         self._folder.claim(identity_of(self._board, self._parameters, w.plant))
         if w.plant.assumed and not is_emulated(self._parameters):
-            self._say("no --plant: a published CE 152 is assumed (8.28 g, 5.7 mm); K_c and b hold for that plant only")
+            self._write_line(
+                "no --plant: a published CE 152 is assumed (8.28 g, 5.7 mm); K_c and b hold for that plant only"
+            )
         outcomes = [Outcome(experiment=experiment) for experiment in self._with_lift_off(w.experiments)]
         summary = Summary(outcomes=outcomes, lift_off_v=self._folder.lift_off_v)
         self._look_ahead(summary)
@@ -117,7 +119,7 @@ class Runner:
         """The experiments, with lift-off first if its result is needed and unknown."""
         if any(map(needs_lift_off, experiments)) and self._folder.lift_off_v is None:
             if not any(e.name == LIFT_OFF for e in experiments):
-                self._say("the lift-off input is not known yet: lift-off is recorded first")
+                self._write_line("the lift-off input is not known yet: lift-off is recorded first")
                 return [self._wishes.lift_off, *experiments]
         return list(experiments)
 
@@ -137,8 +139,8 @@ class Runner:
             plan = actions_of(e, self._scale(e))
             if isinstance(plan, Impossible):
                 outcome.standing = "impossible"
-                outcome.said.append(plan.why)
-                self._say(f"impossible within the limits: {plan.why}")
+                outcome.problems.append(plan.why)
+                self._write_line(f"impossible within the limits: {plan.why}")
 
     def _scale(self, experiment: Experiment) -> Scale:
         known = None if experiment.name == LIFT_OFF else self._folder.lift_off_v
@@ -163,20 +165,22 @@ class Runner:
         for number, outcome in enumerate(summary.outcomes, 1):
             e = outcome.experiment
             if outcome.standing != "not-reached":
-                self._say(f"[{number}/{total}] {e.name}: {outcome.standing.replace('-', ' ')}")
+                self._write_line(f"[{number}/{total}] {e.name}: {outcome.standing.replace('-', ' ')}")
                 continue
             if e.person and (why := self._refused(e)):
                 outcome.standing = "skipped"
-                outcome.said.append(why)
-                self._say(f"[{number}/{total}] {e.name}: skipped, {why}")
+                outcome.problems.append(why)
+                self._write_line(f"[{number}/{total}] {e.name}: skipped, {why}")
                 continue
             if needs_lift_off(e) and self._folder.lift_off_v is None:
                 outcome.standing = "given-up"
-                outcome.said.append("the lift-off input is not known")
-                self._say(f"[{number}/{total}] {e.name}: given up, the lift-off input is not known")
+                outcome.problems.append("the lift-off input is not known")
+                self._write_line(f"[{number}/{total}] {e.name}: given up, the lift-off input is not known")
                 continue
-            left = sum(_about_s(o.experiment) for o in summary.outcomes[number - 1 :] if o.standing == "not-reached")
-            self._say(f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)")
+            left = sum(_estimate_s(o.experiment) for o in summary.outcomes[number - 1 :] if o.standing == "not-reached")
+            self._write_line(
+                f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)"
+            )
             outcome.standing = "interrupted"
             self._repeat(outcome)
             summary.lift_off_v = self._folder.lift_off_v
@@ -184,7 +188,7 @@ class Runner:
     def _refused(self, experiment: Experiment) -> str:
         if is_emulated(self._parameters):
             return "the board is emulated: there is no ball to clamp"
-        return self._wishes.ask(experiment)
+        return self._wishes.prepare(experiment)
 
     def _repeat(self, outcome: Outcome) -> None:
         """Record an experiment with up to ATTEMPTS attempts."""
@@ -193,14 +197,14 @@ class Runner:
             outcome.attempts = attempt
             plan = actions_of(e, scale)
             if isinstance(plan, Impossible):
-                outcome.said.append(plan.why)
+                outcome.problems.append(plan.why)
                 break
             problems, recorded = self._attempt(e, plan)
             if not problems:
                 self._keep(outcome, recorded)
                 return
             text = "; ".join(problem.text for problem in problems)
-            outcome.said.append(text)
+            outcome.problems.append(text)
             cures = {problem.cure for problem in problems}
             if "none" in cures or attempt == ATTEMPTS:
                 break
@@ -212,9 +216,9 @@ class Runner:
                 how = "with less amplitude"
             else:
                 how = "as it was"
-            self._say(f"    not usable: {text}; again, {how} ({attempt + 1} of {ATTEMPTS})")
+            self._write_line(f"    not usable: {text}; again, {how} ({attempt + 1} of {ATTEMPTS})")
         outcome.standing = "given-up"
-        self._say(f"    given up: {outcome.said[-1]}")
+        self._write_line(f"    given up: {outcome.problems[-1]}")
         if e.name == LIFT_OFF:
             self._folder.lift_off_v = None
 
@@ -261,12 +265,12 @@ class Runner:
             seconds=outcome.seconds,
             attempts=outcome.attempts,
             plan=plan_of(e, self._limits, self._wishes.seed),
-            said=list(outcome.said),
+            said=list(outcome.problems),
         )
         self._folder.keep(e, recorded, retained, controller_of(self._parameters))
         outcome.standing = "recorded"
         if e.name == LIFT_OFF and self._folder.lift_off_v is not None:
-            self._say(f"    the ball lifts off at u_c = {self._folder.lift_off_v:.3f} V")
+            self._write_line(f"    the ball lifts off at u_c = {self._folder.lift_off_v:.3f} V")
 
     # --- the end
 
@@ -285,7 +289,7 @@ class Runner:
         return ticks * self._parameters.sample_time_s
 
 
-def _about_s(experiment: Experiment) -> float:
+def _estimate_s(experiment: Experiment) -> float:
     return experiment.duration_s + OVERHEAD_S[experiment.closed_loop]
 
 

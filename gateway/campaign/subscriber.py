@@ -23,7 +23,7 @@ _RECORDED = ("state", "parameters", "capture", "event", "command/record", "statu
 
 
 class Logged(NamedTuple):
-    """One message in the form of the log."""
+    """A message in the form of the log."""
 
     key: str
     data: bytes
@@ -41,7 +41,7 @@ class Recorded(NamedTuple):
 
 
 def is_foreign(record: pb.CommandRecord) -> bool:
-    """Whether the command was accepted and is not one of the campaign."""
+    """Return whether the command was accepted and is not one of the campaign."""
     return record.reply.accepted and not record.command.id.startswith(ID_PREFIX)
 
 
@@ -53,16 +53,16 @@ class BoardSubscriber:
         self.state: pb.State | None = None
         self.parameters: pb.Parameters | None = None
         self.captures = 0  # number since the start
-        self.stopped_by: str | None = None  # another client that sent STOP
+        self.stop_sender: str | None = None  # another client that sent STOP
         self.recent: deque[pb.State] = deque(maxlen=RECENT)
         self._parameters_message: Logged | None = None
         self._recorded: Recorded | None = None
-        self._heard_s = time.monotonic()
+        self._last_message_s = time.monotonic()
         self._subscriber = session.declare_subscriber(f"{site}/{board}/**", self._arrived)
 
     def silence_s(self) -> float:
         """Time since the last state, s; before the first state, since the start."""
-        return time.monotonic() - self._heard_s
+        return time.monotonic() - self._last_message_s
 
     def begin(self) -> None:
         """Begin a recording; its first message is the newest parameters."""
@@ -79,10 +79,10 @@ class BoardSubscriber:
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         key, data = str(sample.key_expr), sample.payload.to_bytes()
-        place = topics.split(key)
-        if place is None or place[2] not in _RECORDED:
+        address = topics.split(key)
+        if address is None or address[2] not in _RECORDED:
             return
-        message = parse(topics.TOPIC_OF_NAME[place[2]].message, data)
+        message = parse(topics.TOPIC_OF_NAME[address[2]].message, data)
         if message is None:
             return
         with self.changed:
@@ -95,7 +95,7 @@ class BoardSubscriber:
                 case pb.State():
                     self.state = message
                     self.recent.append(message)
-                    self._heard_s = time.monotonic()
+                    self._last_message_s = time.monotonic()
                     if recorded is not None:
                         recorded.states.append(message)
                 case pb.Parameters():
@@ -108,7 +108,7 @@ class BoardSubscriber:
                     recorded.events.append(message)
                 case pb.CommandRecord():
                     if is_foreign(message) and message.command.WhichOneof("what") == "stop":
-                        self.stopped_by = message.command.who or "somebody"
+                        self.stop_sender = message.command.who or "somebody"
                     if recorded is not None:
                         recorded.commands.append(message)
             self.changed.notify_all()

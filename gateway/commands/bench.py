@@ -24,7 +24,7 @@ def names() -> list[str]:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Which benchmarks."""
+    """Add the arguments: which benchmarks."""
     parser.epilog = (
         "examples:\n"
         "  board51 bench decoder twin\n"
@@ -68,15 +68,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _options(name: str, benchmark: Callable[..., list[Row]], args: argparse.Namespace) -> dict[str, Any]:
     """The options that were given, as the benchmark takes them; `show` is how it prints more than rows."""
-    taken = inspect.signature(benchmark).parameters
+    parameters = inspect.signature(benchmark).parameters
     supplied = {key: getattr(args, key) for key in ("runs", "seed", "part", "results", "quick")}
     supplied = {key: value for key, value in supplied.items() if value is not None}
-    superfluous = [f"--{key}" for key in supplied if key not in taken]
+    superfluous = [f"--{key}" for key in supplied if key not in parameters]
     if superfluous:
         raise UsageError(
             f"Benchmark {name} takes no {superfluous[0]}", remedy="Name only benchmarks that do, or drop it"
         )
-    if "show" in taken and not args.json:
+    if "show" in parameters and not args.json:
         supplied["show"] = print
     return supplied
 

@@ -114,13 +114,13 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
             seed=args.seed, quick=args.quick, u_max_v=args.u_max,
             x_min_m=None if args.x_min is None else args.x_min * 1e-3,
             x_max_m=None if args.x_max is None else args.x_max * 1e-3,
-            ask=lambda experiment: "" if args.yes else _ask(experiment, stop),
+            prepare=lambda experiment: "" if args.yes else _request_preparation(experiment, stop),
         )  # fmt: skip
         handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
-            summary = Runner(rig, subscriber, folder, args.board, wishes, _say).run()
+            summary = Runner(rig, subscriber, folder, args.board, wishes, _write_line).run()
         except Stopped:
-            _say("interrupted before the board's first sample: nothing was sent to it")
+            _write_line("interrupted before the board's first sample: nothing was sent to it")
             return 1
         finally:
             for number, handler in handlers.items():
@@ -129,10 +129,10 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     return 0 if summary.complete else 1
 
 
-def _ask(experiment: Experiment, stop: threading.Event) -> str:
+def _request_preparation(experiment: Experiment, stop: threading.Event) -> str:
     if not sys.stdin.isatty():
         return f"{experiment.person.rstrip('.')}, then say so with --yes"
-    _say(f"    {experiment.person}\n    Done? y goes on, anything else skips:")
+    _write_line(f"    {experiment.person}\n    Done? y goes on, anything else skips:")
     # Not input(): it would go on waiting after Ctrl-C, which here only sets `stop`.
     while not stop.is_set():
         if select.select([sys.stdin], [], [], 0.2)[0]:
@@ -140,7 +140,7 @@ def _ask(experiment: Experiment, stop: threading.Event) -> str:
     return "not confirmed"
 
 
-def _say(text: str) -> None:
+def _write_line(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
@@ -168,7 +168,7 @@ def _report(args: argparse.Namespace, summary: Summary) -> None:
     if args.json:
         rows = [
             {"name": o.experiment.name, "use": o.experiment.use, "standing": o.standing, "seconds": o.seconds,
-             "attempts": o.attempts, "said": o.said}
+             "attempts": o.attempts, "said": o.problems}
             for o in summary.outcomes
         ]  # fmt: skip
         print(
@@ -181,19 +181,21 @@ def _report(args: argparse.Namespace, summary: Summary) -> None:
     else:
         print(f"{'recording':<24}{'use':<8}{'s':>6}  {'tries':>5}  standing")
         for o in summary.outcomes:
-            why = f": {o.said[-1]}" if o.said and not o.is_there else ""
+            why = f": {o.problems[-1]}" if o.problems and not o.is_recorded else ""
             standing = o.standing.replace("-", " ")
             print(f"{o.experiment.name:<24}{o.experiment.use:<8}{o.seconds:>6.1f}  {o.attempts:>5}  {standing}{why}")
     for text in summary.restored:
-        _say(text)
+        _write_line(text)
     if summary.parked:
-        _say(f"THE COIL MAY BE ON: STOP was not delivered ({summary.parked}). Switch the rig off by hand")
+        _write_line(f"THE COIL MAY BE ON: STOP was not delivered ({summary.parked}). Switch the rig off by hand")
     if summary.failure:
-        _say(summary.failure)
+        _write_line(summary.failure)
     if summary.complete:
         print(f"board51 identify {args.folder} --out model.json", file=sys.stderr if args.json else sys.stdout)
         return
-    there = sum(o.is_there for o in summary.outcomes)
+    recorded = sum(o.is_recorded for o in summary.outcomes)
     why = "interrupted" if summary.interrupted else "not complete"
     parked = "" if summary.parked else "ball parked, coil off; "
-    _say(f"{why}: {parked}{there} of {len(summary.outcomes)} recordings are in {args.folder}. To go on: {again}")
+    _write_line(
+        f"{why}: {parked}{recorded} of {len(summary.outcomes)} recordings are in {args.folder}. To go on: {again}"
+    )

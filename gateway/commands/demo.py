@@ -38,7 +38,7 @@ NOT_ALL = (0, 1)  # exit codes of work that was done and says no: shown, not the
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Where the results go."""
+    """Add the arguments: where the results go."""
     parser.epilog = "examples:\n  board51 demo --out demo-out\n  board51 demo --effect coulomb-friction=1e-4"
     parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results (demo-out)")
     parser.add_argument(
@@ -95,19 +95,19 @@ def _demo(out: Path, effects: list[str]) -> int:
         flights = [_fly(bus, "nominal")]
 
         _step(began, "3/8 measure: a quick campaign of the paper's experiments")
-        _, shown = call(
+        _, lines = call(
             out, "campaign", "run", str(campaign), "--board", BOARD, "--connect", endpoint, "--quick",
-            good=NOT_ALL, tell=_tell_experiment,
+            good=NOT_ALL, on_line=_write_experiment,
         )  # fmt: skip
         if not (campaign / "campaign.toml").exists():
-            raise ServiceError(f"The campaign recorded nothing: {shown[-1].rstrip('.')}", remedy="Try another --effect")
+            raise ServiceError(f"The campaign recorded nothing: {lines[-1].rstrip('.')}", remedy="Try another --effect")
 
         _step(began, "4/8 identify; diagnose begins in the background")
         diagnose = processes.enter_context(running(out, "diagnose", str(campaign), "--quick", "--out", str(diagnosis)))
         refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
         _show_model(model)
         if refused:
-            _say("      identify itself calls this model not usable; the twin shows how wrong it is:")
+            _write_line("      identify rejects this model; the twin shows how large its errors are:")
             for line in lines:
                 if line.startswith("! "):
                     _wrap(line)
@@ -122,14 +122,14 @@ def _demo(out: Path, effects: list[str]) -> int:
 
         _step(began, "7/8 diagnose: which physical cause is it? the extended model to the twin, a third flight")
         finish(diagnose, out, "diagnose", good=NOT_ALL, limit_s=DIAGNOSIS_LIMIT_S)
-        found = json.loads((diagnosis / "diagnosis.json").read_text(encoding="utf-8"))
-        _wrap(found["sentence"])
-        if found["extended_model"]["offered"]:
+        diagnosed = json.loads((diagnosis / "diagnosis.json").read_text(encoding="utf-8"))
+        _wrap(diagnosed["sentence"])
+        if diagnosed["extended_model"]["offered"]:
             _hand_over(out, diagnosis / "extended_model.json", endpoint)
             flights.append(_fly(bus, "extended"))
         else:
             _wrap(
-                "no model of the diagnosis surely predicts better: the twin keeps the identified one, no third flight"
+                "no model of the diagnosis surely predicts better: the twin keeps the identified one, and flies no more"
             )
         bus.hold(0.3)
         processes.close()
@@ -143,7 +143,7 @@ def _demo(out: Path, effects: list[str]) -> int:
     spans = [f"--span={flight.from_t_s:.3f}:{flight.to_t_s:.3f}=twin on the {flight.name} model" for flight in flights]
     call(out, "plot", str(logs[-1]), "--out", str(picture), *spans)
     print(f"\n{table(flights)}\n")
-    for text in (sentence(flights), conclusion(found)):
+    for text in (sentence(flights), conclusion(diagnosed)):
         print(textwrap.fill(text, 100, initial_indent="  ", subsequent_indent="  "))
     for name, path in {
         "log": logs[-1], "campaign": campaign, "model": model, "extended": diagnosis / "extended_model.json",
@@ -171,7 +171,7 @@ def _fly(bus: BusView, name: str) -> Flight:
     for x_ref in REFERENCES_M:
         bus.command(pb.Command(set_reference=pb.SetReference(x_ref_m=x_ref)))
         x, rms = bus.hold(HOLD_S)
-        _say(
+        _write_line(
             f"      reference {x_ref * 1e3:.2f} mm: ball at {x * 1e3:.2f} mm, "
             f"twin off by {rms * 1e3:.0f} mA rms in current"
         )
@@ -185,23 +185,26 @@ def _show_model(path: Path) -> None:
         parameters = json.loads(path.read_text(encoding="utf-8"))["parameters"]
     except (OSError, ValueError, KeyError) as error:
         raise ServiceError(f"identify wrote no model ({error})", remedy="Try another --effect") from None
-    for name, found in parameters.items():
-        low, high = found["ci95"] or (float("nan"), float("nan"))
-        _say(f"      {name:<4}{found['value']:>12.6g} {found['unit']:<11} {low:.5g} .. {high:.5g}  {found['verdict']}")
+    for name, estimate in parameters.items():
+        low, high = estimate["ci95"] or (float("nan"), float("nan"))
+        interval = f"{low:.5g} .. {high:.5g}"
+        _write_line(
+            f"      {name:<4}{estimate['value']:>12.6g} {estimate['unit']:<11} {interval}  {estimate['verdict']}"
+        )
 
 
 def _wrap(text: str) -> None:
-    _say(textwrap.fill(text, 100, initial_indent=" " * 6, subsequent_indent=" " * 6))
+    _write_line(textwrap.fill(text, 100, initial_indent=" " * 6, subsequent_indent=" " * 6))
 
 
 def _step(began: float, text: str) -> None:
-    _say(f"[{time.monotonic() - began:3.0f} s] {text}")
+    _write_line(f"[{time.monotonic() - began:3.0f} s] {text}")
 
 
-def _tell_experiment(line: str) -> None:
+def _write_experiment(line: str) -> None:
     if EXPERIMENT.match(line):
-        _say("      " + line.partition(":")[0])
+        _write_line("      " + line.partition(":")[0])
 
 
-def _say(text: str) -> None:
+def _write_line(text: str) -> None:
     print(text, flush=True)

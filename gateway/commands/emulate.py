@@ -139,8 +139,8 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print(json.dumps({"board_id": args.board_id + n, "counts": counts}))
         else:
-            told = ", ".join(f"{name} {value:.6g}" for name, value in counts.items())
-            print(f"board {args.board_id + n}: {told}", file=sys.stderr)
+            summary = ", ".join(f"{name} {value:.6g}" for name, value in counts.items())
+            print(f"board {args.board_id + n}: {summary}", file=sys.stderr)
     _flush()
     return 0
 

@@ -78,10 +78,10 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             with writing(args.out):
                 args.out.write_bytes(image.read_bytes())
-            _tell(args, size, None)
+            _print_result(args, size, None)
             return 0
         command = _command(args.port, image)
-        _tell(args, size, command)
+        _print_result(args, size, command)
         return 0 if args.dry_run else _write(command)
 
 
@@ -97,7 +97,7 @@ def _calibrated(ground_m: float | None, ceiling_m: float | None) -> HallCurve | 
 
 
 def _command(port: str | None, image: Path) -> list[str]:
-    """What writes and verifies the flash memory; fuses, boot loader and EEPROM stay as they are."""
+    """Return the command that writes and verifies the flash memory; fuses, boot loader and EEPROM stay as they are."""
     options = ["-q", "-p", "atmega328p", "-c", "arduino", "-b", str(_BOOT_LOADER_BAUD), "-P", port or "PORT", "-D"]
     return ["avrdude", *options, "-U", f"flash:w:{image}:i"]
 
@@ -120,25 +120,27 @@ def _check_avrdude() -> None:
         )
 
 
-def _tell(args: argparse.Namespace, size: int, command: list[str] | None) -> None:
-    said = shlex.join(command) if command is not None else f"written to {args.out}"
+def _print_result(args: argparse.Namespace, size: int, command: list[str] | None) -> None:
+    outcome = shlex.join(command) if command is not None else f"written to {args.out}"
     if args.json:
         print(json.dumps({"board": args.board, "bytes": size, "of": _FLASH_BYTES, "command": command}))
     else:
-        print(f"{args.board}: {size} of {_FLASH_BYTES} bytes; {said}")
+        print(f"{args.board}: {size} of {_FLASH_BYTES} bytes; {outcome}")
     sys.stdout.flush()
 
 
 def _write(command: list[str]) -> int:
     try:
-        done = subprocess.run(command, check=False, timeout=_HANG_S, capture_output=True, text=True, errors="replace")
+        process = subprocess.run(
+            command, check=False, timeout=_HANG_S, capture_output=True, text=True, errors="replace"
+        )
     except subprocess.TimeoutExpired:
         raise ServiceError(f"avrdude has not ended after {_HANG_S:g} s", remedy=_AGAIN) from None
-    if done.returncode == 0:
+    if process.returncode == 0:
         print("written and verified; the coil is off")
         return 0
-    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    said = next(
+    lines = [line.strip() for line in process.stderr.splitlines() if line.strip()]
+    message = next(
         (line for line in lines if "not in sync" in line or "error" in line.lower()), lines[-1] if lines else ""
     )
-    raise ServiceError(f"avrdude fails ({done.returncode}): {single_line(said, 200)}", remedy=_AGAIN)
+    raise ServiceError(f"avrdude fails ({process.returncode}): {single_line(message, 200)}", remedy=_AGAIN)

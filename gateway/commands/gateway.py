@@ -60,10 +60,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     guard.add_argument("--insecure", action="store_true", help="open listeners to the network without protection")
     views = parser.add_argument_group("views, each a process of its own; or [opcua], [hmi], [foxglove] of the file")
-    for name, about in VIEWS.items():
+    for name, description in VIEWS.items():
         default = ADDRESSES[name]
         views.add_argument(
-            f"--{name}", nargs="?", const=default, metavar="HOST:PORT", help=f"{about} (default {default})"
+            f"--{name}", nargs="?", const=default, metavar="HOST:PORT", help=f"{description} (default {default})"
         )
     views.add_argument(
         "--opcua-rate", type=float, metavar="HZ", help="values per second over OPC UA, 10 to 50 (default 20)"

@@ -84,17 +84,17 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         _print_plan(args, journal, menu)
         return 0
-    work = Work(folder, _rig_words(args), workers=args.workers, say=_say)
+    work = Work(folder, _rig_words(args), workers=args.workers, write_line=_write_line)
 
-    def say(line: str) -> None:
-        _say(f"[{journal.rig_s:3.0f} s on the rig] {line}")
+    def write_line(line: str) -> None:
+        _write_line(f"[{journal.rig_s:3.0f} s on the rig] {line}")
 
     with _passing_on(work):
         try:
-            investigate(work, journal, menu, budget_s=args.budget, quick=args.quick, say=say)
+            investigate(work, journal, menu, budget_s=args.budget, quick=args.quick, write_line=write_line)
         finally:
             if journal.ended is None and journal.steps:
-                _say(f"To go on: {_again()}")
+                _write_line(f"To go on: {_again()}")
     _report(args, journal)
     return 0 if journal.ended is not None and journal.ended.stands else 1
 
@@ -127,14 +127,16 @@ def _print_plan(args: argparse.Namespace, journal: Journal, menu: dict[str, Offe
 
     action = next_action(journal.known(budget_s=args.budget, quick=args.quick), menu)
     if args.json:
-        offers = [{"name": name, "seconds": one.seconds, "by_hand": one.by_hand} for name, one in menu.items()]
+        offers = [
+            {"name": name, "seconds": offer.seconds, "by_hand": offer.preparation} for name, offer in menu.items()
+        ]
         print(json.dumps({"next": sentence(action), "rig_s": journal.rig_s, "menu": offers}))
         return
     print(f"{args.board}: {journal.rig_s:.0f} of {args.budget:.0f} s on the rig are spent, {len(journal.steps)} steps")
     print(f"next: {sentence(action)}")
     print("then: diagnose; split what cannot be told apart; judge the answer; diagnose thoroughly. To choose from:")
     for name, offer in menu.items():
-        print(f"  {name:<22}{offer.seconds:>4.0f} s  {offer.about}{'  (by hand)' * bool(offer.by_hand)}")
+        print(f"  {name:<22}{offer.seconds:>4.0f} s  {offer.purpose}{'  (by hand)' * bool(offer.preparation)}")
 
 
 def _report(args: argparse.Namespace, journal: Journal) -> None:
@@ -146,11 +148,10 @@ def _report(args: argparse.Namespace, journal: Journal) -> None:
     if answer is None or newest is None:
         print("no diagnosis yet")
         return
-    for one in answer.suspects:
-        confounders = "".join(f", or {confounder}" for confounder in one.confounders)
-        print(
-            f"{one.name}{confounders} (confidence {one.confidence:.2f}{'' if newest.thorough else ', not calibrated'})"
-        )
+    for suspect in answer.suspects:
+        confounders = "".join(f", or {confounder}" for confounder in suspect.confounders)
+        calibration = "" if newest.thorough else ", not calibrated"
+        print(f"{suspect.name}{confounders} (confidence {suspect.confidence:.2f}{calibration})")
     print(f"{answer.verdict}: {answer.sentence}")
     ending = journal.ended.why if journal.ended is not None else "interrupted; the ball is parked"
     print(f"{ending}. {journal.rig_s:.0f} s on the rig, {len(newest.recordings)} recordings")
@@ -161,5 +162,5 @@ def _again() -> str:
     return "board51 " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["investigate"] else "the same command"
 
 
-def _say(text: str) -> None:
+def _write_line(text: str) -> None:
     print(text, file=sys.stderr, flush=True)

@@ -42,27 +42,30 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """What went wrong, without the place in zenoh's source that it ends with."""
+    """Return the reason of an error, without the line of zenoh's source at its end."""
     return str(error).partition(" at /")[0].rstrip(". ")
 
 
 def _guarded(config: zenoh.Config) -> bool:
-    """Whether it asks who comes and denies what is not allowed: ours, or somebody's own."""
+    """Return whether a configuration authenticates its clients and denies what is not allowed."""
     access = json.loads(config.get_json("access_control"))
     dictionary = json.loads(config.get_json("transport/auth/usrpwd/dictionary_file"))
     return bool(access["enabled"] and access["default_permission"] == "deny" and dictionary)
 
 
 def _endpoints(config: zenoh.Config) -> list[str]:
-    """What it listens on; zenoh's own default is a port on every interface."""
-    found = json.loads(config.get_json("listen/endpoints"))
-    if isinstance(found, dict):
-        found = found.get("router", [])
-    return [str(endpoint) for endpoint in found] or ["tcp/[::]:7447"]
+    """Return the endpoints on which it listens; zenoh's default is a port on every interface."""
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    if isinstance(endpoints, dict):
+        endpoints = endpoints.get("router", [])
+    return [str(endpoint) for endpoint in endpoints] or ["tcp/[::]:7447"]
 
 
 def _check_readable(path: Path) -> None:
-    """Before zenoh opens it: it waits for a pipe for ever, and a text of brackets alone overflows its stack."""
+    """Check the file before zenoh opens it.
+
+    zenoh would wait for a pipe for ever, and a text of brackets only overflows its stack.
+    """
     depth = 0
     for bracket in re.findall(r"[\[{}\]]", read_small(path, remedy="Give a zenoh configuration", error=ConfigError)):
         depth += 1 if bracket in "[{" else -1

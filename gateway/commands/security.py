@@ -30,7 +30,7 @@ _USER = "NAME:ROLE"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """One sub-command for each step."""
+    """Add a sub-command for each step."""
     parser.epilog = (
         "examples:\n"
         "  board51 security init keys --host 10.0.0.5 --user ana:engineer --user ben:operator\n"
@@ -66,9 +66,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _step(
     steps: argparse._SubParsersAction[argparse.ArgumentParser],  # argparse has no public name for it
     name: str,
-    about: str,
+    description: str,
 ) -> argparse.ArgumentParser:
-    step = steps.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+    step = steps.add_parser(name, help=description, description=f"{description[0].upper()}{description[1:]}.")
     step.add_argument("folder", type=Path, metavar="DIR")
     return step
 
@@ -82,10 +82,10 @@ def run(args: argparse.Namespace) -> int:
             folder.init(site=args.site, hosts=args.host)
             print(f"{folder.path}: authority, certificates, identities of gateway, twin and views")
             for user in users:
-                _add(folder, user, ask=args.ask)
+                _add(folder, user, prompt=args.ask)
             print(f"Keep {folder.path}/ca-key.pem safe: it is needed to add people and to renew, not to run.")
         case "add-user":
-            _add(folder, _user(args.user), ask=args.ask)
+            _add(folder, _user(args.user), prompt=args.ask)
             print("On the bus this counts when its router starts again.")
         case "remove-user":
             folder.remove_user(args.name)
@@ -117,13 +117,13 @@ def _user(text: str) -> User:
     return User(name=check_name(name, what="user"), role=parse_role(role, where=f"user {name}"))
 
 
-def _add(folder: SecurityFolder, user: User, *, ask: bool) -> None:
-    password = getpass.getpass(f"Password of {user.name}: ") if ask else secrets.token_urlsafe(12)
+def _add(folder: SecurityFolder, user: User, *, prompt: bool) -> None:
+    password = getpass.getpass(f"Password of {user.name}: ") if prompt else secrets.token_urlsafe(12)
     identity = folder.add_user(user, password)
-    if not ask and (mode := open_output()):
+    if not prompt and (mode := open_output()):
         print(f"others may read the password of {user.name} where it is printed (mode {mode})", file=sys.stderr)
-    shown = "" if ask else f"  password {password}"
-    print(f"{user.name:<12} {user.role.word:<9} {identity}{shown}")
+    password_text = "" if prompt else f"  password {password}"
+    print(f"{user.name:<12} {user.role.word:<9} {identity}{password_text}")
 
 
 def _check(folder: SecurityFolder, *, as_json: bool) -> int:
@@ -134,7 +134,7 @@ def _check(folder: SecurityFolder, *, as_json: bool) -> int:
         print(json.dumps({"site": folder.site, "users": roles, "days_left": {k: round(v, 1) for k, v in left.items()}}))
         return 0
     for role in Role:
-        names = ", ".join(name for name, own in people.items() if own is role)
+        names = ", ".join(name for name, person_role in people.items() if person_role is role)
         print(f"{role.word:<9} {names or '-'}")
     soonest = min(left, key=lambda name: left[name])
     print(f"all certificates are good; the first to expire: {soonest}, in {left[soonest]:.0f} days")

@@ -130,9 +130,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     what.add_parser("mark", parents=[options], help="a remark at this moment, into every log").add_argument(
         "text", type=_text
     )
-    seen = what.add_parser("acknowledge", parents=[options], help="somebody has seen an alarm; in every view and log")
-    seen.add_argument("alarm", type=_text, help="its name, such as divergence-x")
-    seen.add_argument("--comment", type=_text, default="", metavar="TEXT", help="why it may be so")
+    acknowledge = what.add_parser(
+        "acknowledge", parents=[options], help="acknowledge an alarm, in every view and in the log"
+    )
+    acknowledge.add_argument("alarm", type=_text, help="its name, such as divergence-x")
+    acknowledge.add_argument("--comment", type=_text, default="", metavar="TEXT", help="the reason")
     what.add_parser("stop", parents=[options], help="coil off at once")
     what.add_parser("ping", parents=[options], help="sign of life")
 

@@ -32,7 +32,7 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Which board, which model, where."""
+    """Add the arguments: which board, which model, where."""
     parser.epilog = (
         "examples:\n  board51 start --emulated\n  board51 start --emulated --effect coulomb-friction=2e-3\n"
         "  board51 start --board /dev/ttyUSB0"
@@ -81,13 +81,13 @@ def run(args: argparse.Namespace) -> int:
         services = _services(args, tty)
         with running(services):
             if _answers(page, stopped):
-                _tell(args, services)
+                _print_services(args, services)
                 stopped.wait()
             elif not stopped.is_set():
-                said = ", ".join(str(service.output) for service in services)
+                outputs = ", ".join(str(service.output) for service in services)
                 raise ServiceError(
                     f"the control room did not appear at {args.page} within {READY_S:.0f} s",
-                    remedy=f"What the processes say is in {said}",
+                    remedy=f"The output of the processes is in {outputs}",
                 )
     print("everything stopped", file=sys.stderr)
     return 0
@@ -98,14 +98,14 @@ def _services(args: argparse.Namespace, tty: Path) -> list[Service]:
     commands: list[tuple[str, list[str]]] = []
     if args.emulated:
         commands.append(("emulate", ["--pty", str(tty), *_repeated("--effect", args.effect)]))
-    own = ["--listen", args.listen, "--log-dir", str(args.log_dir), "--hmi", args.page]
-    commands.append(("gateway", [*_repeated("--board", boards), *own]))
+    options = ["--listen", args.listen, "--log-dir", str(args.log_dir), "--hmi", args.page]
+    commands.append(("gateway", [*_repeated("--board", boards), *options]))
     commands.append(("twin", ["--connect", args.listen, "--model", args.model]))
     return [Service(name=n, arguments=tuple(words), output=args.log_dir / f"{n}.out") for n, words in commands]
 
 
 def _named(boards: list[str]) -> list[str]:
-    """Each with a name; a URL may have = in it, but not before its first slash."""
+    """Return the boards with their names; a URL may contain =, but not before its first slash."""
     return [
         board if "=" in board.partition("/")[0] else f"rig{number}={board}" for number, board in enumerate(boards, 1)
     ]
@@ -115,21 +115,21 @@ def _repeated(option: str, values: list[str]) -> list[str]:
     return [word for value in values for word in (option, value)]
 
 
-def _check_free(place: tuple[str, int], *, option: str) -> None:
-    host, port = place
+def _check_free(address: tuple[str, int], *, option: str) -> None:
+    host, port = address
     try:
         with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
             pass
     except OSError as error:
         raise UsageError(
-            f"{host}:{port} cannot be listened on ({error.strerror})",
+            f"Cannot listen on {host}:{port} ({error.strerror})",
             remedy=f"If another board51 runs here, stop it, or give {option}HOST:PORT",
         ) from None
 
 
 @contextlib.contextmanager
 def _until_stopped() -> Iterator[threading.Event]:
-    """An event that SIGINT, SIGTERM and SIGHUP set."""
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set."""
     stopped = threading.Event()
     before = {number: signal.signal(number, lambda *_: stopped.set()) for number in _STOPS}
     try:
@@ -139,17 +139,17 @@ def _until_stopped() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _answers(place: tuple[str, int], stopped: threading.Event) -> bool:
-    """Wait until a server listens there; False after READY_S, or when stopped."""
+def _answers(address: tuple[str, int], stopped: threading.Event) -> bool:
+    """Wait until a server listens at the address; False after READY_S, or when stopped."""
     for _ in range(round(READY_S / POLL_S)):
-        with contextlib.suppress(OSError), socket.create_connection(place, timeout=1.0):
+        with contextlib.suppress(OSError), socket.create_connection(address, timeout=1.0):
             return True
         if stopped.wait(POLL_S):
             return False
     return False
 
 
-def _tell(args: argparse.Namespace, services: list[Service]) -> None:
+def _print_services(args: argparse.Namespace, services: list[Service]) -> None:
     url = f"http://{args.page}"
     print(f"control room  {url}")
     print(f"bus           {args.listen}")

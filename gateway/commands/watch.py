@@ -21,7 +21,7 @@ _OFTEN = ("every tick", "every 20 ms")  # rates that are printed on request only
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Which keys, how many, how often."""
+    """Add the arguments: which keys, how many, how often."""
     parser.epilog = (
         "examples:\n  board51 watch                       everything but samples, 1 line a message"
         "\n  board51 watch --topic state --every 0.5"
@@ -45,24 +45,24 @@ def _line(key: str, message: Message, *, as_json: bool) -> str:
     fields = MessageToDict(message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
     if as_json:
         return json.dumps({"key": key, **fields})
-    return f"{key}  " + "  ".join(f"{name}={_shown(value)}" for name, value in fields.items())
+    return f"{key}  " + "  ".join(f"{name}={_format(value)}" for name, value in fields.items())
 
 
-def _shown(value: object) -> str:
+def _format(value: object) -> str:
     if isinstance(value, str) and len(value) > LONGEST:  # a whole model file
         return f"({len(value)} characters)"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when something came, 1 when nothing did before the time-out."""
+    """Print messages; return 0 if any arrived, 1 if none did before the time-out."""
     rare = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and not t.rate.startswith(_OFTEN)]
-    wanted = args.topic or rare
+    names = args.topic or rare
     printed, last = 0, dict[str, float]()
     end = time.monotonic() + args.timeout if args.timeout else None
     with (
         open_bus(args.connect, find_identity(args.identity)) as session,
-        Feed(session, args.site, args.board, wanted) as feed,
+        Feed(session, args.site, args.board, names) as feed,
     ):
         while not args.count or printed < args.count:
             arrival = feed.take(max(0.0, end - time.monotonic()) if end else None)

@@ -33,10 +33,10 @@ class BusView:
             session.declare_subscriber(topics.key(topics.DEFAULT_SITE, board, name), self._arrived)
 
     def _arrived(self, sample: zenoh.Sample) -> None:
-        place = topics.split(str(sample.key_expr))
-        if place is not None:
-            self._counts[place[2]] = self._counts.get(place[2], 0) + 1
-            self._samples.put((place[2], sample.payload.to_bytes()))
+        address = topics.split(str(sample.key_expr))
+        if address is not None:
+            self._counts[address[2]] = self._counts.get(address[2], 0) + 1
+            self._samples.put((address[2], sample.payload.to_bytes()))
 
     def count(self, topic: str) -> int:
         """Number of messages of a topic so far."""

@@ -33,7 +33,7 @@ class Flight:
     allowed_m_s2: float = math.nan  # process noise of the model in the twin, which raises the thresholds of alarms
 
     def currents(self) -> dict[float, tuple[float, float]]:
-        """By reference in mm: i_c of rig and twin at rest, A."""
+        """Return i_c of rig and twin at rest in A, by reference in mm."""
         result = {}
         for x_ref, pairs in sorted(self.rest.items()):
             rest = pairs[-REST_SAMPLES:]
@@ -41,7 +41,7 @@ class Flight:
         return result
 
     def innovation(self) -> tuple[float, float, float]:
-        """(rms of the one-step innovation of x in m, of i_c in A, mean NIS); NaN without innovations."""
+        """Return (rms of the one-step innovation of x in m, of i_c in A, mean NIS); NaN without innovations."""
         n = len(self.innovations)
         if not n:
             return math.nan, math.nan, math.nan
@@ -89,8 +89,10 @@ def table(flights: Sequence[Flight]) -> str:
         f"  {'held at':>10}{'rig':>9}" + "".join(f"   {'twin, ' + flight.name:^22}" for flight in flights),
         f"  {'x_ref [mm]':>10}{'i_c [A]':>9}" + f"   {'i_c [A]':>10}{'error [A]':>12}" * len(flights),
     ]
-    for x_ref in sorted(set.intersection(*(set(one) for one in currents))):
-        cells = "".join(f"   {twin:>10.3f}{rig - twin:>+12.3f}" for rig, twin in (one[x_ref] for one in currents))
+    for x_ref in sorted(set.intersection(*(set(currents_of) for currents_of in currents))):
+        cells = "".join(
+            f"   {twin:>10.3f}{rig - twin:>+12.3f}" for rig, twin in (currents_of[x_ref] for currents_of in currents)
+        )
         lines.append(f"  {x_ref:>10.2f}{currents[0][x_ref][0]:>9.3f}{cells}")
 
     def row(what: str, cells: list[str]) -> None:
@@ -115,7 +117,7 @@ def sentence(flights: Sequence[Flight]) -> str:
         f"the {flight.name} model {_verb(was, now)} from {was * 1e3:.0f} to {now * 1e3:.0f} mA rms"
         for flight, was, now in zip(flights[1:], rms, rms[1:], strict=False)
     ]
-    said = f"Error of the twin's current at rest: {'; '.join(steps)}"
+    text = f"Error of the twin's current at rest: {'; '.join(steps)}"
     last, left = flights[-1], errors[-1]
     if max(map(abs, left)) < NOTABLE_A:
         over = f"What is left there is below {NOTABLE_A * 1e3:.0f} mA"
@@ -126,7 +128,7 @@ def sentence(flights: Sequence[Flight]) -> str:
     if last.allowed_m_s2 > 10.0 * flights[0].allowed_m_s2:
         # With so much process noise, a twin without alarms need not be right.
         alarms += f", counting {last.allowed_m_s2:.2g} m/s^2 of acceleration as noise"
-    return f"{said}. {over}; {alarms}."
+    return f"{text}. {over}; {alarms}."
 
 
 def conclusion(diagnosis: Mapping[str, Any]) -> str:

@@ -40,7 +40,7 @@ def call(
     name: str,
     *words: str,
     good: tuple[int, ...] = (0,),
-    tell: Callable[[str], None] = lambda _: None,
+    on_line: Callable[[str], None] = lambda _: None,
     log: str = "",
 ) -> tuple[int, list[str]]:
     """Run a command to its end.
@@ -50,7 +50,7 @@ def call(
         name: of the command.
         words: its arguments.
         good: exit codes that are not errors.
-        tell: is called with each line of output.
+        on_line: is called with each line of output.
         log: name of the log without suffix; empty: `name`.
 
     Returns:
@@ -68,7 +68,7 @@ def call(
             for raw in process.stdout:
                 file.write(raw)
                 lines.append(line := raw.rstrip())
-                tell(line)
+                on_line(line)
             code = process.wait()
         finally:
             end([process], signal.SIGINT, STOP_LIMIT_S)  # as Ctrl-C: a campaign parks the ball and prints its summary
@@ -128,6 +128,6 @@ def free_port() -> int:
 
 
 def listens(port: int) -> bool:
-    """Whether a server listens on this port of loopback."""
+    """Return whether a server listens on this port of loopback."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0

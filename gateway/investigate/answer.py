@@ -12,7 +12,7 @@ from protocol.errors import DataError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suspect:
-    """One cause of the answer, with the causes that the recordings cannot distinguish from it."""
+    """A cause of the answer, with the causes that the recordings cannot distinguish from it."""
 
     name: str
     confidence: float
@@ -31,7 +31,7 @@ class Answer:
 
     @property
     def is_open(self) -> bool:
-        """Whether a cause has confounders."""
+        """Return whether a cause has confounders."""
         return any(suspect.confounders for suspect in self.suspects)
 
 
@@ -46,10 +46,12 @@ def read_answer(data: Mapping[str, Any], *, where: str) -> Answer:
         DataError: it is not a diagnosis.json.
     """
     try:
-        suspects = tuple(_suspect(one) for one in data["causes"] or data["candidates"])
+        suspects = tuple(_suspect(entry) for entry in data["causes"] or data["candidates"])
         return Answer(verdict=str(data["verdict"]), sentence=str(data["sentence"]), suspects=suspects)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{where} is no answer of board51 diagnose ({error!r})", remedy="Delete it") from None
+        raise DataError(
+            f"{where} is not a diagnosis.json of board51 diagnose ({error!r})", remedy="Delete it"
+        ) from None
 
 
 def _suspect(data: Mapping[str, Any]) -> Suspect:
@@ -60,8 +62,8 @@ def _suspect(data: Mapping[str, Any]) -> Suspect:
         confidence=float(data["confidence"]),
         confounders={str(confounder): _z(now.get(confounder)) for confounder in data["indistinguishable_from"]},
         experiments={
-            str(one["name"]): {str(confounder): _z(z) for confounder, z in one["separation_z"].items()}
-            for one in proposal.get("experiments", ())
+            str(entry["name"]): {str(confounder): _z(z) for confounder, z in entry["separation_z"].items()}
+            for entry in proposal.get("experiments", ())
         },
         outside=tuple(map(str, proposal.get("not_separable_here", ()))),
     )

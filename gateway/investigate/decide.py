@@ -27,27 +27,27 @@ JUDGES = ("wide-steps-judge", "multisine-judge")
 ENOUGH_Z = 3.0  # from this z on, the diagnosis does not put two causes into one equivalence class (9 = 2 * 4.5)
 SURE_Z = 5.0
 SURE = 0.9  # confidence
-_TO_STAND = "the answer is confirmed with all recordings and every candidate"
+_TO_STAND = "to confirm the answer with all recordings and every candidate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offer:
     """An experiment of the menu on this rig."""
 
-    about: str
+    purpose: str
     seconds: float  # on the rig, with lifting and landing
     needs: str = ""  # an experiment that must be recorded before
-    by_hand: str = ""  # manual preparation, as an instruction
+    preparation: str = ""  # manual preparation, as an instruction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
     """The state of an investigation."""
 
-    there: Set[str]  # recordings in the folder
+    recordings: Set[str]  # recordings in the folder
     refused: Set[str]  # experiments that failed, were impossible or were skipped
     answer: Answer | None  # the newest diagnosis
-    asked_of: Set[str]  # the recordings of that diagnosis
+    diagnosed: Set[str]  # the recordings of that diagnosis
     thorough: bool  # whether it was made without --quick
     left_s: float  # remaining time on the rig
     quick: bool  # whether all diagnoses are made with --quick
@@ -88,18 +88,18 @@ def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
         known: the state of the investigation.
         menu: the experiments possible on this rig, by name.
     """
-    if not known.there & set(FLIGHTS):  # a diagnosis needs a flight
-        missing = [name for name in START if name not in known.there | known.refused]
+    if not known.recordings & set(FLIGHTS):  # a diagnosis needs a flight
+        missing = [name for name in START if name not in known.recordings | known.refused]
         if missing:
-            why = "to begin with, what every model needs: input and current of lift-off, noise, amplifier, one flight"
+            why = "every model first needs input and current of lift-off, noise, amplifier, one flight"
             return _perform(known, menu, missing, why)
         for name in (name for name in FLIGHTS if name not in known.refused):
             return _perform(known, menu, [name], "no flight is recorded yet, and without one there is no force law")
         return Finish(stands=False, why="no flight could be recorded on this rig")
-    if known.answer is None or known.asked_of != known.there:
-        if known.quick or not known.there & set(JUDGES):
-            why = "not thorough, as requested" if known.quick else "to choose the next experiment, quick suffices"
-            return Diagnose(thorough=False, why=f"there is {', '.join(sorted(known.there))}; {why}")
+    if known.answer is None or known.diagnosed != known.recordings:
+        if known.quick or not known.recordings & set(JUDGES):
+            why = "quick, as requested" if known.quick else "a quick diagnosis suffices to choose the next experiment"
+            return Diagnose(thorough=False, why=f"recordings so far: {', '.join(sorted(known.recordings))}; {why}")
         return Diagnose(thorough=True, why=_TO_STAND)
     action = _after(known, known.answer, menu)
     if isinstance(action, Finish) and not known.thorough and not known.quick:
@@ -116,21 +116,23 @@ def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
     lacking = _lacking(answer, thorough=known.thorough)
     if lacking:
         for name in COVERAGE:
-            if name not in known.there | known.refused:
-                return _perform(known, menu, [name], f"{lacking}; not excited yet: {menu[name].about}")
-    judges = [name for name in JUDGES if name not in known.there | known.refused]
+            if name not in known.recordings | known.refused:
+                return _perform(known, menu, [name], f"{lacking}; not excited yet: {menu[name].purpose}")
+    judges = [name for name in JUDGES if name not in known.recordings | known.refused]
     if judges:
-        return _perform(known, menu, judges, "the answer is to be judged by recordings that it was not chosen by")
+        return _perform(known, menu, judges, "the answer must be judged by recordings that were not used to choose it")
     return _finish(known, answer, menu)
 
 
 def _lacking(answer: Answer, *, thorough: bool) -> str:
-    """Why the answer is not final; "" if it is.  Confidence counts only if it is calibrated (`thorough`)."""
+    """Return why the answer is not final; "" if it is.  Confidence counts only if it is calibrated (`thorough`)."""
     if answer.verdict == "model-adequate":
-        return "what is left is noise, in what was excited"
+        return "only noise is left, as far as the rig was excited"
     if answer.verdict != "causes-found":
         return "more than noise is left"
-    weak = [one for one in answer.suspects if thorough and not one.confounders and one.confidence < SURE]
+    weak = [
+        suspect for suspect in answer.suspects if thorough and not suspect.confounders and suspect.confidence < SURE
+    ]
     return f"{weak[0].name} has a confidence of {weak[0].confidence:.2f}" if weak else ""
 
 
@@ -146,7 +148,9 @@ def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Actio
                     tells[name] = tells.get(name, 0.0) + (min(z, SURE_Z) ** 2 - min(now_z, ENOUGH_Z) ** 2) / 2.0
                     best_z[name] = max(best_z.get(name, 0.0), z)
     possible = [
-        name for name in tells if name in menu and name not in known.there | known.refused and not menu[name].by_hand
+        name
+        for name in tells
+        if name in menu and name not in known.recordings | known.refused and not menu[name].preparation
     ]
     if not possible:
         return None
@@ -156,26 +160,26 @@ def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Actio
     if not affordable:
         return _perform(known, menu, ranked[:1], "")
     name = affordable[0]
-    others = ", ".join(f"{other} {best_z[other]:.1f} in {cost[other]:.0f} s" for other in ranked if other != name)
+    alternatives = ", ".join(f"{other} {best_z[other]:.1f} in {cost[other]:.0f} s" for other in ranked if other != name)
     why = (
         f"{_classes(answer)}; {name} is expected to bring them {best_z[name]:.1f} standard errors apart in"
-        f" {cost[name]:.0f} s" + (f" ({others})" if others else "")
+        f" {cost[name]:.0f} s" + (f" ({alternatives})" if alternatives else "")
     )
     return _perform(known, menu, [name], why)
 
 
 def _classes(answer: Answer) -> str:
     return "; ".join(
-        f"{one.name} may be "
-        + " or ".join(f"{confounder} ({z:.1f} apart)" for confounder, z in one.confounders.items())
-        for one in answer.suspects
-        if one.confounders
+        f"{suspect.name} may be "
+        + " or ".join(f"{confounder} ({z:.1f} apart)" for confounder, z in suspect.confounders.items())
+        for suspect in answer.suspects
+        if suspect.confounders
     )
 
 
 def _seconds(known: Known, menu: Mapping[str, Offer], names: Sequence[str]) -> float:
     """Time on the rig, with the experiments that must be recorded before, s."""
-    before = {menu[name].needs for name in names} - known.there - {*names, ""}
+    before = {menu[name].needs for name in names} - known.recordings - {*names, ""}
     return sum(menu[name].seconds for name in (*names, *before))
 
 
@@ -192,16 +196,18 @@ def _perform(known: Known, menu: Mapping[str, Offer], names: Sequence[str], why:
 
 def _finish(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Finish:
     if answer.verdict == "unknown-cause":
-        return Finish(stands=False, why="nothing in the catalogue explains it, and every experiment was made")
+        return Finish(stands=False, why="no cause of the catalogue explains it, and all experiments were made")
     if answer.is_open:
-        outside = [text for one in answer.suspects for text in one.outside]
-        for name in sorted({name for one in answer.suspects for name in one.experiments} & menu.keys() - known.there):
-            if menu[name].by_hand:
-                outside.append(f"`board51 campaign run --experiment {name}` may: {menu[name].by_hand}")
-        return Finish(stands=True, why=f"{_classes(answer)}: no experiment tells them apart; " + " ".join(outside))
+        outside = [text for suspect in answer.suspects for text in suspect.outside]
+        for name in sorted(
+            {name for suspect in answer.suspects for name in suspect.experiments} & menu.keys() - known.recordings
+        ):
+            if menu[name].preparation:
+                outside.append(f"`board51 campaign run --experiment {name}` may: {menu[name].preparation}")
+        return Finish(stands=True, why=f"{_classes(answer)}: no experiment distinguishes them; " + " ".join(outside))
     if answer.verdict == "model-adequate":
-        return Finish(stands=True, why="every experiment was made, and what is left is noise")
+        return Finish(stands=True, why="all experiments were made, and only noise is left")
     if answer.verdict == "partly-explained":
-        return Finish(stands=True, why="the names hold, something else is left, and every experiment was made")
-    names = " and ".join(one.name for one in answer.suspects)
-    return Finish(stands=True, why=f"one name is left for each effect: {names}")
+        return Finish(stands=True, why="the named causes hold, more than noise is left, and all experiments were made")
+    names = " and ".join(suspect.name for suspect in answer.suspects)
+    return Finish(stands=True, why=f"one cause is left for each effect: {names}")

@@ -10,7 +10,7 @@ from gateway.campaign.runner import OVERHEAD_S
 from gateway.campaign.selection import chosen
 from gateway.investigate.decide import Diagnose, Finish, Offer, Perform, next_action
 from gateway.investigate.journal import Diagnosed, Journal, Performed
-from gateway.investigate.work import Interrupted, Say, Work
+from gateway.investigate.work import Interrupted, Work, WriteLine
 from protocol.errors import ServiceError
 from protocol.experiments import LIFT_OFF, MENU
 
@@ -24,12 +24,12 @@ def menu_of(*, quick: bool) -> dict[str, Offer]:
         (made,) = chosen((experiment.name,), quick=quick)
         seconds = made.duration_s + OVERHEAD_S[made.closed_loop]
         needs = LIFT_OFF if needs_lift_off(made) else ""
-        offers[made.name] = Offer(about=made.purpose, seconds=seconds, by_hand=made.person, needs=needs)
+        offers[made.name] = Offer(purpose=made.purpose, seconds=seconds, preparation=made.person, needs=needs)
     return offers
 
 
 def investigate(
-    work: Work, journal: Journal, menu: Mapping[str, Offer], *, budget_s: float, quick: bool, say: Say
+    work: Work, journal: Journal, menu: Mapping[str, Offer], *, budget_s: float, quick: bool, write_line: WriteLine
 ) -> None:
     """Run an investigation; the result is in `journal.ended`, which is None after an interruption.
 
@@ -39,7 +39,7 @@ def investigate(
         menu: the experiments possible on this rig.
         budget_s: largest time on the rig, s.
         quick: whether all diagnoses are made with --quick.
-        say: is called with lines of progress.
+        write_line: is called with lines of progress.
 
     Raises:
         UsageError, ServiceError: a step failed; the earlier steps are kept.
@@ -48,12 +48,12 @@ def investigate(
     try:
         while not work.stopped:
             action = next_action(journal.known(budget_s=budget_s, quick=quick), menu)
-            say(sentence(action))
+            write_line(sentence(action))
             match action:
                 case Perform():
                     _perform(work, journal, action)
                 case Diagnose():
-                    _diagnose(work, journal, action, say)
+                    _diagnose(work, journal, action, write_line)
                 case Finish():
                     journal.ended = action
                     journal.save()
@@ -84,16 +84,19 @@ def _perform(work: Work, journal: Journal, action: Perform) -> None:
         raise Interrupted
     if summary["failure"]:
         raise ServiceError(
-            str(summary["failure"]).rstrip("."), remedy="The ball is parked; the same command goes on where this ended"
+            str(summary["failure"]).rstrip("."),
+            remedy="The ball is parked; the same command continues where it stopped",
         )
 
 
-def _diagnose(work: Work, journal: Journal, action: Diagnose, say: Say) -> None:
-    asked_of = sorted(journal.known(budget_s=0.0, quick=False).there)
-    found: dict[str, Any] = work.diagnose(thorough=action.thorough)
-    retained = {name: found[name] for name in _RETAINED if name in found}
-    step = Diagnosed(why=action.why, thorough=action.thorough, recordings=asked_of, found={"candidates": []} | retained)
+def _diagnose(work: Work, journal: Journal, action: Diagnose, write_line: WriteLine) -> None:
+    recordings = sorted(journal.known(budget_s=0.0, quick=False).recordings)
+    result: dict[str, Any] = work.diagnose(thorough=action.thorough)
+    retained = {name: result[name] for name in _RETAINED if name in result}
+    step = Diagnosed(
+        why=action.why, thorough=action.thorough, recordings=recordings, found={"candidates": []} | retained
+    )
     journal.steps.append(step)
     journal.answer()  # raises for an invalid answer before it is saved
     journal.save()
-    say(f"{found['verdict']}: {found['sentence']}")
+    write_line(f"{result['verdict']}: {result['sentence']}")

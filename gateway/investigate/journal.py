@@ -103,10 +103,10 @@ class Journal:
             if standing in _REFUSED
         }
         return Known(
-            there=frozenset(Folder(self.folder).retained),
+            recordings=frozenset(Folder(self.folder).retained),
             refused=frozenset(refused),
             answer=self.answer(),
-            asked_of=frozenset(newest.recordings if newest else ()),
+            diagnosed=frozenset(newest.recordings if newest else ()),
             thorough=newest is not None and newest.thorough,
             left_s=budget_s - self.rig_s,
             quick=quick,
@@ -141,7 +141,7 @@ def open_journal(folder: Path, board: str) -> Journal:
         return Journal(folder=folder, board=board)
     table = parse_json(read_small(path, remedy=_REMEDY), where=str(path), remedy=_REMEDY)
     file: _File = checked(_File, table, where=str(path), error=DataError, remedy=_REMEDY)
-    steps = [step for one in file.steps for step in (one.performed, one.diagnosed) if step is not None]
+    steps = [step for entry in file.steps for step in (entry.performed, entry.diagnosed) if step is not None]
     journal = Journal(folder=folder, board=file.board, steps=steps)
     if journal.board != board:
         raise UsageError(f"{folder} is an investigation of {journal.board}, not of {board}", remedy="Give a new --out")

@@ -17,7 +17,7 @@ from gateway.processes.command import Process, start
 from protocol.errors import ServiceError, UsageError
 from protocol.files import parse_json, read_small
 
-Say = Callable[[str], None]
+WriteLine = Callable[[str], None]
 DIAGNOSIS = "diagnosis"  # folder beside the recordings
 
 
@@ -32,11 +32,11 @@ class Work:
         folder: of the campaign.
         rig: options of `campaign run`: board, bus, plant, limits.
         workers: threads of a diagnosis.
-        say: is called with lines of progress.
+        write_line: is called with lines of progress.
     """
 
-    def __init__(self, folder: Path, rig: Sequence[str], *, workers: int, say: Say) -> None:
-        self._folder, self._rig, self._workers, self._say = folder, tuple(rig), workers, say
+    def __init__(self, folder: Path, rig: Sequence[str], *, workers: int, write_line: WriteLine) -> None:
+        self._folder, self._rig, self._workers, self._write_line = folder, tuple(rig), workers, write_line
         self._process: Process | None = None
         self._stopped = False
         self._ending = signal.SIGTERM
@@ -49,7 +49,7 @@ class Work:
 
     @property
     def stopped(self) -> bool:
-        """Whether `stop` was called."""
+        """Return whether `stop` was called."""
         return self._stopped
 
     def perform(self, experiments: Sequence[str]) -> dict[str, Any]:
@@ -59,9 +59,9 @@ class Work:
             Interrupted: `stop` was called and there is no summary; the ball has not moved.
             UsageError, ServiceError: the command failed before the ball moved.
         """
-        wanted = [word for name in experiments for word in ("--experiment", name)]
+        options = [word for name in experiments for word in ("--experiment", name)]
         self._ending = signal.SIGINT  # as Ctrl-C: the command parks the ball and prints its summary
-        code, out, last = self._call("campaign", "run", str(self._folder), *self._rig, *wanted, "--json")
+        code, out, last = self._call("campaign", "run", str(self._folder), *self._rig, *options, "--json")
         try:
             summary: dict[str, Any] = json.loads(out)
         except ValueError:
@@ -84,11 +84,11 @@ class Work:
         if code not in (0, 1) or self._stopped:
             raise self._failed("diagnose", code, last)
         path = out / "diagnosis.json"
-        found: dict[str, Any] = parse_json(read_small(path, remedy="Run it again"), where=str(path))
-        return found
+        diagnosis: dict[str, Any] = parse_json(read_small(path, remedy="Run it again"), where=str(path))
+        return diagnosis
 
     def _call(self, *words: str) -> tuple[int, str, str]:
-        """(exit code, stdout, last line of stderr)."""
+        """Return (exit code, stdout, last line of stderr)."""
         if self._stopped:
             raise Interrupted
         self._process = process = start(
@@ -104,14 +104,14 @@ class Work:
             for line in lines:
                 last = line.rstrip() or last
                 if not line.startswith("board51 identify"):  # the hint after a campaign; here a diagnosis follows
-                    self._say(f"    {line.rstrip()}")
+                    self._write_line(f"    {line.rstrip()}")
             out = printed.read()
             return process.wait(), out, last
 
     def _failed(self, what: str, code: int, last: str) -> Exception:
         if self._stopped:
             return Interrupted()
-        said = last.partition(": ")[2] if last.startswith("board51 ") else last
-        problem = f"{what} ended with exit code {code}: {said}".rstrip(".")
+        message = last.partition(": ")[2] if last.startswith("board51 ") else last
+        problem = f"{what} ended with exit code {code}: {message}".rstrip(".")
         error = UsageError if code == 2 else ServiceError
-        return error(problem, remedy="When that is put right, the same command goes on where this ended")
+        return error(problem, remedy="Correct this; the same command continues where it stopped")

@@ -44,14 +44,14 @@ def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: floa
     running = [process for process in processes if process.poll() is None]
     for process in running:
         process.send_signal(with_signal)
-    late: list[Process] = []
+    unfinished: list[Process] = []
     end_s = time.monotonic() + limit_s
     try:
         for process in running:
             try:
                 process.wait(max(0.0, end_s - time.monotonic()))
             except subprocess.TimeoutExpired:
-                late.append(process)
+                unfinished.append(process)
                 process.kill()
                 process.wait()
     except BaseException:  # a second Ctrl-C must leave no process behind
@@ -62,4 +62,4 @@ def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: floa
         for process in processes:
             if process.stdin is not None:
                 process.stdin.close()
-    return late
+    return unfinished

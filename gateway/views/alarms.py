@@ -1,4 +1,4 @@
-"""Alarms of one board: divergence alarms, faults, a link without samples, a failing log.  Pure.
+"""The alarms of one board: divergence alarms, faults, a link without samples, a failing log.  Pure.
 
 An alarm is active (the condition holds) and acknowledged (an operator has seen it), independently:
 
@@ -43,7 +43,7 @@ class Alarm:
     changed_ns: int
     active: bool = True
     acknowledged: bool = False
-    acknowledged_by: str = ""
+    acknowledger: str = ""
     comment: str = ""  # of who acknowledged
     times: int = 1  # how often it came
     value: float | None = None
@@ -72,7 +72,7 @@ class AlarmBook:
         return tuple(urgency)
 
     def twin_alarm(self, alarm: pb.Alarm, now_ns: int) -> None:
-        """From `twin/alarm`."""
+        """Process `twin/alarm`."""
         at_ns = alarm.host_time_ns or now_ns
         if not alarm.active:
             self.go(alarm.name, at_ns)
@@ -89,7 +89,7 @@ class AlarmBook:
         for alarm in alarms.active:
             self.twin_alarm(alarm, now_ns)
 
-    def twin_gone(self, now_ns: int) -> None:
+    def end_twin_alarms(self, now_ns: int) -> None:
         """Note that the twin has ended: its alarms end, and the alarm `twin-gone` is raised."""
         for name in [a.name for a in self._alarms.values() if a.of_twin and a.active]:
             self.go(name, now_ns)
@@ -109,8 +109,8 @@ class AlarmBook:
             if known is not None and known.active and known.times == 1 and since_ns < known.since_ns:
                 self.revision += 1
                 self._alarms[alarm.name] = replace(known, since_ns=since_ns, changed_ns=since_ns)
-        for seen in alarms.acknowledged:
-            self.acknowledge(seen.alarm, seen.who, seen.host_time_ns or now_ns, seen.comment)
+        for record in alarms.acknowledged:
+            self.acknowledge(record.alarm, record.who, record.host_time_ns or now_ns, record.comment)
 
     def event(self, event: pb.Event, now_ns: int) -> None:
         """Process `event`: the start and end of faults."""
@@ -148,7 +148,7 @@ class AlarmBook:
             self.go(name, now_ns)
 
     def to_board(self, status: pb.Status, now_ns: int) -> None:
-        """From `status`: a view that joined late has not seen the event."""
+        """Process `to_board` of `status`: a view that joined late has not seen the event."""
         known = self._alarms.get(TO_BOARD)
         if known is not None and status.host_time_ns < known.changed_ns:
             return  # the event was quicker
@@ -156,14 +156,14 @@ class AlarmBook:
             self.go(TO_BOARD, now_ns)
         elif not self._is_active(TO_BOARD):
             since_ns = (status.host_time_ns or now_ns) - round(status.unanswered_s * 1e9)
-            self.come(TO_BOARD, "fault", "The board answers nothing: a STOP may not reach it.", since_ns)
+            self.come(TO_BOARD, "fault", "The board does not answer: a STOP may not reach it.", since_ns)
 
     def log(self, log_state: str, now_ns: int) -> None:
-        """From `status`: a view that joined late has not seen the event."""
+        """Process `log_state` of `status`: a view that joined late has not seen the event."""
         if log_state in ("writing", "off"):
             self.go(LOG, now_ns)
         elif log_state and not self._is_active(LOG):
-            self.come(LOG, "fault", f"The log is not written: {log_state}.", now_ns)
+            self.come(LOG, "fault", f"The log is not being written: {log_state}.", now_ns)
 
     def waits(self, name: str) -> bool:
         """Return whether there is an alarm of that name to acknowledge."""
@@ -176,9 +176,7 @@ class AlarmBook:
             return False
         self.revision += 1
         if alarm.active:
-            self._alarms[name] = replace(
-                alarm, acknowledged=True, acknowledged_by=who, comment=comment, changed_ns=at_ns
-            )
+            self._alarms[name] = replace(alarm, acknowledged=True, acknowledger=who, comment=comment, changed_ns=at_ns)
         else:
             del self._alarms[name]
         return True
@@ -237,8 +235,8 @@ class AlarmBook:
         return name in self._alarms and self._alarms[name].active
 
     def _make_room(self) -> bool:
-        gone = [alarm for alarm in self._alarms.values() if not alarm.active]
-        if not gone:
+        ended = [alarm for alarm in self._alarms.values() if not alarm.active]
+        if not ended:
             return False
-        del self._alarms[min(gone, key=lambda a: a.changed_ns).name]
+        del self._alarms[min(ended, key=lambda a: a.changed_ns).name]
         return True

@@ -49,7 +49,7 @@ class Decimator:
         self.channels = tuple(channels)
         self.dropped = 0
         self._width = width_ticks
-        self._done: deque[Bin] = deque()
+        self._closed: deque[Bin] = deque()
         self._keep = keep
         self._session = self._slot = -1
         self._samples = 0
@@ -96,9 +96,9 @@ class Decimator:
         """
         if unfinished:
             self._close()
-        taken = list(self._done)
-        self._done.clear()
-        return taken
+        bins = list(self._closed)
+        self._closed.clear()
+        return bins
 
     def _begin(self, tick: int) -> None:
         self._first_tick = self._last_tick = tick
@@ -111,10 +111,10 @@ class Decimator:
             return
         low, high, last = dict[str, float](), dict[str, float](), dict[str, float]()
         for n, name in enumerate(self.channels):
-            seen = self._low[n] <= self._high[n]
-            low[name] = self._low[n] if seen else math.nan
-            high[name] = self._high[n] if seen else math.nan
-            last[name] = self._last[n] if seen else math.nan
+            has_readings = self._low[n] <= self._high[n]
+            low[name] = self._low[n] if has_readings else math.nan
+            high[name] = self._high[n] if has_readings else math.nan
+            last[name] = self._last[n] if has_readings else math.nan
         closed = Bin(
             session=self._session,
             first_tick=self._first_tick,
@@ -128,9 +128,9 @@ class Decimator:
             last=last,
             message=self._message,
         )
-        if len(self._done) >= self._keep:
-            self._done.popleft()
+        if len(self._closed) >= self._keep:
+            self._closed.popleft()
             self.dropped += 1
-        self._done.append(closed)
+        self._closed.append(closed)
         self._samples = 0
         self._slot = -1

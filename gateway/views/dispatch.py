@@ -56,13 +56,13 @@ class Dispatch:
         self._acts = ThreadPoolExecutor(ACTS, thread_name_prefix="act")
         self._stops = ThreadPoolExecutor(STOPS, thread_name_prefix="stop")
         self._lock = threading.Lock()
-        self._asked_s: dict[str, float] = {}  # rig -> arrival of its last STOP at this view
+        self._stop_arrivals_s: dict[str, float] = {}  # rig -> arrival of its last STOP at this view
 
     async def act(self, wish: Wish, do: Callable[[], pb.CommandReply]) -> pb.CommandReply:
         """Do it in a thread, and return its reply or why it was given up."""
 
         def begin() -> pb.CommandReply:
-            return self._given_up(wish) or do()
+            return self._refuse_outdated(wish) or do()
 
         return await asyncio.get_running_loop().run_in_executor(self._acts, begin)
 
@@ -70,21 +70,23 @@ class Dispatch:
         """Do it in a thread at once; every act of these rigs that waits is given up."""
         now_s = time.monotonic()
         with self._lock:
-            self._asked_s.update(dict.fromkeys(boards, now_s))
+            self._stop_arrivals_s.update(dict.fromkeys(boards, now_s))
         return await asyncio.get_running_loop().run_in_executor(self._stops, do)
 
-    def _given_up(self, wish: Wish) -> pb.CommandReply | None:
+    def _refuse_outdated(self, wish: Wish) -> pb.CommandReply | None:
         if wish.board and self._last_stop_s(wish.board) >= wish.arrived_s:
-            return self._refusal("superseded-by-stop", "A STOP of this rig came before it was sent; nothing was done.")
+            return self._refusal(
+                "superseded-by-stop", "A STOP of this rig came before this command was sent; nothing was done."
+            )
         age_s = time.monotonic() - wish.arrived_s
         if wish.has_left or age_s > FRESH_S:
-            text = f"It was delayed by {age_s:.1f} s; nothing was done. Repeat it if it is still needed."
+            text = f"The command was delayed by {age_s:.1f} s; nothing was done. Repeat it if it is still needed."
             return self._refusal("not-fresh", text)
         return None
 
     def _last_stop_s(self, board: str) -> float:
         with self._lock:
-            stops_s = [self._asked_s.get(name, -math.inf) for name in (board, EVERY_RIG)]
+            stops_s = [self._stop_arrivals_s.get(name, -math.inf) for name in (board, EVERY_RIG)]
         return max(*stops_s, self._stopped_s(board))
 
     def _refusal(self, reason: str, text: str) -> pb.CommandReply:

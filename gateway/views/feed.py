@@ -52,25 +52,25 @@ SILENT_S = 0.5  # without a state for so long (and three of its periods) a board
 GRACE_S = 2.0  # no alarm while a board is being discovered
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
 UNSEEN_S = 120.0  # a board without any message for so long may be removed
-TWIN_GONE_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
-_WANTED = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
+TWIN_TIMEOUT_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
+_TOPICS = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
            "twin/alarm", "twin/alarms", "twin/model")  # fmt: skip
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
-_KEYS = (*(topic for topic in _WANTED if not topic.startswith("twin/")), "twin/*")
+_KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/")), "twin/*")
 _OF_GATEWAY = (pb.Status, pb.Event, pb.State)  # while one of them comes, there is a gateway
 _REASONS = {
-    "absent": "Its port is not there.",
+    "absent": "Its port is missing.",
     "silent": "The board sends nothing.",
     "connecting": "The port is being opened.",
     "handshake": "The board has not answered yet.",
 }
-_TYPES: dict[str, type[Message]] = {name: topics.TOPIC_OF_NAME[name].message for name in _WANTED}
+_TYPES: dict[str, type[Message]] = {name: topics.TOPIC_OF_NAME[name].message for name in _TOPICS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Link:
-    """Whether samples arrive, and if not, why.
+    """The state of the link: whether samples arrive, and if not, why.
 
     `state`: "live"; of the gateway "connecting", "handshake", "streaming" (but its samples do not reach this view),
     "silent", "absent"; "no-gateway" where nothing at all comes.
@@ -82,7 +82,7 @@ class Link:
 
     @property
     def live(self) -> bool:
-        """Samples come."""
+        """Return whether samples arrive."""
         return self.state == "live"
 
 
@@ -106,8 +106,8 @@ class BoardFeed:
 
     def latest(self, message: type[M]) -> M | None:
         """Return the newest message of this type, or None."""
-        found = self._latest.get(message.DESCRIPTOR.full_name)
-        return found if isinstance(found, message) else None
+        newest = self._latest.get(message.DESCRIPTOR.full_name)
+        return newest if isinstance(newest, message) else None
 
     def age_s(self, message: type[Message]) -> float:
         """Return the age of the newest message of this type, s; infinite if there is none."""
@@ -122,33 +122,33 @@ class BoardFeed:
         if age_s < limit_s and self._alive:
             return Link(state="live", reason="", age_s=age_s)
         if min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
-            return Link(state="no-gateway", reason="Nothing comes from the gateway.", age_s=age_s)
+            return Link(state="no-gateway", reason="Nothing arrives from the gateway.", age_s=age_s)
         word = "connecting" if status is None else status.link
         if word == "streaming":  # of a status before the loss
-            return Link(state="silent", reason="No samples come.", age_s=age_s)
-        said = self.latest(pb.Alarms)  # the gateway knows more: which port, what was tried
-        why = next((alarm.text for alarm in said.active if alarm.name == LINK), "") if said is not None else ""
-        return Link(state=word, reason=why or _REASONS.get(word, "No samples come."), age_s=age_s)
+            return Link(state="silent", reason="No samples arrive.", age_s=age_s)
+        alarms = self.latest(pb.Alarms)  # the gateway knows more: which port, what was tried
+        why = next((alarm.text for alarm in alarms.active if alarm.name == LINK), "") if alarms is not None else ""
+        return Link(state=word, reason=why or _REASONS.get(word, "No samples arrive."), age_s=age_s)
 
     def alarms(self) -> tuple[Alarm, ...]:
-        """Active or not acknowledged, the most urgent first."""
+        """Return the alarms that are active or not acknowledged, the most urgent first."""
         with self._lock:
             self._judge()
             return self._book.listed()
 
     def alarms_revision(self) -> int:
-        """Rises with each change of `alarms()`."""
+        """Return a number that rises with each change of `alarms()`."""
         with self._lock:
             self._judge()
             return self._book.revision
 
     def fault(self) -> str:
-        """The fault that the board has latched, such as "sensor-fault"; empty where none."""
+        """Return the fault that the board has latched, such as "sensor-fault"; empty if there is none."""
         with self._lock:
             return self._book.fault()
 
     def events(self) -> tuple[pb.Event, ...]:
-        """The newest 200, oldest first."""
+        """Return the newest 200 events, oldest first."""
         with self._lock:
             return tuple(self._events)
 
@@ -158,7 +158,7 @@ class BoardFeed:
             return tuple(self._commands)
 
     def tap(self, message: type[Message], *, width_s: float, keep: int = 256) -> TopicBins:
-        """Bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, 1 at least."""
+        """Return bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, at least 1."""
 
         def decimator() -> Decimator:
             parameters = self.latest(pb.Parameters)
@@ -193,7 +193,7 @@ class BoardFeed:
             self._book.repeated(message, now_ns)
         elif isinstance(message, pb.CommandRecord):
             self._commands.append(message)
-            self._seen(message)
+            self._apply_command(message)
         elif isinstance(message, pb.Status):
             self._book.log(message.log_state, now_ns)
             self._book.to_board(message, now_ns)
@@ -205,13 +205,13 @@ class BoardFeed:
         self._alive = alive
 
     def waits(self, alarm: str) -> bool:
-        """Whether there is an alarm of that name to acknowledge."""
+        """Return whether there is an alarm of that name to acknowledge."""
         with self._lock:
             self._judge()
             return self._book.waits(alarm)
 
     def acknowledge(self, alarm: str, who: str, now_ns: int, comment: str) -> None:
-        """In this view alone; see Feed.acknowledge."""
+        """Acknowledge an alarm in this view only; see Feed.acknowledge."""
         with self._lock:
             self._book.acknowledge(alarm, who, now_ns, comment)
 
@@ -219,18 +219,20 @@ class BoardFeed:
         """Return whether nothing has come from the gateway for UNSEEN_S."""
         return min(self.age_s(kind) for kind in _OF_GATEWAY) > UNSEEN_S
 
-    def _seen(self, record: pb.CommandRecord) -> None:
+    def _apply_command(self, record: pb.CommandRecord) -> None:
         if record.command.WhichOneof("what") == "stop":
             self.stopped_s = self._now_s()
         if record.reply.accepted and record.command.WhichOneof("what") == "acknowledge":
-            seen = record.command.acknowledge
-            self._book.acknowledge(seen.alarm, record.command.who or "unknown", record.received_ns, seen.comment)
+            acknowledgement = record.command.acknowledge
+            self._book.acknowledge(
+                acknowledgement.alarm, record.command.who or "unknown", record.received_ns, acknowledgement.comment
+            )
 
     def _judge(self) -> None:
         link = self.link()
         twin_s = min(self.age_s(pb.TwinAlarms), self._now_s() - self._back_s)
-        if TWIN_GONE_S < twin_s and self.latest(pb.TwinAlarms) is not None and link.state != "no-gateway":
-            self._book.twin_gone(time.time_ns())
+        if TWIN_TIMEOUT_S < twin_s and self.latest(pb.TwinAlarms) is not None and link.state != "no-gateway":
+            self._book.end_twin_alarms(time.time_ns())
         if link.live or self._now_s() - self._first_s > GRACE_S:
             self._book.link("" if link.live else link.reason, time.time_ns())
 
@@ -301,12 +303,12 @@ class Feed:
         """
         feed = self._boards.get(board)
         if feed is None or not feed.waits(alarm):
-            text = "There is no such alarm, or it was acknowledged before."
+            text = "There is no such alarm, or it is already acknowledged."
             return pb.CommandReply(refused_by="view", reason="no-alarm", text=text)
         what = pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment))
         reply = self.command(board, what, who=who, role=role, issued_ns=issued_ns)
         if reply.reason == "not-delivered":
-            reply = pb.CommandReply(accepted=True, text="Seen in this view alone: no gateway answers.")
+            reply = pb.CommandReply(accepted=True, text="Acknowledged in this view only: no gateway answers.")
         if reply.accepted:  # at once: the record may take a moment
             feed.acknowledge(alarm, who, self.now_ns(), comment)
         return reply
@@ -330,30 +332,30 @@ class Feed:
         )  # fmt: skip
 
     def now_ns(self) -> int:
-        """Unix time of this host."""
+        """Return the Unix time of this host."""
         return time.time_ns()
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if is_replayed(sample.attachment) != self._replays:
             return
-        place = topics.split(str(sample.key_expr))
-        kind = _TYPES.get(place[2]) if place is not None else None
+        address = topics.split(str(sample.key_expr))
+        kind = _TYPES.get(address[2]) if address is not None else None
         message = parse(kind, sample.payload.to_bytes()) if kind is not None else None
-        if place is None or message is None:
+        if address is None or message is None:
             self.refused += 1
             return
         with self._lock:
-            board = self._boards.get(place[1])
+            board = self._boards.get(address[1])
             if board is None:
-                if topics.TOPIC_OF_NAME[place[2]].source != "gateway" and not self._replays:
+                if topics.TOPIC_OF_NAME[address[2]].source != "gateway" and not self._replays:
                     return
                 if len(self._boards) >= MAX_BOARDS:
                     self.refused += 1
                     return
-                board = self._boards[place[1]] = BoardFeed(place[1], self._lock, self._now_s)
+                board = self._boards[address[1]] = BoardFeed(address[1], self._lock, self._now_s)
             now_ns = time.time_ns()
-            for one in message.states if isinstance(message, pb.StateBatch) else (message,):
-                board.take(one, now_ns)
+            for part in message.states if isinstance(message, pb.StateBatch) else (message,):
+                board.take(part, now_ns)
 
     def _alive(self, sample: zenoh.Sample) -> None:
         _, _, rest = str(sample.key_expr).partition("/")

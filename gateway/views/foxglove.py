@@ -30,7 +30,7 @@ _logger = logging.getLogger("gateway.foxglove")
 
 
 class FoxgloveView:
-    """One server over one bus session.
+    """A Foxglove server on one bus session.
 
     Args:
         session: of the bus.
@@ -60,8 +60,8 @@ class FoxgloveView:
             ) from None
         self.port = self._server.port
         # `states` has the same samples as `state`, in fewer messages.
-        wanted = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and t.name != "state"]
-        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in wanted]
+        names = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and t.name != "state"]
+        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in names]
 
     def close(self) -> None:
         """End the server."""
@@ -71,16 +71,16 @@ class FoxgloveView:
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         key, data = str(sample.key_expr), sample.payload.to_bytes()
-        place = topics.split(key)
-        message = parse(topics.TOPIC_OF_NAME[place[2]].message, data) if place is not None else None
-        if place is None or message is None:
+        address = topics.split(key)
+        message = parse(topics.TOPIC_OF_NAME[address[2]].message, data) if address is not None else None
+        if address is None or message is None:
             self.refused += 1
         elif isinstance(message, pb.StateBatch):
-            key = topics.key(place[0], place[1], "state")
+            key = topics.key(address[0], address[1], "state")
             for state in message.states:
-                self._show(key, "state", place[1], state, state.SerializeToString())
+                self._show(key, "state", address[1], state, state.SerializeToString())
         else:
-            self._show(key, place[2], place[1], message, data)
+            self._show(key, address[2], address[1], message, data)
 
     def _show(self, key: str, topic: str, board: str, message: Message, data: bytes) -> None:
         with self._lock:
@@ -89,10 +89,10 @@ class FoxgloveView:
                 self.refused += 1
                 return
             # What bears no time of its own (twin/*) gets that of its board's newest message, as in `board51 record`.
-            own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
-            if own_ns is not None:
-                self._newest_ns[board] = max(own_ns, self._newest_ns.get(board, 0))
-            channel.log(data, log_time=own_ns or self._newest_ns.get(board, time.time_ns()))
+            stamp_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
+            if stamp_ns is not None:
+                self._newest_ns[board] = max(stamp_ns, self._newest_ns.get(board, 0))
+            channel.log(data, log_time=stamp_ns or self._newest_ns.get(board, time.time_ns()))
 
     def _open(self, key: str, topic: str) -> Channel | None:
         if len(self._channels) >= MAX_CHANNELS:

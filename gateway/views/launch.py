@@ -30,26 +30,26 @@ def views_for(config: GatewayConfig) -> list[Service]:
     if folder is not None:
         bus += ("--identity", str(folder.identity_path(ACCOUNT)))
     views: list[Service] = []
-    wanted = {"opcua": config.opcua.listen, "hmi": config.hmi.listen, "foxglove": config.foxglove.listen}
-    for name, listen in wanted.items():
+    listeners = {"opcua": config.opcua.listen, "hmi": config.hmi.listen, "foxglove": config.foxglove.listen}
+    for name, listen in listeners.items():
         if not listen:
             continue
         if name in NEEDS:
             require(*NEEDS[name])
         host, port = address(listen, where=f"--{name} or [{name}] listen:")
         guarded = folder is not None and name in ("opcua", "hmi")
-        own: tuple[str, ...] = ("--security", config.security.directory) if guarded else ()
-        shown = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        options: tuple[str, ...] = ("--security", config.security.directory) if guarded else ()
+        listener = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         check_listener(
             host,
             protected=guarded,
             insecure=config.security.insecure,
-            what=f"--{name} {shown}",
+            what=f"--{name} {listener}",
             remedy="Foxglove has no login: use an ssh tunnel" if name == "foxglove" else "Give --security DIR",
         )
         if name == "hmi" and config.log.enabled:
-            own += ("--log-dir", config.log.directory)
+            options += ("--log-dir", config.log.directory)
         if name == "opcua":
-            own += ("--rate", f"{config.opcua.rate_hz:g}", "--history", f"{config.opcua.history_s:g}")
-        views.append(Service(name=name, arguments=("--listen", shown, *bus, *own, *insecure)))
+            options += ("--rate", f"{config.opcua.rate_hz:g}", "--history", f"{config.opcua.history_s:g}")
+        views.append(Service(name=name, arguments=("--listen", listener, *bus, *options, *insecure)))
     return views

@@ -81,11 +81,11 @@ def _import_campaign(args: argparse.Namespace) -> Iterator[ImportReport]:
     campaign = load(args.campaign)
     if args.map or args.kind:
         raise UsageError("--map and --kind do not go with --campaign", remedy="Write them into the campaign file")
-    chosen = [recording for recording in campaign.recordings if not args.only or _is_wanted(recording, args.only)]
-    for wanted in args.only or ():
-        if not any(_is_wanted(recording, [wanted]) for recording in campaign.recordings):
+    chosen = [recording for recording in campaign.recordings if not args.only or _matches(recording, args.only)]
+    for name in args.only or ():
+        if not any(_matches(recording, [name]) for recording in campaign.recordings):
             files = ", ".join(recording.file for recording in campaign.recordings)
-            raise UsageError(f"--only {wanted}: {campaign.where} has no such recording", remedy=f"It has: {files}")
+            raise UsageError(f"--only {name}: {campaign.where} has no such recording", remedy=f"It has: {files}")
     board = check_name(args.board, what="--board") if args.board else _name_of(campaign)
     site = check_name(args.site, what="--site")
     tables = [recording for recording in chosen if not recording.file.endswith(".mcap")]
@@ -104,8 +104,8 @@ def _import_campaign(args: argparse.Namespace) -> Iterator[ImportReport]:
         yield import_recording(source, log, recording, site=site, board=board, campaign=campaign)
 
 
-def _is_wanted(recording: Recording, wanted: list[str]) -> bool:
-    return recording.file in wanted or Path(recording.file).name in wanted
+def _matches(recording: Recording, names: list[str]) -> bool:
+    return recording.file in names or Path(recording.file).name in names
 
 
 def _name_of(campaign: Campaign) -> str:

@@ -1,4 +1,4 @@
-"""What a log holds: boards, duration, counts and rates, gaps, ranges, sessions, metadata.  Damaged logs too.
+"""Show the content of a log: boards, duration, counts and rates, gaps, ranges, sessions, metadata.  Damaged logs too.
 
 Exit code 1: the log is damaged (board51 recover saves the rest).
 """

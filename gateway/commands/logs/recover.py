@@ -1,4 +1,4 @@
-"""What can be saved of a broken log, in a clean file, with an account of what was lost.
+"""Save the readable part of a broken log in a clean file, and report what was lost.
 
 A log is broken when its writer was killed (it lacks its end), the disk was full, or the medium damaged it.  The broken
 file is not changed.  Exit code 0: everything intact is in the new file, also where that is not everything.

@@ -88,10 +88,10 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     for endpoint in (args.connect or []) + (args.listen or []):
         check_endpoint(endpoint, where="--connect or --listen")
     reader = LogReader(args.logs)
-    wanted = tuple(args.topic or DEFAULT_TOPICS)
-    found = contents(reader, topics_=wanted, boards=args.board)
-    if not found:
-        _nothing(reader, args)
+    topics_ = tuple(args.topic or DEFAULT_TOPICS)
+    channels = contents(reader, topics_=topics_, boards=args.board)
+    if not channels:
+        _raise_empty(reader, args)
     connect = [] if args.listen else args.connect or [DEFAULT_ENDPOINT]
     check_bus_listeners(args.listen or [], guarded=False, insecure=args.insecure)
     mode: Mode = "router" if args.listen else "client"
@@ -102,11 +102,11 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     except zenoh.ZError:
         where = f"Cannot listen on {args.listen[0]}" if args.listen else f"No router answers at {connect[0]}"
         raise ServiceError(where, remedy="Start board51 gateway or router, or replay with --listen") from None
-    boards = list(dict.fromkeys((site, board) for site, board, _ in found))
+    boards = list(dict.fromkeys((site, board) for site, board, _ in channels))
     begin_s = time.monotonic()
     sent, passes, log_s = 0, 0, 0.0
     with session, BusReplay(session, boards, rename=args.rename, site=args.as_site) as replay:
-        replay.declare(found)
+        replay.declare(channels)
         deadline_s = time.monotonic() + args.wait
         while not replay.matched() and time.monotonic() < deadline_s and not stop.is_set():
             stop.wait(0.02)
@@ -120,7 +120,7 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
             progress.at(record.time_ns, reader.start_ns)
 
         while not stop.is_set():
-            records = reader.raw(topics_=wanted, boards=args.board, start_s=args.start, end_s=args.end)
+            records = reader.raw(topics_=topics_, boards=args.board, start_s=args.start, end_s=args.end)
             count, span_s = pace(records, speed=args.speed, stop=stop, send=send)
             sent, passes, log_s = sent + count, passes + 1, log_s + span_s
             replay.session_offset += SESSIONS_PER_PASS
@@ -136,11 +136,11 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     return 0 if sent else 1
 
 
-def _nothing(reader: LogReader, args: argparse.Namespace) -> None:
+def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:
     reader.check(last_ns=None)
-    there = sorted({channel.topic for scan in reader.scans for channel in scan.channels.values()})
-    asked = " ".join([*(args.topic or ()), *(args.board or ())]) or "what goes onto the bus"
-    raise DataError(f"Log {reader.name} has nothing of {asked}", remedy=f"It has: {', '.join(there)}")
+    available = sorted({channel.topic for scan in reader.scans for channel in scan.channels.values()})
+    selection = " ".join([*(args.topic or ()), *(args.board or ())]) or "any topic of the bus"
+    raise DataError(f"Log {reader.name} has no messages of {selection}", remedy=f"It has: {', '.join(available)}")
 
 
 def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
@@ -152,9 +152,11 @@ def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
     if args.loop or args.rename or args.topic or args.connect or args.listen:
         raise UsageError("--bytes does not go with the options of the bus", remedy="Leave those out")
     reader = LogReader(args.logs)
-    found = contents_raw(reader, args.board)
-    if len(found) > 1:
-        raise UsageError(f"The log has bytes of several boards: {', '.join(found)}", remedy="Choose one with --board")
+    channels = contents_raw(reader, args.board)
+    if len(channels) > 1:
+        raise UsageError(
+            f"The log has bytes of several boards: {', '.join(channels)}", remedy="Choose one with --board"
+        )
     board = RecordedBoard(_raw(reader, args))
     if args.pty is not None:
         with open_pty(args.pty) as port:
@@ -192,17 +194,17 @@ def _address(text: str) -> tuple[str, int]:
 
 
 class _Progress:
-    """One line on a terminal, once a second."""
+    """A line of progress on a terminal, once a second."""
 
     def __init__(self, *, quiet: bool) -> None:
-        self._shown = not quiet and sys.stderr.isatty()
+        self._is_enabled = not quiet and sys.stderr.isatty()
         self._next_s = 0.0
 
     def at(self, time_ns: int, start_ns: int) -> None:
-        if self._shown and time.monotonic() >= self._next_s:
+        if self._is_enabled and time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + 1.0
             print(f"\r{(time_ns - start_ns) / 1e9:10.1f} s", end="", file=sys.stderr, flush=True)
 
     def end(self) -> None:
-        if self._shown:
+        if self._is_enabled:
             print(file=sys.stderr)

@@ -19,7 +19,7 @@ LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Where, and the layouts."""
+    """Add the arguments: address and layouts."""
     parser.epilog = (
         "examples:\n  board51 foxglove                                        ws://127.0.0.1:8765\n"
         "  board51 foxglove --print-layout > board51.json          for rig1; --board NAME for another\n"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # the server takes its time to import: --help answers at once
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Where it listens, who may log in, which folders it shows."""
+    """Add the arguments: where it listens, who may log in, which folders it shows."""
     parser.epilog = (
         "examples:\n  board51 hmi                      then open http://127.0.0.1:8051\n"
         "  board51 hmi --log-dir logs --reports diagnosis\n"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # asyncua and pydantic take a second to import: --help answer
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Where, how fast, who."""
+    """Add the arguments: address, rate, users."""
     parser.epilog = (
         "examples:\n  board51 opcua                                   opc.tcp://127.0.0.1:4840/board51/\n"
         "  board51 opcua --security /etc/board51 --listen 0.0.0.0:4840 --rate 50\n"
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def anonymous(host: str, *, secured: bool, guarded: bool) -> str:
-    """What a client without a name may do: here no less than on the bus, where whoever reaches it may command."""
+    """Return the role of a client without a name: as on the bus, where everybody who reaches it may command."""
     from gateway.access.listeners import is_loopback
 
     if secured:
@@ -111,9 +111,7 @@ async def _serve(args: argparse.Namespace, settings: OpcuaSettings, identity: Id
     on_end_signal(lambda: loop.call_soon_threadsafe(stop.set))
     with open_bus(args.connect, identity) as session:
         feed = Feed(session, args.site, guarded=identity is not None)
-        shown = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"
-        await serve(
-            feed, settings, stop, lambda port: print(f"OPC UA on opc.tcp://{shown}:{port}/board51/", flush=True)
-        )
+        host = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"
+        await serve(feed, settings, stop, lambda port: print(f"OPC UA on opc.tcp://{host}:{port}/board51/", flush=True))
         feed.close()
     return 0

@@ -41,7 +41,7 @@ _logger = logging.getLogger("gateway.hmi")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Routes:
-    """How jobs reach the bus, as options of `board51`."""
+    """The options of `board51` by which jobs reach the bus."""
 
     connect: str
     site: str
@@ -49,12 +49,15 @@ class Routes:
     identities: Path | None  # on a guarded bus: the folder with those of people and of the views
 
     def live(self, name: str) -> list[str]:
-        """To the live bus, as `name`: a person where the job commands, the views' account where it listens."""
+        """Return the options for the live bus, as user `name`.
+
+        A job that sends commands runs as the person; a job that only listens runs as the account of the views.
+        """
         words = ["--connect", self.connect, "--site", self.site]
         return words if self.identities is None else [*words, "--identity", str(self.identities / name)]
 
     def replayed(self) -> list[str]:
-        """To the replays' bus."""
+        """Return the options for the bus of replays."""
         return ["--connect", self.replay, "--as-site", REPLAY_SITE]
 
 
@@ -136,7 +139,7 @@ class Actions:
             return send(session.name, self.role(session).word)
         except Exception as error:  # a bus that closed under us must not look like an accepted command
             _logger.warning("command of %s to %s: %s", session.name, board, error)
-            return refusal("not-delivered", f"The bus did not take the command: {error}.")
+            return refusal("not-delivered", f"The bus did not accept the command: {error}.")
 
     def acknowledge(self, session: LoginSession, board: str, alarm: str, *, issued_ns: int = 0) -> pb.CommandReply:
         """Acknowledge an alarm."""
@@ -155,13 +158,15 @@ class Actions:
         if refused is not None:
             return refused
         if self.feed.remove(board):
-            return pb.CommandReply(accepted=True, text=f"{board[:32]} is off the pages until it is seen again.")
+            return pb.CommandReply(
+                accepted=True, text=f"{board[:32]} is removed from the pages until its next message."
+            )
         return refusal(
-            "in-use", f"Only a rig can be removed from which nothing has come for {UNSEEN_S / 60:g} minutes."
+            "in-use", f"A rig can be removed only if nothing has arrived from it for {UNSEEN_S / 60:g} minutes."
         )
 
     def gains(self, board: str, data: bytes) -> tuple[pb.SetGains, list[dict[str, str]]]:
-        """What a file of gains would set on a board, and the table that shows it.
+        """Return what a file of gains would set on a board, and the table that shows it.
 
         Raises:
             DataError: of `parse_gains`.
@@ -195,13 +200,13 @@ class Actions:
         if entry is None:
             return refusal("no-log", "There is no such log.")
         if entry.name.startswith("campaigns/"):
-            return refusal("of-a-campaign", "It belongs to a campaign, which could not be diagnosed without it.")
+            return refusal("of-a-campaign", "This log belongs to a campaign, which cannot be diagnosed without it.")
         if time.time() - entry.changed_s < WRITTEN_S:
-            return refusal("in-use", f"It was written to in the last {WRITTEN_S:g} s.")
+            return refusal("in-use", f"This log was written to in the last {WRITTEN_S:g} s.")
         try:
             entry.path.unlink()
         except OSError as error:
-            return refusal("failed", f"It cannot be deleted: {error.strerror}.")
+            return refusal("failed", f"The log cannot be deleted: {error.strerror}.")
         _logger.info("%s deleted %s", session.name, entry.path)
         return pb.CommandReply(accepted=True, text=f"{entry.name} was deleted.")
 
@@ -212,8 +217,8 @@ class Actions:
         if refused is not None:
             return refused
         if self.jobs.stop(kind, board):
-            return pb.CommandReply(accepted=True, text="It ends now.")
-        return refusal("not-running", "Nothing of that kind is running.")
+            return pb.CommandReply(accepted=True, text="The job is ending.")
+        return refusal("not-running", "No job of that kind is running.")
 
     def start_job(
         self, session: LoginSession, act: str, kind: str, board: str, words: list[str], *, title: str
@@ -231,7 +236,7 @@ class Actions:
         except Board51Error as error:
             return refusal("busy", str(error))
         except OSError as error:
-            return refusal("failed", f"It cannot be started: {error.strerror}.")
+            return refusal("failed", f"The job cannot be started: {error.strerror}.")
         _logger.info("%s started a %s of %s: %s", session.name, kind, board, title)
         return pb.CommandReply(accepted=True, text=f"{title}: started")
 

@@ -46,7 +46,7 @@ SEND_BUFFER = 16_384  # bytes that the system holds for a browser that does not 
 
 @dataclass(frozen=True, kw_only=True)
 class HmiSettings:
-    """Of one server."""
+    """The settings of one server."""
 
     site: str
     users: Users | None  # None: every client is the local operator
@@ -128,8 +128,8 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
                 await pump
 
     sockets: list[BaseRoute] = []
-    for prefix, snapshots, shown in (("/live", live, jobs), (REPLAY, replay, None)):
-        readers = Live(snapshots, sessions, shown)
+    for prefix, snapshots, page_jobs in (("/live", live, jobs), (REPLAY, replay, None)):
+        readers = Live(snapshots, sessions, page_jobs)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
     work = ModelWork(actions, data=settings.data, logs=settings.logs, routes=settings.routes)

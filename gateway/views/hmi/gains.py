@@ -55,7 +55,7 @@ def parse_gains(data: bytes, parameters: pb.Parameters | None) -> pb.SetGains:
 
 
 def rows(gains: pb.SetGains, parameters: pb.Parameters | None) -> list[dict[str, str]]:
-    """What is shown before it is sent: name, new value, value on the board, unit."""
+    """Return the rows to show before the gains are sent: name, new value, value on the board, unit."""
     law = "pid" if gains.law == pb.LAW_PID else "lqi"
     same = parameters is not None and parameters.law == gains.law
     old = list(parameters.gains) if parameters is not None and same else []

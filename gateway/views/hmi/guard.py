@@ -71,7 +71,7 @@ class Guard:
         self._added = _HEADERS + (_HTTPS_HEADERS if https else ())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request or one WebSocket."""
+        """Check one request or one WebSocket, and pass it on."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -90,8 +90,8 @@ class Guard:
         public = path.startswith(PUBLIC)
         answer: Response | None = None
         opened = None
-        if not self._host_is_ours(headers):
-            answer = refusal(421, "host", "This server is for this machine alone: use http://127.0.0.1.")
+        if not self._host_is_known(headers):
+            answer = refusal(421, "host", "This server serves this machine only: use http://127.0.0.1.")
         elif not reads and not self._same_origin(headers):
             answer = refusal(403, "origin", "The request comes from a page of another origin.")
         elif session is None and not public:
@@ -102,14 +102,16 @@ class Guard:
                 over = cookie_name(headers.get("host", "")) in headers.get("cookie", "")
                 answer = RedirectResponse(login_for(path, over=over), status_code=303)
             else:
-                answer = refusal(401, "session", "Log in: there is no session, or it is over.")
+                answer = refusal(401, "session", "Log in: there is no session, or it has ended.")
         elif (
             not public
             and (TOKEN_HEADER in headers or not reads)
             and not _bears_token(headers.get(TOKEN_HEADER, ""), session)
         ):  # a page of an earlier session also sends a token: it must reload
             status = 401 if reads else 403
-            answer = refusal(status, "token", f"The request does not bear this session's token in {TOKEN_HEADER}.")
+            answer = refusal(
+                status, "token", f"The request does not carry the token of this session in {TOKEN_HEADER}."
+            )
         if answer is None and _too_long(headers):
             answer = refusal(413, "oversize", f"At most {MAX_BODY} bytes.")
         send = self._with_headers(send, opened, headers.get("host", ""))
@@ -125,7 +127,7 @@ class Guard:
     async def _websocket(
         self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: LoginSession | None
     ) -> None:
-        good = session is not None and self._host_is_ours(headers) and self._same_origin(headers)
+        good = session is not None and self._host_is_known(headers) and self._same_origin(headers)
         if good:
             offered = scope.get("subprotocols", [])
             good = len(offered) == 2 and offered[0] == PROTOCOL and _bears_token(offered[1], session)
@@ -145,7 +147,7 @@ class Guard:
 
         await self._app(scope, watched, send)
 
-    def _host_is_ours(self, headers: dict[str, str]) -> bool:
+    def _host_is_known(self, headers: dict[str, str]) -> bool:
         if not self._loopback:
             return True
         return (urlsplit(f"//{headers.get('host', '')}").hostname or "") in LOOPBACK
@@ -157,8 +159,8 @@ class Guard:
     def _with_headers(self, send: Send, opened: LoginSession | None, host: str) -> Send:
         async def sender(message: Message) -> None:
             if message["type"] == "http.response.start":
-                there = {name.lower() for name, _ in message["headers"]}
-                message["headers"] = [*message["headers"], *(h for h in self._added if h[0] not in there)]
+                present = {name.lower() for name, _ in message["headers"]}
+                message["headers"] = [*message["headers"], *(h for h in self._added if h[0] not in present)]
                 if opened is not None:
                     message["headers"].append((b"set-cookie", self.cookie(opened, host).encode("latin-1")))
             await send(message)
@@ -166,35 +168,35 @@ class Guard:
         return sender
 
     def cookie(self, session: LoginSession | None, host: str) -> str:
-        """The Set-Cookie of a session for a browser that asked `host`; a session of None ends it."""
+        """Return the Set-Cookie header of a session for a browser that requested `host`; with None it ends."""
         secure = "; Secure" if self._https else ""
         value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
         return f"{cookie_name(host)}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
 
 
 def login_for(path: str, *, over: bool) -> str:
-    """The login form that leads back to a page."""
+    """Return the address of the login form that leads back to a page."""
     words = ["over"] * over + [f"next={quote(path, safe='/')}"] * (path != "/")
     return "/login" + ("?" + "&".join(words) if words else "")
 
 
-def own_page(asked: str) -> str:
-    """`asked` where it is a path on this server, else "/".
+def local_page(target: str) -> str:
+    """Return `target` if it is a path on this server, else "/".
 
     A browser takes two slashes, one of them turned or not, for another server, and drops control characters before it
     looks.
     """
-    ours = asked.startswith("/") and not asked.startswith(("//", "/login"))
-    return asked if ours and asked.isprintable() and "\\" not in asked else "/"
+    is_local = target.startswith("/") and not target.startswith(("//", "/login"))
+    return target if is_local and target.isprintable() and "\\" not in target else "/"
 
 
 def refusal(status: int, reason: str, text: str) -> JSONResponse:
-    """What a program gets instead of an answer."""
+    """Return the answer of a refused request."""
     return JSONResponse({"accepted": False, "refused_by": "hmi", "reason": reason, "text": text}, status_code=status)
 
 
 def cookie_name(host: str) -> str:
-    """The cookie for a Host header, by the port in the browser's address bar.
+    """Return the name of the cookie for a Host header, by the port in the browser's address bar.
 
     Cookies do not tell ports apart: with one name, two control rooms on one host, or behind two ssh tunnels, would log
     each other out.  Our own port would not do: behind two tunnels to two machines it may be the same.
@@ -223,7 +225,7 @@ def _too_long(headers: dict[str, str]) -> bool:
 
 
 def _bounded(receive: Receive) -> Receive:
-    """A body without Content-Length is bounded, too: what comes after MAX_BODY ends the request."""
+    """Bound a body without Content-Length, too: more than MAX_BODY bytes end the request."""
     got = 0
 
     async def bounded() -> Message:

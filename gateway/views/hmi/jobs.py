@@ -27,7 +27,7 @@ END_S = 15.0  # a campaign parks the ball in this time
 
 @dataclass(slots=True, kw_only=True)
 class Job:
-    """One piece of work."""
+    """A `board51` command that runs for a page."""
 
     kind: str  # "record" | "campaign" | "replay" | "identify" | "diagnose" | "hand-over"
     board: str
@@ -40,12 +40,12 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether the job is running."""
+        """Return whether the job is running."""
         return self.process.poll() is None
 
     @property
     def standing(self) -> str:
-        """In words."""
+        """Return the state of the job in words."""
         code = self.process.poll()
         if code is None:
             return f"running for {time.monotonic() - self.began_s:.0f} s"
@@ -53,7 +53,7 @@ class Job:
 
 
 class Jobs:
-    """All jobs of this process.
+    """The jobs of this process.
 
     Args:
         environment: of the jobs; None: that of this process.

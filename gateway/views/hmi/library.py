@@ -17,7 +17,7 @@ MAX_FILES = 500  # the newest are listed
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LibraryFile:
-    """One file."""
+    """A file that a page may show."""
 
     name: str  # folder of the scan, slash, path within it
     path: Path
@@ -26,7 +26,7 @@ class LibraryFile:
 
     @property
     def changed(self) -> str:
-        """For people."""
+        """Return the time of the last change, for people."""
         return time.strftime("%Y-%m-%d %H:%M", time.localtime(self.changed_s))
 
 
@@ -44,13 +44,13 @@ class Library:
 
     @property
     def folders(self) -> list[Path]:
-        """Where it looks."""
+        """Return the folders that are searched."""
         return list(self._roots.values())
 
     def entries(self) -> list[LibraryFile]:
         """The newest first."""
-        found = {entry.name: entry for entry in self._scan()}
-        return sorted(found.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
+        entries = {entry.name: entry for entry in self._scan()}
+        return sorted(entries.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
 
     def find(self, name: str) -> LibraryFile | None:
         """Return the file of that name, or None if there is none."""
@@ -60,8 +60,8 @@ class Library:
         for root_name, root in self._roots.items():
             for pattern in self._patterns:
                 for path in root.rglob(pattern):
-                    inside = path.relative_to(root)
-                    if any(part.startswith(".") for part in inside.parts):
+                    relative = path.relative_to(root)
+                    if any(part.startswith(".") for part in relative.parts):
                         continue
                     try:
                         real, stat = path.resolve(strict=True), path.stat()
@@ -69,7 +69,7 @@ class Library:
                         continue
                     if path.is_file() and real.is_relative_to(root):
                         yield LibraryFile(
-                            name=f"{root_name}/{inside.as_posix()}",
+                            name=f"{root_name}/{relative.as_posix()}",
                             path=real,
                             bytes=stat.st_size,
                             changed_s=stat.st_mtime,

@@ -39,7 +39,7 @@ _MARGIN = 1.1  # of the drawing above the highest reference, if the travel is no
 
 
 class Snapshots:
-    """One feed, prepared for any number of browsers: the traces of its boards, pumped once for all.
+    """The traces of all boards of one feed, pumped once for any number of browsers.
 
     Args:
         feed: of one site.
@@ -71,9 +71,9 @@ class Snapshots:
 
     def _travel_m(self, board: BoardFeed) -> float | None:
         model, parameters = board.latest(pb.TwinModel), board.latest(pb.Parameters)
-        told = travel_of(model.model_json) if model is not None else math.nan
-        if math.isfinite(told):
-            return told
+        travel_m = travel_of(model.model_json) if model is not None else math.nan
+        if math.isfinite(travel_m):
+            return travel_m
         return None if parameters is None else parameters.x_ref_max_m * _MARGIN
 
 

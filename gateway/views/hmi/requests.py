@@ -11,8 +11,9 @@ GET  /api/summary/<name>            summary of a log
 GET  /log/<name>, /report-file/<name>    a file that the lists name
 POST /login (form), POST /logout
 
-Rule 1: a request may say when it was made, in SEEN_HEADER, by this server's clock as the page knows it from its frames.
-        What was delayed, by the network or here, is refused: its sender has already seen a time-out.  STOP always acts.
+Rule 1: a request may give the time at which it was made in PAGE_TIME_HEADER.  It counts by this server's clock, which
+        the page knows from its frames.  A delayed request is refused, because its sender has already seen a time-out.
+        A STOP always acts.
 Rule 2: acts and STOP have threads of their own, and a STOP gives up the acts that wait for its rig (views/dispatch.py).
 Rule 3: a summary is one process at a time, which ends with its request (summaries.py).
 """
@@ -37,7 +38,7 @@ from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
 from gateway.views.dispatch import EVERY_RIG, FRESH_S, Dispatch, Wish
 from gateway.views.hmi.actions import Actions
-from gateway.views.hmi.guard import Guard, cookie_name, own_page, refusal
+from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.summaries import Summaries, departure
@@ -51,7 +52,7 @@ _REPORT_POLICY = (
     "sandbox allow-same-origin; default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:;"
     " frame-ancestors 'self'"
 )
-SEEN_HEADER = "x-board51-seen"  # s, of this server's monotonic clock
+PAGE_TIME_HEADER = "x-board51-seen"  # s, of this server's monotonic clock
 
 
 class Requests:
@@ -72,7 +73,7 @@ class Requests:
         self.guard: Guard | None = None  # makes the cookies; set once it stands
 
     def routes(self) -> list[Route]:
-        """What is served, before the pages."""
+        """Return the routes of the requests."""
         changes = {
             "/login": self.login,
             "/logout": self.logout,
@@ -96,7 +97,7 @@ class Requests:
         ]
 
     async def stop(self, request: Request) -> Response:
-        """Coil off at once."""
+        """Switch the coil off at once."""
         board, session = request.path_params["board"], _session(request)
         replies = await self._dispatch.stop([board], lambda: self._actions.stop(session, board))
         if board != "*":
@@ -105,7 +106,7 @@ class Requests:
         return JSONResponse({"boards": boards}, status_code=200 if all(r.accepted for r in replies.values()) else 409)
 
     async def command(self, request: Request) -> Response:
-        """Any command of the bus."""
+        """Send any command of the bus."""
         table = await _json(request)
         if table is None:
             return refusal(400, "malformed", "The body is not a JSON object.")
@@ -145,7 +146,7 @@ class Requests:
             self._actions,
         )
         if kind not in self._starts or act not in ("start", "stop"):
-            kinds = " | ".join(f'"{one}"' for one in self._starts)
+            kinds = " | ".join(f'"{kind}"' for kind in self._starts)
             return refusal(400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.')
 
         def do(session: LoginSession, _wish: Wish) -> pb.CommandReply:
@@ -191,19 +192,19 @@ class Requests:
         )
 
     async def log(self, request: Request) -> Response:
-        """One MCAP file."""
+        """Return one MCAP file."""
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", "There is no such log.")
         return FileResponse(entry.path, media_type="application/octet-stream", filename=entry.path.name)
 
     async def report(self, request: Request) -> Response:
-        """One page of a diagnosis."""
+        """Return one report of a diagnosis."""
         entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
-        own = {"content-security-policy": _REPORT_POLICY, "x-frame-options": "SAMEORIGIN"}
-        return FileResponse(entry.path, media_type="text/html", headers=own)
+        headers = {"content-security-policy": _REPORT_POLICY, "x-frame-options": "SAMEORIGIN"}
+        return FileResponse(entry.path, media_type="text/html", headers=headers)
 
     async def summary(self, request: Request) -> Response:
         """Return the summary of a log as text."""
@@ -214,25 +215,27 @@ class Requests:
         return refusal(503, "busy", BUSY) if text is None else JSONResponse({"accepted": True, "text": text})
 
     async def login_form(self, request: Request) -> Response:
-        """The form."""
+        """Return the login form."""
         if self._logins is None:
             return RedirectResponse("/", status_code=303)
-        asked = request.query_params
-        return _form("Your session is over: log in again." if "over" in asked else "", own_page(asked.get("next", "/")))
+        query = request.query_params
+        return _form(
+            "Your session is over: log in again." if "over" in query else "", local_page(query.get("next", "/"))
+        )
 
     async def login(self, request: Request) -> Response:
         """Check name and password, and open a session."""
         if self._logins is None or self.guard is None:
             return RedirectResponse("/", status_code=303)
         fields = parse_qs((await request.body())[:4096].decode("utf-8", errors="replace"))
-        name, password, asked = (fields.get(field, [""])[0] for field in ("name", "password", "next"))
-        then = own_page(asked)
+        name, password, target = (fields.get(field, [""])[0] for field in ("name", "password", "next"))
+        then = local_page(target)
         host = request.client.host if request.client is not None else ""
         browser = self._actions.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
         user = await self._logins.login(name, password, host, browser=browser)
         if isinstance(user, TooMany):
-            said = f"Too many passwords from your address. Try again in {user.wait_s:.0f} s."
-            return _form(said, then, status=429)
+            message = f"Too many passwords from your address. Try again in {user.wait_s:.0f} s."
+            return _form(message, then, status=429)
         if user is None:
             return _form("The name or the password is wrong.", then, status=401)
         session = self._actions.sessions.open(user.name, user.role, time.monotonic())
@@ -269,7 +272,7 @@ BUSY = "Other summaries are being read. Try again in a minute, or use `board51 i
 def _starts(
     actions: Actions, work: ModelWork
 ) -> dict[str, Callable[[LoginSession, str, dict[str, object]], pb.CommandReply]]:
-    """What starts a job, by its kind: (session, board, the request) -> answer."""
+    """Return the functions that start a job, by its kind: (session, board, the request) -> answer."""
 
     def word(table: dict[str, object], name: str) -> str:
         return str(table.get(name) or "")
@@ -315,7 +318,7 @@ def _host(request: Request) -> str:
 def _made_s(request: Request) -> float:
     """Return when a request was made, or at least arrived: monotonic; NaN where its date cannot be read."""
     arrived_s: float = request.scope["board51_arrived_s"]
-    date = request.headers.get(SEEN_HEADER)
+    date = request.headers.get(PAGE_TIME_HEADER)
     try:
         made_s = arrived_s if date is None else float(date)
     except ValueError:
@@ -345,8 +348,8 @@ async def _json(request: Request) -> dict[str, object] | None:
     return table if isinstance(table, dict) else None
 
 
-def _form(said: str, then: str, *, status: int = 200) -> HTMLResponse:
+def _form(message: str, then: str, *, status: int = 200) -> HTMLResponse:
     text = _LOGIN.read_text(encoding="utf-8")
-    for place, words in (("{said}", said), ("{next}", then)):
-        text = text.replace(place, html.escape(words, quote=True))
+    for placeholder, words in (("{said}", message), ("{next}", then)):
+        text = text.replace(placeholder, html.escape(words, quote=True))
     return HTMLResponse(text, status_code=status, headers={"cache-control": "no-store"})

@@ -22,7 +22,7 @@ MAX_SESSIONS = 256
 
 @dataclass(slots=True, kw_only=True)
 class LoginSession:
-    """One login of one person."""
+    """A login of one person."""
 
     name: str
     role: Role
@@ -33,7 +33,7 @@ class LoginSession:
 
 
 class LoginSessions:
-    """All that are open.
+    """The open sessions.
 
     Args:
         idle_s: without an action for so long, a session is over.

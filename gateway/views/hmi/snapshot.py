@@ -32,8 +32,8 @@ _FLAGS = {
     Flag.OVERRUN: "overrun",
 }
 COIL_IN_DOUBT = "COIL MAY BE ON"  # static/stop.js compares with it
-EVENTS_SHOWN = 30
-LINES_SHOWN = 12
+MAX_EVENTS = 30
+MAX_LINES = 12
 _GAPS = re.compile(r"\s{2,}")
 TWIN_STALE_S = 1.0
 
@@ -96,7 +96,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
                 "model": a.of_twin and a.name != TWIN,  # what to do about it is on the page of the model
                 "active": a.active,
                 "acknowledged": a.acknowledged,
-                "by": a.acknowledged_by,
+                "by": a.acknowledger,
                 "times": a.times,
                 "value": number(a.value, 3) if a.value is not None else None,
                 "since": _clock(a.since_ns),
@@ -113,26 +113,26 @@ def rest(board: BoardFeed) -> dict[str, Any]:
                 "name": e.name,
                 "text": e.text,
             }
-            for e in board.events()[: -EVENTS_SHOWN - 1 : -1]
+            for e in board.events()[: -MAX_EVENTS - 1 : -1]
         ],
         "excitation": _excitation(board.commands()),
-        "commands": [_command(record) for record in board.commands()[: -EVENTS_SHOWN - 1 : -1]],
+        "commands": [_command(record) for record in board.commands()[: -MAX_EVENTS - 1 : -1]],
     }
 
 
 def _wrong(board: BoardFeed, alarms: Sequence[Alarm]) -> str:
-    """What the model gets wrong now, in numbers; empty where no alarm says that it does."""
+    """Return the present error of the model in numbers; empty without an alarm of the twin."""
     divergence = board.latest(pb.Divergence)
     if divergence is None or board.age_s(pb.Divergence) > TWIN_STALE_S:
         return ""
     since = {alarm.name: _clock(alarm.since_ns)[:5] for alarm in alarms if alarm.active}
-    said = (in_numbers(name, since[name], divergence) for name in SPOKEN if name in since)
-    return next(filter(None, said), "")
+    sentences = (in_numbers(name, since[name], divergence) for name in SPOKEN if name in since)
+    return next(filter(None, sentences), "")
 
 
 def job(running: Job) -> dict[str, Any]:
-    """What a page says of a job; a table's columns do not fit into a card: dots separate what stood in them."""
-    lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-LINES_SHOWN:]]
+    """Return the lines that a page shows of a job; columns of a table do not fit into a card, so dots separate them."""
+    lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-MAX_LINES:]]
     return {
         "title": running.title,
         "who": running.who,
@@ -143,7 +143,7 @@ def job(running: Job) -> dict[str, Any]:
 
 
 def summary(board: BoardFeed) -> dict[str, Any]:
-    """For the list of all boards."""
+    """Return the entry of a board in the list of all boards."""
     alarms = board.alarms()
     return now(board) | {
         "name": board.name,

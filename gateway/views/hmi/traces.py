@@ -30,7 +30,7 @@ Row = list[object]
 
 
 class Traces:
-    """Of one board.
+    """The traces of one board.
 
     Args:
         board: as heard on the bus.
@@ -51,29 +51,29 @@ class Traces:
             self._taps = [self.board.tap(kind, width_s=BIN_S) for kind in (pb.State, pb.TwinState, pb.Divergence)]
         states, twins, divergences = (tap.take() for tap in self._taps)
         for made, bins in ((_state, states), (_twin, twins), (_divergence, divergences)):
-            for done in bins:
+            for closed in bins:
                 if len(self._rows) == MAX_ROWS:
                     self._fold(self._rows[0])
-                self._rows.append(made(done))
+                self._rows.append(made(closed))
                 self._count += 1
 
     def since(self, cursor: int) -> tuple[list[Row], int]:
-        """(rows that a reader at `cursor` has not seen, its next cursor)."""
+        """Return (rows that a reader at `cursor` has not received, its next cursor)."""
         missing = min(self._count - cursor, len(self._rows))
         if missing <= 0:
             return [], self._count
         return list(self._rows)[-missing:], self._count
 
     def past(self) -> list[Row]:
-        """What is older than the rows of `since(0)`, in bins of COARSE_S, up to LONGEST_S."""
+        """Return the rows older than those of `since(0)`, in bins of COARSE_S, up to LONGEST_S."""
         return list(self._coarse)
 
     def _fold(self, row: Row) -> None:
         """Put a row that leaves the ring into the coarse bin of its kind, session and time."""
-        for place in range(len(self._coarse) - 1, max(len(self._coarse) - 4, -1), -1):
-            bin_ = self._coarse[place]
+        for index in range(len(self._coarse) - 1, max(len(self._coarse) - 4, -1), -1):
+            bin_ = self._coarse[index]
             if bin_[:2] == row[:2] and _slot(bin_) == _slot(row):
-                self._coarse[place] = _widened(bin_, row)
+                self._coarse[index] = _widened(bin_, row)
                 return
         self._coarse.append(row)
 
@@ -86,12 +86,15 @@ def _slot(row: Row) -> int:
 
 
 def _widened(bin_: Row, row: Row) -> Row:
-    """`row` with the lowest and highest values of both; of a value without a band the newest counts, or the largest."""
+    """Return `row` with the lowest and highest values of both rows.
+
+    Of a value without a band the newest counts, or the largest.
+    """
     wide = list(row)
     for low in _LOWS[str(row[0])]:
         wide[low], wide[low + 1] = _of(min, bin_[low], row[low]), _of(max, bin_[low + 1], row[low + 1])
-    for place in _LARGEST.get(str(row[0]), ()):
-        wide[place] = _of(max, bin_[place], row[place])
+    for index in _LARGEST.get(str(row[0]), ()):
+        wide[index] = _of(max, bin_[index], row[index])
     return wide
 
 

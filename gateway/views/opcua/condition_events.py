@@ -33,7 +33,7 @@ _INPUTS = {  # the variable that an alarm judges, by its name; of the board's fa
 
 @dataclass
 class ConditionNode:
-    """What a condition's node stands for, what was said of it and what clients did to it."""
+    """The state of a condition's node: its alarm, what was sent of it and what clients changed."""
 
     board: str
     alarm: str
@@ -43,11 +43,11 @@ class ConditionNode:
     is_changed: bool = False  # by a client; not told yet
     states: dict[str, tuple[bool, datetime]] = field(default_factory=dict)  # what was said last, and since when
     severity: tuple[int, datetime] | None = None  # said last
-    said: tuple[str, datetime] | None = None  # comment, and since when
+    sent_comment: tuple[str, datetime] | None = None  # comment, and since when
 
 
 def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now: datetime, *, retain: bool) -> Any:
-    """The event that tells of a condition as it is.
+    """Return the event that reports the present state of a condition.
 
     Args:
         alarm: as the feed has it.
@@ -79,30 +79,30 @@ def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now
 
 
 def _comment(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime) -> None:
-    text, by = condition.comment or (alarm.comment, alarm.acknowledged_by)
-    if condition.said is None or condition.said[0] != text:
-        condition.said = text, now
-    event.Comment, event.ClientUserId = ua.LocalizedText(text), by
-    _stamp(event, "Comment/SourceTimestamp", condition.said[1])
+    text, user = condition.comment or (alarm.comment, alarm.acknowledger)
+    if condition.sent_comment is None or condition.sent_comment[0] != text:
+        condition.sent_comment = text, now
+    event.Comment, event.ClientUserId = ua.LocalizedText(text), user
+    _stamp(event, "Comment/SourceTimestamp", condition.sent_comment[1])
 
 
 def _states(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime, *, retain: bool) -> None:
     active, acknowledged = alarm.active and retain, alarm.acknowledged or not retain
-    said = {"EnabledState": condition.enabled, "ActiveState": active, "AckedState": acknowledged}
+    flags = {"EnabledState": condition.enabled, "ActiveState": active, "AckedState": acknowledged}
     words = {
         "EnabledState": ("Disabled", "Enabled"),
         "ActiveState": ("Inactive", "Active"),
         "AckedState": ("Unacknowledged", "Acknowledged"),
     }
-    for state, holds in said.items():
+    for state, holds in flags.items():
         if state not in condition.states or condition.states[state][0] != holds:
             condition.states[state] = holds, now
         event.add_property(f"{state}/Id", holds, _V.Boolean)
         setattr(event, state, ua.LocalizedText(words[state][holds]))
         _stamp(event, f"{state}/TransitionTime", condition.states[state][1])
-    effective = ", ".join(words[state][holds] for state, holds in said.items() if state != "EnabledState")
-    shown = ua.LocalizedText(effective if condition.enabled else "Disabled")
-    setattr(event, "EnabledState/EffectiveDisplayName", shown)
+    effective = ", ".join(words[state][holds] for state, holds in flags.items() if state != "EnabledState")
+    name = ua.LocalizedText(effective if condition.enabled else "Disabled")
+    setattr(event, "EnabledState/EffectiveDisplayName", name)
     _stamp(event, "EnabledState/EffectiveTransitionTime", max(since for _, since in condition.states.values()))
     # Nothing waits to be confirmed: what an operator has acknowledged is done.
     event.ConfirmedState = ua.LocalizedText("Confirmed")

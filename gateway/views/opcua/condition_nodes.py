@@ -12,7 +12,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
-from gateway.views.opcua.address_space.values import Value, tell
+from gateway.views.opcua.address_space.values import Value, notify
 from gateway.views.opcua.types.build import READ, VALUE, Builder
 
 _O = ua.ObjectIds
@@ -33,9 +33,9 @@ class ConditionObject:
     def __init__(self, space: AddressSpace, builder: Builder, rig: ua.NodeId, event: Any) -> None:
         self._space, self._builder = space, builder
         self._variables: dict[str, ua.NodeId] = {}  # by the name of the event's field
-        path, about = event.NodeId.Identifier, f"the alarm {event.ConditionName}"
+        path, description = event.NodeId.Identifier, f"the alarm {event.ConditionName}"
         kind = ua.NodeId(_O.AlarmConditionType)
-        node = builder.object(builder.id(f"{rig.Identifier}/alarms"), path, about, kind=kind)
+        node = builder.object(builder.id(f"{rig.Identifier}/alarms"), path, description, kind=kind)
         builder.refer(rig, _O.HasCondition, node)
         while kind != ua.NodeId(_O.BaseObjectType):
             self._declarations(kind, node, path, "", event)
@@ -47,7 +47,7 @@ class ConditionObject:
             held = ua.Variant(getattr(event, name), event.data_types[name])
             attribute = self._space[node].attributes[VALUE]
             attribute.value = Value(Value=held, SourceTimestamp=event.Time)
-            await tell(attribute, attribute.value)
+            await notify(attribute, attribute.value)
 
     def _declarations(self, declared: ua.NodeId, parent: ua.NodeId, path: str, prefix: str, event: Any) -> None:
         for reference in _components(self._space, declared):
@@ -72,8 +72,10 @@ class ConditionObject:
         attributes.DisplayName = attributes.Description = ua.LocalizedText(browse_name.Name)
         attributes.WriteMask = attributes.UserWriteMask = 0
         kind = next(r.NodeId for r in declared.references if _is(r, _O.HasTypeDefinition))
-        by = reference.ReferenceTypeId.Identifier
-        return self._builder.add(parent, path, ua.NodeClass.Variable, attributes, by, kind, name=browse_name)
+        reference_type = reference.ReferenceTypeId.Identifier
+        return self._builder.add(
+            parent, path, ua.NodeClass.Variable, attributes, reference_type, kind, name=browse_name
+        )
 
 
 def _is(reference: Any, kind: int, *, forward: bool = True) -> bool:

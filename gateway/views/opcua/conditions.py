@@ -46,34 +46,34 @@ class Conditions:
         if revision != self._revision:
             self._revision = revision
             await self._alarms()
-        await self._changed_by_clients()
+        await self._send_client_changes()
         for event in self._after(self._feed.events(), self._last_event):
             self._last_event = event
             await self._send(_plain(f"{event.name}: {event.text}", event.severity, event.host_time_ns))
         for record in self._after(self._feed.commands(), self._last_command):
             self._last_command = record
-            await self._send(_plain(_said(record), "info", record.answered_ns))
+            await self._send(_plain(_command_text(record), "info", record.answered_ns))
 
     async def _alarms(self) -> None:
         listed = {alarm.name: alarm for alarm in self._feed.alarms()}
-        gone = [self._sent[name] for name in self._sent.keys() - listed.keys()]
-        told, self._sent = self._sent, listed
+        ended = [self._sent[name] for name in self._sent.keys() - listed.keys()]
+        previous, self._sent = self._sent, listed
         for alarm in listed.values():
-            before = told.get(alarm.name)
+            before = previous.get(alarm.name)
             if before != alarm:
                 came = before is None or (before.since_ns, before.times) != (alarm.since_ns, alarm.times)
-                await self._say(alarm, retain=True, came=came)
-        for alarm in gone:
-            await self._say(alarm, retain=False)
+                await self._report(alarm, retain=True, came=came)
+        for alarm in ended:
+            await self._report(alarm, retain=False)
 
-    async def _changed_by_clients(self) -> None:
+    async def _send_client_changes(self) -> None:
         for name, (condition, alarm) in self._known.items():
             if condition.is_changed:
                 condition.is_changed = False
-                await self._say(alarm, retain=name in self._sent, switched=True)
+                await self._report(alarm, retain=name in self._sent, switched=True)
 
-    async def _say(self, alarm: Alarm, *, retain: bool, came: bool = False, switched: bool = False) -> None:
-        """Tell of a condition; of a disabled one, only that it has been switched."""
+    async def _report(self, alarm: Alarm, *, retain: bool, came: bool = False, switched: bool = False) -> None:
+        """Send the event of a condition; for a disabled one only if it was just disabled."""
         node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
         condition = self._server.conditions.setdefault(node, ConditionNode(alarm.board, alarm.name))
         self._known[alarm.name] = condition, alarm
@@ -104,9 +104,9 @@ class Conditions:
 
     @staticmethod
     def _after(retained: tuple[Any, ...], last: Any) -> tuple[Any, ...]:
-        """Those after `last`; all that are kept where it has dropped out."""
-        place = next((n for n in range(len(retained) - 1, -1, -1) if retained[n] is last), -1)
-        return retained[place + 1 :]
+        """Return the entries after `last`; all if `last` is no longer among them."""
+        index = next((n for n in range(len(retained) - 1, -1, -1) if retained[n] is last), -1)
+        return retained[index + 1 :]
 
 
 def _plain(text: str, severity: str, time_ns: int) -> Any:
@@ -117,7 +117,7 @@ def _plain(text: str, severity: str, time_ns: int) -> Any:
     return event
 
 
-def _said(record: pb.CommandRecord) -> str:
+def _command_text(record: pb.CommandRecord) -> str:
     what, reply = record.command.WhichOneof("what") or "nothing", record.reply
     end = "accepted" if reply.accepted else f"refused by {reply.refused_by}: {reply.reason}"
     return f"command {what} by {record.command.who or 'somebody'}: {end}"

@@ -31,7 +31,7 @@ _logger = logging.getLogger("gateway.opcua")
 class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is untyped
     """asyncua's service for one subscription, with the timestamps asked for and filters as Part 4 has them."""
 
-    _asked = ua.TimestampsToReturn.Source
+    _timestamps = ua.TimestampsToReturn.Source
 
     def __init__(
         self, subscription: InternalSubscription, space: AddressSpace, periodic: AbstractSet[ua.NodeId]
@@ -42,8 +42,8 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
-        """One result for each."""
-        self._asked = params.TimestampsToReturn
+        """Create items; return one result for each."""
+        self._timestamps = params.TimestampsToReturn
         results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
         return results
 
@@ -60,11 +60,11 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         return super()._create_events_monitored_item(params)
 
     def modify_monitored_items(self, params: ua.ModifyMonitoredItemsParameters) -> list[ua.MonitoredItemModifyResult]:
-        """One result for each, with what is served of what was asked for."""
+        """Modify items; return one result for each, with the values that are served."""
         return [self._modified(item, params.TimestampsToReturn) for item in params.ItemsToModify]
 
     async def datachange_callback(self, handle: int, value: ua.DataValue, error: ua.StatusCode | None = None) -> None:
-        """A value has been sampled: queue it where it is news."""
+        """Queue a sampled value if it must be reported."""
         if error is not None:
             await super().datachange_callback(handle, value, error)
             return
@@ -81,16 +81,16 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
             return
         data.mvalue.set_current_datavalue(value)
         of_value = data.read_value_id.AttributeId == VALUE
-        shown = stamped(value, data.timestamps, datetime.now(UTC), of_value=of_value)
-        event = ua.MonitoredItemNotification(ClientHandle=data.client_handle, Value=shown)
+        reported = stamped(value, data.timestamps, datetime.now(UTC), of_value=of_value)
+        event = ua.MonitoredItemNotification(ClientHandle=data.client_handle, Value=reported)
         await self.isub.enqueue_datachange_event(mid, event, data.queue_size)
 
     def of_events(self) -> dict[int, ua.NodeId]:
-        """The items that get events, with the node that they listen at."""
+        """Return the items that receive events, each with its node."""
         return {mid: node for node, mids in self._monitored_events.items() for mid in mids}
 
     async def send_event(self, event: Any, mid: int) -> None:
-        """To one item, through its filter, whoever emits it."""
+        """Send an event to one item, through its filter, whichever node emits it."""
         await self._trigger_event(event, mid)
 
     async def _trigger_event(self, event: Any, mid: int) -> None:
@@ -101,14 +101,14 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
             self._delete_monitored_items(mid)
 
     def held(self) -> int:
-        """How many items there are."""
+        """Return the number of items."""
         return len(self._monitored_items)
 
     def _make_monitored_item_common(
         self, params: ua.MonitoredItemCreateRequest
     ) -> tuple[ua.MonitoredItemCreateResult, MonitoredItemData]:
         result, data = super()._make_monitored_item_common(params)
-        data.timestamps = self._asked
+        data.timestamps = self._timestamps
         result.RevisedSamplingInterval = self._revise(data, params.RequestedParameters.SamplingInterval)
         return result, data
 
@@ -118,7 +118,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         data.left_out = data.every
         await super().trigger_datachange(handle, nodeid, attr)
 
-    def _revise(self, data: MonitoredItemData, asked_ms: float) -> float:
+    def _revise(self, data: MonitoredItemData, requested_ms: float) -> float:
         """Return the sampling interval that is served, and note every how many values it is (Part 4, 7.21)."""
         publishing_ms: float = self.isub.data.RevisedPublishingInterval
         data.every = data.left_out = 1
@@ -128,49 +128,51 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
         if not interval_ms:
             return publishing_ms
         if node.NodeId in self._periodic:
-            wanted_ms = publishing_ms if math.isnan(asked_ms) or asked_ms < 0 else min(asked_ms, MAX_INTERVAL_MS)
-            data.every = max(1, math.ceil(round(wanted_ms / interval_ms, 3)))
+            sampling_ms = (
+                publishing_ms if math.isnan(requested_ms) or requested_ms < 0 else min(requested_ms, MAX_INTERVAL_MS)
+            )
+            data.every = max(1, math.ceil(round(sampling_ms / interval_ms, 3)))
         return float(data.every * interval_ms)
 
     def _modified(
-        self, item: ua.MonitoredItemModifyRequest, asked: ua.TimestampsToReturn
+        self, item: ua.MonitoredItemModifyRequest, timestamps: ua.TimestampsToReturn
     ) -> ua.MonitoredItemModifyResult:
         result = ua.MonitoredItemModifyResult()
         data = self._monitored_items.get(item.MonitoredItemId)
         if data is None:
             result.StatusCode = ua.StatusCode(ua.StatusCodes.BadMonitoredItemIdInvalid)
             return result
-        wanted = item.RequestedParameters
-        if not _fits(wanted, type(data.filter) if data.filter is not None else ua.DataChangeFilter):
+        parameters = item.RequestedParameters
+        if not _fits(parameters, type(data.filter) if data.filter is not None else ua.DataChangeFilter):
             result.StatusCode = ua.StatusCode(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
             return result
-        data.timestamps, data.client_handle = asked, wanted.ClientHandle
-        data.queue_size = result.RevisedQueueSize = self._revise_queue_size(wanted.QueueSize)
-        result.RevisedSamplingInterval = self._revise(data, wanted.SamplingInterval)
-        if wanted.Filter is not None:
-            data.filter = wanted.Filter
+        data.timestamps, data.client_handle = timestamps, parameters.ClientHandle
+        data.queue_size = result.RevisedQueueSize = self._revise_queue_size(parameters.QueueSize)
+        result.RevisedSamplingInterval = self._revise(data, parameters.SamplingInterval)
+        if parameters.Filter is not None:
+            data.filter = parameters.Filter
         return result
 
 
-def _fits(asked: ua.MonitoringParameters, kind: Any) -> bool:
-    """Whether its filter is of that kind or none; a null one becomes None.
+def _fits(parameters: ua.MonitoringParameters, kind: Any) -> bool:
+    """Return whether the filter is of that kind or None; a null filter becomes None.
 
     By the data type: asyncua decodes into classes that are not those of the same names in `ua`.
     """
-    asked.Filter = asked.Filter or None
-    return asked.Filter is None or getattr(asked.Filter, "data_type", None) == kind.data_type
+    parameters.Filter = parameters.Filter or None
+    return parameters.Filter is None or getattr(parameters.Filter, "data_type", None) == kind.data_type
 
 
 def _refused() -> ua.MonitoredItemCreateResult:
     return ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(ua.StatusCodes.BadMonitoredItemFilterUnsupported))
 
 
-def is_news(sent: ua.DataValue | None, value: ua.DataValue, asked: Any) -> bool:
-    """Return whether to report `value` to a client after `sent`; `asked`: its DataChangeFilter, or None."""
+def is_news(sent: ua.DataValue | None, value: ua.DataValue, filter_: Any) -> bool:
+    """Return whether to report `value` to a client after `sent`; `filter_`: its DataChangeFilter, or None."""
     if sent is None or sent.StatusCode != value.StatusCode:
         return True
-    trigger = asked.Trigger if asked is not None else Trigger.StatusValue
-    band = asked.DeadbandValue if asked is not None and asked.DeadbandType == ua.DeadbandType.Absolute else 0.0
+    trigger = filter_.Trigger if filter_ is not None else Trigger.StatusValue
+    band = filter_.DeadbandValue if filter_ is not None and filter_.DeadbandType == ua.DeadbandType.Absolute else 0.0
     # With a deadband, a time stamp alone is no news.
     if trigger == Trigger.StatusValueTimestamp and not band and sent.SourceTimestamp != value.SourceTimestamp:
         return True

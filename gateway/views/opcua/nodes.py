@@ -1,4 +1,4 @@
-"""One board's nodes, kept up to date from its feed.
+"""The nodes of one board, kept up to date from its feed.
 
 Rule 1: only subscribed values are made at the rate; all others are made when they are read.
 Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
@@ -26,7 +26,7 @@ from gateway.views.opcua.address_space.history import RingHistory, Track
 from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Leaf, leaves
 from gateway.views.opcua.address_space.nameplate import nameplate
 from gateway.views.opcua.address_space.ranges import instrument_ranges, ranges
-from gateway.views.opcua.address_space.values import Value, data_value, datetime_of, tell
+from gateway.views.opcua.address_space.values import Value, data_value, datetime_of, notify
 from gateway.views.opcua.sessions import GuardedServer
 from gateway.views.opcua.types.build import Builder
 from gateway.views.opcua.types.layout import MACHINES, RIG_TYPE, SETPOINTS, Layout
@@ -80,7 +80,7 @@ class BoardNodes:
         self._bins: dict[str, Bin] = {}
         self._outlived: set[str] = set()  # topics whose bin is from before an outage
         self._stamps_ns: dict[str, int] = {}
-        self._seen: dict[str, tuple[object, int]] = {}  # sent last: message, status; the id of a message may come again
+        self._sent: dict[str, tuple[object, int]] = {}  # sent last: message, status; the id of a message may come again
         self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
         self._extras: dict[str, Any] = {}  # by path: its attribute
         self._sent_extras: dict[str, object] = {}  # by path: value sent last, and to whom
@@ -96,10 +96,10 @@ class BoardNodes:
     def _attach(self, history: RingHistory, rows: int) -> None:
         """Give the variables their values and their history."""
         for topic in TOPICS:
-            ours = [leaf for leaf in leaves() if leaf.topic == topic]
-            columns = [leaf for leaf in ours if leaf.statistic is not None]
+            topic_leaves = [leaf for leaf in leaves() if leaf.topic == topic]
+            columns = [leaf for leaf in topic_leaves if leaf.statistic is not None]
             track = self._tracks[topic] = Track(len(columns), rows) if columns else Track(0, 1)
-            for leaf in ours:
+            for leaf in topic_leaves:
                 if leaf.statistic is not None:
                     history.add(self._id(leaf.path), track, columns.index(leaf))
                 self._nodes[topic].append(_Node(leaf, self._serve(self._id(leaf.path), self._reader(leaf))))
@@ -130,11 +130,11 @@ class BoardNodes:
         return lambda: extra_value(self.feed, path, variant, time.time_ns())
 
     def _status(self, topic: str) -> int:
-        """Of everything of a topic, now."""
-        status = self._judged(topic)
+        """Return the present status of all values of a topic."""
+        status = self._source_status(topic)
         return quality.STALE if topic in self._outlived and not quality.is_down(status) else status
 
-    def _judged(self, topic: str) -> int:
+    def _source_status(self, topic: str) -> int:
         feed = self.feed
         message = topics.TOPIC_OF_NAME[topic].message
         if feed.latest(message) is None:
@@ -151,23 +151,23 @@ class BoardNodes:
             return quality.STALE
         return quality.of_gateway(link, age_s)
 
-    def _value_of_bin(self, leaf: Leaf, shown: Bin | None, status: int) -> Value:
-        if shown is None:
+    def _value_of_bin(self, leaf: Leaf, bin_: Bin | None, status: int) -> Value:
+        if bin_ is None:
             return data_value(None, leaf.variant, quality.WAITING if not quality.is_bad(status) else status, 0)
-        value = {"low": shown.low, "high": shown.high}.get(leaf.statistic or "", shown.last)[leaf.field]
-        return data_value(value, leaf.variant, self._status_of(leaf, shown, status), self._stamps_ns[leaf.topic])
+        value = {"low": bin_.low, "high": bin_.high}.get(leaf.statistic or "", bin_.last)[leaf.field]
+        return data_value(value, leaf.variant, self._status_of(leaf, bin_, status), self._stamps_ns[leaf.topic])
 
-    def _status_of(self, leaf: Leaf, shown: Bin, status: int) -> int:
-        if isinstance(shown.message, pb.State):
-            status = quality.of_signal(status, leaf, shown.message.flags, sensor_fault=self._sensor_fault())
-        return quality.of_extreme(status, leaf.statistic, shown.lost)
+    def _status_of(self, leaf: Leaf, bin_: Bin, status: int) -> int:
+        if isinstance(bin_.message, pb.State):
+            status = quality.of_signal(status, leaf, bin_.message.flags, sensor_fault=self._sensor_fault())
+        return quality.of_extreme(status, leaf.statistic, bin_.lost)
 
     def _sensor_fault(self) -> bool:
         return self.feed.fault() == "sensor-fault"
 
     def _value_of_message(self, leaf: Leaf, status: int) -> Value:
-        shown = self._bins.get(leaf.topic)  # of the values beside it, not a newer one: they belong together
-        message: Any = self.feed.latest(leaf.message) if shown is None else shown.message
+        bin_ = self._bins.get(leaf.topic)  # of the values beside it, not a newer one: they belong together
+        message: Any = self.feed.latest(leaf.message) if bin_ is None else bin_.message
         if message is None:
             return data_value(None, leaf.variant, quality.WAITING, 0)
         value: Any = message
@@ -178,7 +178,7 @@ class BoardNodes:
         if leaf.topic == "state":
             status = quality.of_signal(status, leaf, message.flags, sensor_fault=self._sensor_fault())
             value = None if _is_absent(message, leaf.field) else value
-        stamp_ns = getattr(message, "host_time_ns", 0) if shown is None else self._stamps_ns[leaf.topic]
+        stamp_ns = getattr(message, "host_time_ns", 0) if bin_ is None else self._stamps_ns[leaf.topic]
         return data_value(value, leaf.variant, status, stamp_ns)
 
     # -- updating
@@ -187,58 +187,58 @@ class BoardNodes:
         """Send the changes since the last call to their subscribers, and append to the history."""
         await self._update_parameters()
         for topic in TICK_TOPICS:
-            down = quality.is_down(self._judged(topic))
+            down = quality.is_down(self._source_status(topic))
             bins = self._taps[topic].take(unfinished=down)
             if down:
                 self._outlived.add(topic)
             elif bins:
                 self._outlived.discard(topic)
             status = self._status(topic)
-            for taken in bins:
-                await self._interval(topic, taken, status)
+            for bin_ in bins:
+                await self._interval(topic, bin_, status)
                 # Many have gathered where this process was held up: clients are answered meanwhile.
                 await asyncio.sleep(0)
-            if not bins and topic in self._bins and self._seen.get(topic, (None, status))[1] != status:
+            if not bins and topic in self._bins and self._sent.get(topic, (None, status))[1] != status:
                 await self._interval(topic, self._bins[topic], status, again=True)  # its status has changed
-            self._seen[topic] = (None, status)
+            self._sent[topic] = (None, status)
         for topic in TOPICS[len(TICK_TOPICS) :]:
             message, status = self.feed.latest(topics.TOPIC_OF_NAME[topic].message), self._status(topic)
-            before = self._seen.get(topic)
+            before = self._sent.get(topic)
             if before is None or before[0] is not message or before[1] != status:
-                self._seen[topic] = (message, status)
+                self._sent[topic] = (message, status)
                 await self._send_messages(topic, status)
         await self._update_extras()
 
-    async def _interval(self, topic: str, taken: Bin, status: int, *, again: bool = False) -> None:
-        self._bins[topic] = taken
+    async def _interval(self, topic: str, bin_: Bin, status: int, *, again: bool = False) -> None:
+        self._bins[topic] = bin_
         if not again:
-            self._stamps_ns[topic] = self._stamp(topic, taken)
+            self._stamps_ns[topic] = self._stamp(topic, bin_)
         values, codes = list[float](), list[int]()
         for node in self._nodes[topic]:
             leaf = node.leaf
             if leaf.statistic is not None and len(values) < self._tracks[topic].columns:
-                source = {"low": taken.low, "high": taken.high}.get(leaf.statistic, taken.last)
+                source = {"low": bin_.low, "high": bin_.high}.get(leaf.statistic, bin_.last)
                 value = source[leaf.field]
                 values.append(value)
-                code = self._status_of(leaf, taken, status)
+                code = self._status_of(leaf, bin_, status)
                 codes.append(quality.UNAVAILABLE if value != value and not quality.is_bad(code) else code)
             if node.attribute.datachange_callbacks:
                 if leaf.statistic is not None:
-                    await tell(node.attribute, self._value_of_bin(leaf, taken, status))
+                    await notify(node.attribute, self._value_of_bin(leaf, bin_, status))
                 else:
-                    await tell(node.attribute, self._value_of_message(leaf, status))
+                    await notify(node.attribute, self._value_of_message(leaf, status))
         stamp_ns = self._stamps_ns[topic] + (1000 if again else 0)
         self._tracks[topic].append(stamp_ns, values, codes)
 
-    def _stamp(self, topic: str, taken: Bin) -> int:
+    def _stamp(self, topic: str, bin_: Bin) -> int:
         if topic == "state":
-            return self._clock.stamp(session=taken.session, t_s=taken.t_s, host_time_ns=taken.host_time_ns)
-        return max(self._clock.place(taken.t_s), self._stamps_ns.get(topic, 0) + 1000)
+            return self._clock.stamp(session=bin_.session, t_s=bin_.t_s, host_time_ns=bin_.host_time_ns)
+        return max(self._clock.time_ns(bin_.t_s), self._stamps_ns.get(topic, 0) + 1000)
 
     async def _send_messages(self, topic: str, status: int) -> None:
         for node in self._nodes[topic]:
             if node.attribute.datachange_callbacks:
-                await tell(node.attribute, self._value_of_message(node.leaf, status))
+                await notify(node.attribute, self._value_of_message(node.leaf, status))
 
     async def _update_extras(self) -> None:
         for path, attribute in self._extras.items():
@@ -247,10 +247,10 @@ class BoardNodes:
                 value = extra(self.feed, path), tuple(attribute.datachange_callbacks)
                 if self._sent_extras.get(path) != value:
                     self._sent_extras[path] = value
-                    await tell(attribute, attribute.value_callback(None, VALUE))
+                    await notify(attribute, attribute.value_callback(None, VALUE))
 
     async def _update_parameters(self) -> None:
-        """Ranges and nameplate, where the board has stated others."""
+        """Update ranges and nameplate if the board has sent new parameters."""
         parameters = self.feed.latest(pb.Parameters)
         if parameters is None or parameters is self._parameters:
             return
@@ -260,14 +260,14 @@ class BoardNodes:
             for path, (low, high) in spans.items():
                 span = ua.Variant(ua.Range(Low=low, High=high), _V.ExtensionObject)
                 await self._hold(f"{path}/{name}", Value(Value=span, SourceTimestamp=stamp))
-        for name, said in nameplate(parameters).items():
-            await self._hold(f"Identification/{name}", Value(Value=said, SourceTimestamp=stamp))
+        for name, text in nameplate(parameters).items():
+            await self._hold(f"Identification/{name}", Value(Value=text, SourceTimestamp=stamp))
 
     async def _hold(self, path: str, value: Value) -> None:
         attribute = self._server.aspace[self._id(path)].attributes[VALUE]
         if attribute.value.Value != value.Value:
             attribute.value = value
-            await tell(attribute, value)
+            await notify(attribute, value)
 
 
 def _is_absent(message: Any, field: str) -> bool:

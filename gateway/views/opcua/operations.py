@@ -76,7 +76,7 @@ class Operations:
         self._dispatch = Dispatch("opcua", feed.stopped_s)
 
     async def command(self, visitor: Visitor, board: str, act: str, command: pb.Command) -> pb.CommandReply:
-        """What became of it.
+        """Carry out a command and return its reply.
 
         A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
         STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
@@ -92,8 +92,8 @@ class Operations:
         def send() -> pb.CommandReply:
             head: dict[str, Any] = {"who": visitor.name, "role": visitor.role.word, "issued_ns": wish.issued_ns}
             if act == "acknowledge" and may(visitor.role, act):  # it may count without a gateway, too
-                seen = command.acknowledge
-                return self._feed.acknowledge(board, seen.alarm, comment=seen.comment, **head)
+                acknowledgement = command.acknowledge
+                return self._feed.acknowledge(board, acknowledgement.alarm, comment=acknowledgement.comment, **head)
             return self._feed.command(board, command, timeout_s=TIMEOUT_S, **head)
 
         if act == "stop":
@@ -119,14 +119,14 @@ def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:
 
 def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, list[int]]:
     """Return the command of a call, or the refusal as (status code, one code per argument)."""
-    wanted = method.arguments
-    if len(inputs) != len(wanted):
-        return int(S.BadArgumentsMissing if len(inputs) < len(wanted) else S.BadTooManyArguments), []
+    declared = method.arguments
+    if len(inputs) != len(declared):
+        return int(S.BadArgumentsMissing if len(inputs) < len(declared) else S.BadTooManyArguments), []
     command = pb.Command()
     what: Any = getattr(command, method.act)
     what.SetInParent()
     codes: list[int] = []
-    for argument, supplied in zip(wanted, inputs, strict=True):
+    for argument, supplied in zip(declared, inputs, strict=True):
         code = int(S.Good) if is_of(supplied, argument.variant, is_array=argument.is_array) else int(S.BadTypeMismatch)
         if code == S.Good:
             try:
@@ -143,7 +143,7 @@ def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, 
 
 
 def is_of(supplied: ua.Variant, variant: ua.VariantType, *, is_array: bool) -> bool:
-    """Whether it is just of that type: a server converts nothing (Part 4, 5.11.4 and 5.12.2).
+    """Return whether a value has exactly that type: a server converts nothing (Part 4, 5.11.4 and 5.12.2).
 
     A Float that was meant as a Double is 3.0000000260770321e-3 m where the sender wrote 3 mm.
     """

@@ -1,4 +1,4 @@
-"""Requests of one OPC UA connection: what may wait for a board holds up nothing else.
+"""The requests of one OPC UA connection: a request that waits for a board delays no other.
 
 asyncua handles the requests of a connection one after the other.  A write to a board that does not answer takes
 seconds, and a STOP behind it would wait as long: a SCADA system has one connection for all of its rigs.

@@ -53,10 +53,10 @@ class Security:
         self.key_pem = read_private(key, what="The key of OPC UA")
         loaded = _load(certificate)
         try:
-            own = serialization.load_pem_private_key(self.key_pem, password=None).public_key()
+            public_key = serialization.load_pem_private_key(self.key_pem, password=None).public_key()
         except (ValueError, TypeError):
             raise ConfigError(f"{key} is not a key in PEM without a password", remedy=_RENEW) from None
-        if own != loaded.public_key():
+        if public_key != loaded.public_key():
             raise ConfigError(f"{key} is not the key of {certificate}", remedy=_RENEW)
         self.certificate_der = loaded.public_bytes(serialization.Encoding.DER)
         check_certificate(folder.ca, what="The authority's certificate")

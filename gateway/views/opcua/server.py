@@ -45,7 +45,7 @@ _logger = logging.getLogger("gateway.opcua")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpcuaSettings:
-    """How the rigs are served."""
+    """The settings of the OPC UA server."""
 
     host: str = "127.0.0.1"
     port: int = 4840
@@ -103,7 +103,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     try:
         await server.start()
     except OSError as error:
-        raise _taken(settings, error) from None
+        raise _listen_error(settings, error) from None
     try:
         port = server.bserver.port if server.bserver is not None else settings.port
         _logger.info("OPC UA on opc.tcp://%s:%s/board51/%s", settings.host, port, "" if security else ", not secured")
@@ -164,10 +164,10 @@ def _check_free(settings: OpcuaSettings) -> None:
             probe.bind(address)
             probe.listen(1)
     except OSError as error:
-        raise _taken(settings, error) from None
+        raise _listen_error(settings, error) from None
 
 
-def _taken(settings: OpcuaSettings, error: OSError) -> ServiceError:
+def _listen_error(settings: OpcuaSettings, error: OSError) -> ServiceError:
     return ServiceError(
         f"OPC UA cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
         remedy="End the program that uses the port, or give another one with --listen HOST:PORT",

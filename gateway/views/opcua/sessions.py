@@ -56,7 +56,7 @@ _OF_CONDITIONS: dict[ua.NodeId, tuple[str, tuple[ua.VariantType, ...]]] = {
 
 @dataclass
 class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
-    """asyncua's user with ours inside."""
+    """A user of asyncua that holds a user of this product."""
 
     visitor: Visitor | None = None
 
@@ -78,7 +78,7 @@ class Reception:
         password: str | None = None,
         certificate: bytes | None = None,
     ) -> Guest | None:
-        """The guest, or None: BadUserAccessDenied."""
+        """Return the guest; None means BadUserAccessDenied."""
         visitor = self._identify(username, password, certificate, self.host)
         return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
 
@@ -112,7 +112,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         self.max_lifetime_count, self.max_keep_alive_count = 15_000, 1_000  # three times, as Part 4 asks
 
     def create_session(self, name: str, user: User = _NOBODY, external: bool = False) -> InternalSession:
-        """A session of ours."""
+        """Return a new GuardedSession."""
         return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
@@ -120,7 +120,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         return None
 
     def register_server(self, server: Any, conf: Any = None) -> None:
-        """This is no discovery server; anybody could fill its list."""
+        """Refuse: this is not a discovery server, and anybody could fill its list."""
         raise ServiceError(S.BadServiceUnsupported)
 
     def drop_deaf(self) -> int:
@@ -132,7 +132,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
 
 
 class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
-    """One client's session."""
+    """The session of one client."""
 
     iserver: GuardedServer
 
@@ -141,7 +141,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     async def create_session(
         self, params: ua.CreateSessionParameters, sockname: tuple[str, int] | None = None
     ) -> ua.CreateSessionResult:
-        """With the certificate that is to be judged: asyncua judges none where a client sends none."""
+        """Open a session and keep its certificate: asyncua does not check clients that send none."""
         self._certificate = params.ClientCertificate or b""
         if self.iserver.secured and not self._certificate:
             raise ServiceError(S.BadCertificateInvalid)
@@ -150,7 +150,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
-        """Refuse what is not encrypted, or by another certificate than was judged; neither is a person's."""
+        """Refuse a channel without encryption, or with another certificate than the checked one."""
         if self.iserver.secured:
             if not peer_certificate:  # empty on an unencrypted channel
                 raise ServiceError(S.BadSecurityModeInsufficient)
@@ -162,37 +162,37 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     @property
     def visitor(self) -> Visitor:
         """Return the user of the session."""
-        found = self.user.visitor if isinstance(self.user, Guest) else None
-        return found if found is not None else NOBODY
+        visitor = self.user.visitor if isinstance(self.user, Guest) else None
+        return visitor if visitor is not None else NOBODY
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
-        """With the timestamps that are asked for."""
+        """Read values, with the requested timestamps."""
         timestamps.check(params.TimestampsToReturn)
         values = await super().read(params)
         now = datetime.now(UTC)
         return [
             timestamps.stamped(
-                value, params.TimestampsToReturn, now, of_value=wanted.AttributeId == ua.AttributeIds.Value
+                value, params.TimestampsToReturn, now, of_value=item.AttributeId == ua.AttributeIds.Value
             )
-            for wanted, value in zip(params.NodesToRead, values, strict=True)
+            for item, value in zip(params.NodesToRead, values, strict=True)
         ]
 
     async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
-        """With the timestamps that are asked for."""
+        """Read histories, with the requested timestamps."""
         timestamps.check(params.TimestampsToReturn, of_history=True)
         results: list[ua.HistoryReadResult] = await super().history_read(params)
         return results
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        """Setpoints, as commands."""
+        """Write setpoints, as commands."""
         return [ua.StatusCode(await self._write(item)) for item in params.NodesToWrite]
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Methods, as commands."""
+        """Call methods, as commands."""
         return [await self._call(request) for request in params]
 
     async def add_nodes(self, params: Any) -> list[Any]:
-        """Nobody."""
+        """Refuse: nobody may add nodes."""
         raise ServiceError(S.BadUserAccessDenied)
 
     async def transfer_subscriptions(self, params: Any, callback: Any) -> list[Any]:
@@ -200,52 +200,52 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         raise ServiceError(S.BadServiceUnsupported)
 
     async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
-        """Browse answers whole; there is never a rest."""
+        """Refuse: Browse returns everything at once, so there is never a rest."""
         raise ServiceError(S.BadNoContinuationPoints)
 
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
-        """In a subscription of its own."""
+        """Create items, in subscriptions of this session only."""
         timestamps.check(params.TimestampsToReturn)
-        self._check_own([params.SubscriptionId])
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().create_monitored_items(params)
         return results
 
     async def modify_monitored_items(
         self, params: ua.ModifyMonitoredItemsParameters
     ) -> list[ua.MonitoredItemModifyResult]:
-        """In a subscription of its own."""
+        """Modify items, in subscriptions of this session only."""
         timestamps.check(params.TimestampsToReturn)
-        self._check_own([params.SubscriptionId])
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().modify_monitored_items(params)
         return results
 
     async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
-        """In a subscription of its own."""
-        self._check_own([params.SubscriptionId])
+        """Set the mode of items, in subscriptions of this session only."""
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().set_monitoring_mode(params)
         return results
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
-        """In a subscription of its own."""
-        self._check_own([params.SubscriptionId])
+        """Delete items, in subscriptions of this session only."""
+        self._check_subscriptions([params.SubscriptionId])
         results: list[Any] = await super().delete_monitored_items(params)
         return results
 
     async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
-        """Of subscriptions of its own."""
-        self._check_own(params.SubscriptionIds)
+        """Set the publishing mode, of subscriptions of this session only."""
+        self._check_subscriptions(params.SubscriptionIds)
         results: list[Any] = await super().set_publishing_mode(params)
         return results
 
     async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
-        """Its own."""
-        self._check_own(ids)
+        """Delete subscriptions of this session only."""
+        self._check_subscriptions(ids)
         results: list[Any] = await super().delete_subscriptions(ids)
         return results
 
-    def _check_own(self, ids: Iterable[int]) -> None:
+    def _check_subscriptions(self, ids: Iterable[int]) -> None:
         if any(self._is_foreign(number) for number in ids):
             raise ServiceError(S.BadSubscriptionIdInvalid)
 
@@ -253,23 +253,23 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         subscription = self.subscription_service.subscriptions.get(number)
         return subscription is not None and subscription.session_id != self.session_id
 
-    def _place(self, node: ua.NodeId) -> tuple[str, str]:
-        """(board, path) of a node of ours, ("", "") of any other."""
+    def _address_of(self, node: ua.NodeId) -> tuple[str, str]:
+        """Return (board, path) of a node of the site, ("", "") of any other."""
         if node.NamespaceIndex != self.iserver.namespace or not isinstance(node.Identifier, str):
             return "", ""
         board, _, path = node.Identifier.partition("/")
         return board, path
 
     def _method(self, rig: ua.NodeId, method: ua.NodeId) -> tuple[str, str]:
-        """(board, name) of a method; that of RigType may be called at every rig (Part 4, 5.12.2)."""
+        """Return (board, name) of a method; a method of RigType may be called at every rig (Part 4, 5.12.2)."""
         owner, _, name = str(method.Identifier).partition("/")
         if method.NamespaceIndex == self.iserver.spaces.types and owner == RIG_TYPE:
-            board, path = self._place(rig)
+            board, path = self._address_of(rig)
             return ("", "") if path or rig not in self.aspace else (board, name)
-        return self._place(method)
+        return self._address_of(method)
 
     async def _write(self, item: ua.WriteValue) -> int:
-        board, path = self._place(item.NodeId)
+        board, path = self._address_of(item.NodeId)
         if item.NodeId not in self.aspace:
             return int(S.BadNodeIdUnknown)
         folder, _, name = path.partition("/")
@@ -288,7 +288,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         if request.MethodId in _OF_CONDITIONS:
             code, codes = await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs)
             result.StatusCode = ua.StatusCode(code)
-            result.InputArgumentResults = [ua.StatusCode(one) for one in codes]
+            result.InputArgumentResults = [ua.StatusCode(code) for code in codes]
             return result
         board, name = self._method(request.ObjectId, request.MethodId)
         if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
@@ -309,12 +309,15 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     async def _call_of_condition(
         self, node: ua.NodeId, name: str, types: tuple[ua.VariantType, ...], inputs: list[ua.Variant]
     ) -> tuple[int, list[int]]:
-        """Part 9, 5.5.4 to 5.5.8 and 5.7.3: status code, and one for each argument where one is wrong."""
+        """Call a method of a condition (Part 9, 5.5.4 to 5.5.8 and 5.7.3).
+
+        Return the status code, and one code for each argument if any argument is wrong.
+        """
         if len(inputs) != len(types):
             return int(S.BadArgumentsMissing if len(inputs) < len(types) else S.BadTooManyArguments), []
         fit = [is_of(supplied, variant, is_array=False) for supplied, variant in zip(inputs, types, strict=True)]
         if not all(fit):
-            return int(S.BadInvalidArgument), [int(S.Good if one else S.BadTypeMismatch) for one in fit]
+            return int(S.BadInvalidArgument), [int(S.Good if fits else S.BadTypeMismatch) for fits in fit]
         values = [supplied.Value for supplied in inputs]
         if name == "refresh":
             if self._is_foreign(values[0]):
@@ -329,15 +332,15 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             return int(S.BadConditionDisabled), []
         if values[0] not in condition.event_ids:
             return int(S.BadEventIdUnknown), []
-        said = ((values[1].Text if values[1] is not None else None) or "")[:LONGEST_COMMENT]
+        comment = ((values[1].Text if values[1] is not None else None) or "")[:LONGEST_COMMENT]
         if name == "acknowledge":
-            seen = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=said))
-            code = code_of(await self.iserver.operations.command(self.visitor, condition.board, name, seen))
+            command = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=comment))
+            code = code_of(await self.iserver.operations.command(self.visitor, condition.board, name, command))
             condition.comment = condition.comment if code != S.Good else None  # its comment is the newer one
             return code, []
-        code = await self._remark(condition, f"{condition.alarm}: {said}")
+        code = await self._remark(condition, f"{condition.alarm}: {comment}")
         if code == S.Good:
-            condition.comment, condition.is_changed = (said, self.visitor.name), True
+            condition.comment, condition.is_changed = (comment, self.visitor.name), True
         return code, []
 
     async def _enable(self, condition: ConditionNode, *, enabled: bool) -> int:

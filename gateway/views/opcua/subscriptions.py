@@ -33,11 +33,11 @@ class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncu
         session_id: ua.NodeId,
         request_callback: Callable[..., Any] | None = None,
     ) -> ua.CreateSubscriptionResult:
-        """With the interval revised to what is served."""
-        asked_ms = params.RequestedPublishingInterval
-        if math.isnan(asked_ms):
-            asked_ms = MIN_INTERVAL_MS
-        params.RequestedPublishingInterval = min(max(asked_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
+        """Create a subscription, with its interval revised to one that is served."""
+        interval_ms = params.RequestedPublishingInterval
+        if math.isnan(interval_ms):
+            interval_ms = MIN_INTERVAL_MS
+        params.RequestedPublishingInterval = min(max(interval_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
         result = await super().create_subscription(params, callback, session_id, request_callback)
         subscription = self.subscriptions[result.SubscriptionId]
         subscription.monitored_item_srv = Items(subscription, self.aspace, self.periodic)
@@ -46,7 +46,7 @@ class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncu
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
-        """As many as there is room for; BadTooManyMonitoredItems for the rest."""
+        """Create as many items as there is room for; the rest get BadTooManyMonitoredItems."""
         subscription = self.subscriptions.get(params.SubscriptionId)
         held = 0 if subscription is None else subscription.monitored_item_srv.held()
         room = max(0, MAX_ITEMS - held)

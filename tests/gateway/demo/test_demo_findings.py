@@ -143,12 +143,12 @@ def test_every_model_after_the_first_is_compared_with_the_one_before(log: Log) -
 
 
 def test_the_causes_of_a_diagnosis_are_named() -> None:
-    cause = {"name": "air-gap-offset", "sentence": "the coil sits 2.4 mm higher than the model has it"}
+    cause = {"name": "air-gap-offset", "sentence": "the coil sits 2.4 mm higher than in the model"}
 
     named = conclusion({"verdict": "causes-found", "sentence": "", "causes": [cause]})
     part = conclusion({"verdict": "unknown-cause", "sentence": "", "causes": [cause]})
     none = conclusion({"verdict": "model-adequate", "sentence": "The model is adequate.", "causes": []})
 
-    assert named == "Cause: air-gap-offset (the coil sits 2.4 mm higher than the model has it)."
+    assert named == "Cause: air-gap-offset (the coil sits 2.4 mm higher than in the model)."
     assert part.endswith("no known cause explains.")
     assert none == "Cause: The model is adequate."

@@ -49,5 +49,5 @@ def test_a_cause_without_a_class_is_not_open() -> None:
     [{}, {"verdict": "x"}, FOUND | {"causes": [1]}, FOUND | {"causes": [{"name": "x"}]}, FOUND | {"causes": {"a": 1}}],
 )
 def test_what_is_no_answer_is_named(wrong: dict[str, Any]) -> None:
-    with pytest.raises(DataError, match=r"^here is no answer of board51 diagnose"):
+    with pytest.raises(DataError, match=r"^here is not a diagnosis.json of board51 diagnose"):
         read_answer(wrong, where="here")

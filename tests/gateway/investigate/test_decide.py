@@ -10,13 +10,21 @@ from gateway.investigate.investigator import menu_of
 
 MENU = menu_of(quick=False)
 NEW = Known(
-    there=frozenset(), refused=frozenset(), answer=None, asked_of=frozenset(), thorough=False, left_s=300.0, quick=False
+    recordings=frozenset(),
+    refused=frozenset(),
+    answer=None,
+    diagnosed=frozenset(),
+    thorough=False,
+    left_s=300.0,
+    quick=False,
 )
 
 
-def answered(verdict: str, *suspects: Suspect, there: tuple[str, ...] = START, thorough: bool = False) -> Known:
+def answered(verdict: str, *suspects: Suspect, recordings: tuple[str, ...] = START, thorough: bool = False) -> Known:
     answer = Answer(verdict=verdict, sentence="", suspects=suspects)
-    return replace(NEW, there=frozenset(there), asked_of=frozenset(there), answer=answer, thorough=thorough)
+    return replace(
+        NEW, recordings=frozenset(recordings), diagnosed=frozenset(recordings), answer=answer, thorough=thorough
+    )
 
 
 def suspect(confounders: dict[str, float], experiments: dict[str, dict[str, float]] | None = None) -> Suspect:
@@ -27,7 +35,7 @@ def suspect(confounders: dict[str, float], experiments: dict[str, dict[str, floa
 
 def test_it_begins_with_what_every_model_needs_then_asks() -> None:
     first = next_action(NEW, MENU)
-    second = next_action(replace(NEW, there=frozenset(START)), MENU)
+    second = next_action(replace(NEW, recordings=frozenset(START)), MENU)
 
     assert isinstance(first, Perform)
     assert first.experiments == START
@@ -36,8 +44,8 @@ def test_it_begins_with_what_every_model_needs_then_asks() -> None:
 
 
 def test_what_is_logged_is_looked_at_before_anything_is_recorded() -> None:
-    logged = next_action(replace(NEW, there=frozenset({"steps"})), MENU)
-    then = next_action(answered("model-adequate", there=("steps",)), MENU)
+    logged = next_action(replace(NEW, recordings=frozenset({"steps"})), MENU)
+    then = next_action(answered("model-adequate", recordings=("steps",)), MENU)
 
     assert isinstance(logged, Diagnose)
     assert isinstance(then, Perform)
@@ -45,7 +53,7 @@ def test_what_is_logged_is_looked_at_before_anything_is_recorded() -> None:
 
 
 def test_recordings_that_are_there_are_not_made_again() -> None:
-    known = replace(NEW, there=frozenset({"lift-off", "rest", "amplifier-steps"}))
+    known = replace(NEW, recordings=frozenset({"lift-off", "rest", "amplifier-steps"}))
 
     action = next_action(known, MENU)
 
@@ -91,7 +99,7 @@ def test_what_was_made_or_refused_or_needs_a_hand_is_not_chosen() -> None:
 
 def test_the_cheaper_experiment_is_taken_where_the_budget_does_not_allow_the_better() -> None:
     class_ = suspect({"lag": 1.0}, {"warm-run": {"lag": 50.0}, "prbs-reference": {"lag": 3.1}})
-    menu = MENU | {"warm-run": Offer(about="", seconds=20.0)}
+    menu = MENU | {"warm-run": Offer(purpose="", seconds=20.0)}
 
     rich = next_action(answered("causes-found", class_), menu)
     poor = next_action(replace(answered("causes-found", class_), left_s=15.0), menu)
@@ -105,8 +113,8 @@ def test_the_cheaper_experiment_is_taken_where_the_budget_does_not_allow_the_bet
 def test_what_has_to_be_recorded_before_counts() -> None:
     class_ = suspect({"lag": 1.0}, {"prbs-open-loop": {"lag": 9.0}, "lift-off": {"lag": 9.0}})
 
-    action = next_action(answered("causes-found", class_, there=("steps",)), MENU)
-    scarce = next_action(replace(answered("causes-found", class_, there=("steps",)), left_s=12.0), MENU)
+    action = next_action(answered("causes-found", class_, recordings=("steps",)), MENU)
+    scarce = next_action(replace(answered("causes-found", class_, recordings=("steps",)), left_s=12.0), MENU)
 
     # 9 s against 11 s; but its inputs are shares of the lift-off input, which is not known yet.
     assert MENU["prbs-open-loop"].seconds < MENU["lift-off"].seconds
@@ -117,16 +125,16 @@ def test_what_has_to_be_recorded_before_counts() -> None:
 
 def test_nothing_is_called_adequate_or_unknown_before_every_experiment_was_made() -> None:
     for verdict in ("model-adequate", "unknown-cause", "partly-explained"):
-        there: tuple[str, ...] = START
+        recordings: tuple[str, ...] = START
         made: list[str] = []
-        while isinstance(action := next_action(answered(verdict, there=there), MENU), Perform):
+        while isinstance(action := next_action(answered(verdict, recordings=recordings), MENU), Perform):
             made += action.experiments
-            there += action.experiments
+            recordings += action.experiments
 
         assert made == [*COVERAGE[len(START) :], *JUDGES]
         assert isinstance(action, Diagnose)
         assert action.thorough
-        end = next_action(answered(verdict, there=there, thorough=True), MENU)
+        end = next_action(answered(verdict, recordings=recordings, thorough=True), MENU)
         assert isinstance(end, Finish)
         assert end.stands is (verdict != "unknown-cause")
 
@@ -134,8 +142,8 @@ def test_nothing_is_called_adequate_or_unknown_before_every_experiment_was_made(
 def test_one_name_is_judged_then_asked_thoroughly_then_stands() -> None:
     judged = START + JUDGES
     first = next_action(answered("causes-found", suspect({})), MENU)
-    second = next_action(replace(answered("causes-found", suspect({})), there=frozenset(judged)), MENU)
-    third = next_action(answered("causes-found", suspect({}), there=judged, thorough=True), MENU)
+    second = next_action(replace(answered("causes-found", suspect({})), recordings=frozenset(judged)), MENU)
+    third = next_action(answered("causes-found", suspect({}), recordings=judged, thorough=True), MENU)
 
     assert isinstance(first, Perform)
     assert first.experiments == JUDGES
@@ -149,7 +157,7 @@ def test_one_name_is_judged_then_asked_thoroughly_then_stands() -> None:
 def test_a_class_that_opens_in_the_thorough_answer_is_split_after_all() -> None:
     class_ = suspect({"lag": 1.0}, {"chirp": {"lag": 9.0}})
 
-    action = next_action(answered("causes-found", class_, there=START + JUDGES, thorough=True), MENU)
+    action = next_action(answered("causes-found", class_, recordings=START + JUDGES, thorough=True), MENU)
 
     assert isinstance(action, Perform)
     assert action.experiments == ("chirp",)
@@ -158,7 +166,7 @@ def test_a_class_that_opens_in_the_thorough_answer_is_split_after_all() -> None:
 def test_a_class_that_nothing_splits_stands_with_what_to_measure_beside_the_board() -> None:
     class_ = suspect({"lag": 0.3}, {"blocked-ball": {"lag": 8.0}})
 
-    end = next_action(answered("causes-found", class_, there=START + JUDGES, thorough=True), MENU)
+    end = next_action(answered("causes-found", class_, recordings=START + JUDGES, thorough=True), MENU)
 
     assert isinstance(end, Finish)
     assert end.stands
@@ -196,7 +204,7 @@ def test_a_spent_budget_ends_it_but_not_before_a_thorough_answer() -> None:
 
 
 def test_without_a_flight_another_is_tried_and_then_given_up() -> None:
-    known = replace(NEW, there=frozenset(START[:3]), refused=frozenset({"wide-steps"}))
+    known = replace(NEW, recordings=frozenset(START[:3]), refused=frozenset({"wide-steps"}))
 
     action = next_action(known, MENU)
     end = next_action(replace(known, refused=frozenset({"wide-steps", "prbs-reference", "multisine", "steps"})), MENU)
@@ -208,9 +216,9 @@ def test_without_a_flight_another_is_tried_and_then_given_up() -> None:
 
 
 def test_quick_is_never_thorough() -> None:
-    judged = replace(answered("causes-found", suspect({}), there=START + JUDGES), quick=True)
+    judged = replace(answered("causes-found", suspect({}), recordings=START + JUDGES), quick=True)
 
     assert isinstance(next_action(judged, MENU), Finish)
-    again = next_action(replace(judged, asked_of=frozenset(START)), MENU)
+    again = next_action(replace(judged, diagnosed=frozenset(START)), MENU)
     assert isinstance(again, Diagnose)
     assert not again.thorough

@@ -41,7 +41,7 @@ def test_an_alarm_that_comes_again_calls_again() -> None:
     book.twin_alarm(divergence(active=False), 30)
     book.twin_alarm(divergence(active=True), 40)
 
-    assert (seen.acknowledged_by, seen.value, seen.threshold_on) == ("eva", 9.0, 5.0)
+    assert (seen.acknowledger, seen.value, seen.threshold_on) == ("eva", 9.0, 5.0)
     assert names(book) == [("divergence-x", True, False)]
 
 
@@ -100,12 +100,12 @@ def test_log_and_link_come_and_go() -> None:
 
     book.event(pb.Event(name="log-disk-full", severity="fault", text="no room"), 1)
     book.log("disk-full", 2)
-    book.link("No samples come.", 3)
+    book.link("No samples arrive.", 3)
     during = {a.name: a.text for a in book.listed()}
     book.event(pb.Event(name="log-resumed"), 4)
     book.link("", 5)
 
-    assert during == {LOG: "no room", LINK: "No samples come."}
+    assert during == {LOG: "no room", LINK: "No samples arrive."}
     assert not any(a.active for a in book.listed())
 
 
@@ -194,7 +194,7 @@ def test_the_end_of_the_twin_ends_its_alarms_and_is_one_itself() -> None:
     book = AlarmBook("rig")
     book.twin_alarm(divergence(active=True), 10)
 
-    book.twin_gone(20)
+    book.end_twin_alarms(20)
     gone = names(book)
     book.twin_alarms(pb.TwinAlarms(), 30)
 
@@ -219,14 +219,14 @@ def test_an_acknowledgement_means_what_came_before_it() -> None:
 def test_the_gateway_gives_a_missed_fault_its_name_and_a_link_its_time() -> None:
     book = AlarmBook("rig")
     book.state(pb.State(flags=Flag.FAULT, tick=5), 900)
-    book.link("No samples come.", 900)
+    book.link("No samples arrive.", 900)
     known = [pb.Alarm(name="over-current", active=True, text="coil off", host_time_ns=100),
              pb.Alarm(name=LINK, active=True, text="The cable is out.", host_time_ns=200)]  # fmt: skip
 
     book.repeated(pb.Alarms(active=known), 950)
 
     assert [(a.name, a.text, a.since_ns) for a in book.listed()] == [
-        (LINK, "No samples come.", 200),
+        (LINK, "No samples arrive.", 200),
         ("over-current", "coil off", 100),
     ]
 

@@ -13,7 +13,7 @@ import pytest
 from gateway.board.conditions import LINK, TO_BOARD
 from gateway.views.alarms import TWIN
 from gateway.views.bins import channels
-from gateway.views.feed import SILENT_S, TWIN_GONE_S, UNSEEN_S, BoardFeed, Feed
+from gateway.views.feed import SILENT_S, TWIN_TIMEOUT_S, UNSEEN_S, BoardFeed, Feed
 from gateway.views.hmi.snapshot import rest
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import REPLAYED, state_batch
@@ -166,7 +166,7 @@ def test_alarms_of_twin_and_board_are_listed_and_acknowledged(feed: Feed, gatewa
     done = feed.acknowledge("rig", "divergence-x", who="eva")
 
     assert done.accepted
-    assert [(a.name, a.acknowledged_by) for a in rig.alarms() if a.name != LINK] == [("divergence-x", "eva")]
+    assert [(a.name, a.acknowledger) for a in rig.alarms() if a.name != LINK] == [("divergence-x", "eva")]
     assert gateway.commands[0][1].acknowledge.alarm == "divergence-x"
     assert feed.acknowledge("rig", "divergence-x", who="eva").reason == "no-alarm"
     assert feed.acknowledge("nobody", "divergence-x", who="eva").reason == "no-alarm"
@@ -198,7 +198,7 @@ def test_what_is_seen_in_one_view_is_seen_in_all_and_in_those_that_come_later() 
 
             assert reply.accepted
             for alarm in (seen[0], seen_late[0]):
-                assert (alarm.name, alarm.acknowledged_by, alarm.comment) == ("divergence-x", "eva", "known")
+                assert (alarm.name, alarm.acknowledger, alarm.comment) == ("divergence-x", "eva", "known")
                 assert alarm.since_ns == raised.host_time_ns
             assert event.text == "eva: divergence-x known"
             for feed in feeds:
@@ -217,7 +217,7 @@ def test_the_alarm_that_there_is_no_gateway_can_be_acknowledged_without_one(gate
         reply = feed.acknowledge("rig", LINK, who="eva")
 
         assert (reply.accepted, "this view alone" in reply.text) == (True, True)
-        assert [(a.name, a.acknowledged_by) for a in rig.alarms()] == [(LINK, "eva")]
+        assert [(a.name, a.acknowledger) for a in rig.alarms()] == [(LINK, "eva")]
         feed.close()
 
 
@@ -230,12 +230,12 @@ def test_a_twin_that_ends_is_an_alarm_and_its_own_alarms_end(gateway: PlayedGate
         gateway.send("twin/alarms", active)
         wait_for(rig.alarms, "alarm")
 
-        now_s[0] += TWIN_GONE_S + 1.0
+        now_s[0] += TWIN_TIMEOUT_S + 1.0
         heard(feed, gateway)  # the gateway was away as well, and its first word may be a sample: the twin has time
         wait_for(lambda: rig.link().live, "samples")
         with_time = [(a.name, a.active) for a in rig.alarms() if a.name != LINK]
         for _ in range(5):
-            now_s[0] += TWIN_GONE_S / 4.0
+            now_s[0] += TWIN_TIMEOUT_S / 4.0
             heard(feed, gateway)  # this time it is there, and the twin is not
         gone = wait_for(lambda: [a for a in rig.alarms() if a.name == TWIN], "end of the twin")
 

@@ -239,7 +239,7 @@ def test_a_campaign_shows_its_progress_parks_the_ball_when_interrupted_and_goes_
     wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight")
     interrupt()
     assert folders() - before == {made}, "into the same folder"
-    expect(page.locator(".file", has=page.locator(f"a[href$='{made}']"))).to_contain_text("continued it")
+    expect(page.locator(".file", has=page.locator(f"a[href$='{made}']"))).to_contain_text("continued the campaign")
 
 
 def test_a_plot_can_be_held_zoomed_and_read(page: Page, bus: Bus) -> None:

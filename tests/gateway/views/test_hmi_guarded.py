@@ -124,7 +124,7 @@ def test_from_a_campaign_to_a_better_model_by_an_engineer_s_buttons(browser: Bro
         expect(tab.get_by_text("handed over by ana")).to_be_visible(timeout=UP_MS)
         expect(tab.locator('[data-live="hand-over-said"]')).to_contain_text(": done")
         before = models.locator(".file", has_text="before a hand-over")
-        before.get_by_role("button", name="Back to this model").click()
+        before.get_by_role("button", name="Return to this model").click()
         expect(before.get_by_text("in use")).to_be_visible(timeout=UP_MS)
     plant.gateway.end()
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gateway.views.hmi.model.campaigns import board_of, campaigns_of, choose, find_campaign
-from gateway.views.hmi.model.finding import read_found
+from gateway.views.hmi.model.finding import read_finding
 from gateway.views.hmi.model.journal import FILE, acts_of, write_act
 from gateway.views.hmi.model.models import keep, models_of
 from gateway.views.hmi.model.numbers import in_numbers
@@ -97,7 +97,7 @@ def test_the_model_in_use_is_marked_and_the_one_that_it_replaces_stays_in_the_li
 
     assert [(one.kind, one.in_use) for one in before] == [("identified, campaign of 2026-01-02 03:04", False)]
     assert [one.in_use for one in after] == [True, False]
-    assert (after[0].about, after[1].about) == ("K_A 0.297; with quadratic-drag", "K_A 0.297")
+    assert (after[0].summary, after[1].summary) == ("K_A 0.297; with quadratic-drag", "K_A 0.297")
     assert after[1].was_replaced
     (root / CAMPAIGN / "model.json").write_text("{")
     assert len(models_of(tmp_path, "rig", campaigns, None)) == 1, "a damaged one is left out"
@@ -127,7 +127,7 @@ def test_a_campaign_that_is_left_unfinished_stands_behind_finished_ones(tmp_path
 def test_an_answer_is_read_and_experiments_that_no_menu_has_are_left_out(tmp_path: Path) -> None:
     path = campaign(tmp_path) / "diagnosis" / "diagnosis.json"
 
-    found = read_found(path)
+    found = read_finding(path)
 
     assert found.sure
     assert found.causes[0].experiments == ("chirp", "blocked-ball")
@@ -136,7 +136,7 @@ def test_an_answer_is_read_and_experiments_that_no_menu_has_are_left_out(tmp_pat
     for damaged in ("{}", "[]", '{"verdict": 1, "sentence": 2, "causes": [3]}'):
         path.write_text(damaged)
         with pytest.raises(DataError, match=r"diagnosis\.json"):
-            read_found(path)
+            read_finding(path)
 
 
 def divergence(signal: str, *, mean: float, rms: float, noise: float) -> pb.Divergence:
@@ -157,7 +157,7 @@ def test_an_alarm_says_by_how_much_which_way_and_how_often_noise_explains_it() -
     )
     assert (
         in_numbers("divergence-x", "14:59", lower)
-        == "the ball is 40 \u00b5m lower than the model has it since 14:59, 5.1 times what noise explains"
+        == "the ball is 40 \u00b5m lower than in the model since 14:59, 5.1 times what noise explains"
     )
     assert in_numbers("divergence-x", "9:00", to_and_fro).startswith("position and model differ by 120 \u00b5m rms")
     assert in_numbers("innovation", "9:00", more) == (

@@ -41,9 +41,9 @@ def test_every_field_has_a_value_that_can_be_sent() -> None:
 def test_each_state_says_since_when() -> None:
     condition = ConditionNode("rig", "divergence-x")
     came = told(condition, 0)
-    seen = told(condition, 5, acknowledged=True, acknowledged_by="eva", comment="known")
-    worse = told(condition, 7, acknowledged=True, acknowledged_by="eva", comment="known", severity="fault")
-    gone = told(condition, 9, retain=False, acknowledged=True, acknowledged_by="eva", comment="known")
+    seen = told(condition, 5, acknowledged=True, acknowledger="eva", comment="known")
+    worse = told(condition, 7, acknowledged=True, acknowledger="eva", comment="known", severity="fault")
+    gone = told(condition, 9, retain=False, acknowledged=True, acknowledger="eva", comment="known")
 
     def since(event: Any, field: str) -> float:
         return float((getattr(event, field) - START).total_seconds())

@@ -59,11 +59,11 @@ def test_every_field_of_the_topics_is_a_variable() -> None:
 
 
 def test_descriptions_are_the_comments_of_the_proto() -> None:
-    about = {leaf.path: leaf.about for leaf in leaves()}
-    assert not [path for path, text in about.items() if not text], "a bare name means nothing in a SCADA system"
+    description = {leaf.path: leaf.description for leaf in leaves()}
+    assert not [path for path, text in description.items() if not text], "a bare name means nothing in a SCADA system"
 
-    assert about["state/u_c_v"] == "in force from this tick to the next"
-    assert about["twin/state/sync"] == '"in-step" | "settling" | "out-of-step"'
+    assert description["state/u_c_v"] == "in force from this tick to the next"
+    assert description["twin/state/sync"] == '"in-step" | "settling" | "out-of-step"'
 
 
 def test_every_kind_of_command_is_a_method() -> None:

@@ -64,8 +64,8 @@ def test_the_nodeset_is_read_by_a_server_without_our_types() -> None:
 
 def test_every_command_and_argument_is_described() -> None:
     for method in methods():
-        assert method.about
-        assert [argument.name for argument in method.arguments if not argument.about] == [], method.name
+        assert method.description
+        assert [argument.name for argument in method.arguments if not argument.description] == [], method.name
 
 
 @pytest.mark.parametrize(

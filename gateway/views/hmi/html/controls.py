@@ -18,24 +18,24 @@ _SHAPES = ("step", "rectangle", "sawtooth", "prbs", "multisine", "chirp")
 
 
 def cards(may: Callable[[str], bool]) -> list[Markup]:
-    """Those for which `may` says yes."""
+    """Return the cards of the actions that `may` allows."""
     made = (("set_mode", _mode), ("set_reference", _reference), ("excite", _excitation), ("recording", _recording),
             ("set_gains", _gains))  # fmt: skip
     return [make() for act, make in made if may(act)]
 
 
 def job(text: str, kind: str, act: str, *, then: str = "", **options: str | bool) -> Markup:
-    """A button that starts or stops a job; `then` is the page to go to where it was accepted."""
-    wanted = json.dumps({"kind": kind, "act": act, **options})
-    return tag("button", text, type="button", class_="plain", data_job=wanted, data_then=then or None)
+    """Return a button that starts or stops a job; `then` is the page to open if the request is accepted."""
+    request = json.dumps({"kind": kind, "act": act, **options})
+    return tag("button", text, type="button", class_="plain", data_job=request, data_then=then or None)
 
 
-def _card(title: str, *inside: Markup) -> Markup:
-    return tag("section", tag("h2", title, class_="card-title"), *inside, class_="card")
+def _card(title: str, *content: Markup) -> Markup:
+    return tag("section", tag("h2", title, class_="card-title"), *content, class_="card")
 
 
-def _row(*inside: Markup) -> Markup:
-    return tag("div", *inside, class_="row-of")
+def _row(*content: Markup) -> Markup:
+    return tag("div", *content, class_="row-of")
 
 
 def _number(label: str, name: str, value: float | None, **attributes: str) -> Markup:
@@ -57,7 +57,7 @@ def _text(label: str, name: str, longest: int) -> Markup:
 
 
 def _choice(label: str, name: str, options: dict[str, str], chosen: str) -> Markup:
-    """Buttons, not a list that opens: Esc would close it by habit, and Esc is STOP."""
+    """Return radio buttons.  In a list that opens, people close it with Esc by habit, and Esc is STOP."""
     buttons = [
         tag("label", tag("input", type="radio", name=name, value=value, checked=value == chosen), tag("span", text))
         for value, text in options.items()
@@ -89,7 +89,7 @@ def _excitation() -> Markup:
         _number("around, mm", "offset", 2.5),
         _number("period, s", "period", 2.0, min="0"),
         _number("last period, s", "period_end", 0.1, min="0"),
-        _number("for, s (0: endless)", "duration", 20.0, min="0"),
+        _number("duration, s (0: endless)", "duration", 20.0, min="0"),
         class_="fields",
     )
     acts = _row(

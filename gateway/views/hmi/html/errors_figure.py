@@ -10,12 +10,12 @@ from gateway.views.hmi.model.finding import Ahead
 
 _WIDTH, _HEIGHT = 560.0, 260.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 12.0, 14.0, 40.0
-_LEAST_M = 1e-9  # an error of 0 has no logarithm
+_MIN_ERROR_M = 1e-9  # an error of 0 has no logarithm
 
 
 def errors_figure(ahead: Sequence[Ahead]) -> Markup:
     """The rms error of x on the judge recordings with 95 % intervals: model, extended model, sensor noise alone."""
-    values = [max(v, _LEAST_M) for one in ahead for v in (*one.before, *one.after, one.noise_alone)]
+    values = [max(v, _MIN_ERROR_M) for error in ahead for v in (*error.before, *error.after, error.noise_floor)]
     low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
     high = max(high, low + 1)
     first, last = math.log10(ahead[0].horizon_s), math.log10(ahead[-1].horizon_s)
@@ -25,24 +25,31 @@ def errors_figure(ahead: Sequence[Ahead]) -> Markup:
         return _LEFT + 24.0 + (math.log10(horizon_s) - first) / width * (_WIDTH - _LEFT - _RIGHT - 48.0)
 
     def y(error_m: float) -> float:
-        share = (math.log10(max(error_m, _LEAST_M)) - low) / (high - low)
+        share = (math.log10(max(error_m, _MIN_ERROR_M)) - low) / (high - low)
         return _TOP + (1.0 - share) * (_HEIGHT - _TOP - _BOTTOM)
 
     parts = [_grid(10.0**k, y(10.0**k)) for k in range(low, high + 1)]
-    for one in ahead:
-        parts.append(_text(x(one.horizon_s), _HEIGHT - 22.0, f"{one.horizon_s * 1e3:.0f}", "middle"))
+    for error in ahead:
+        parts.append(_text(x(error.horizon_s), _HEIGHT - 22.0, f"{error.horizon_s * 1e3:.0f}", "middle"))
     parts.append(_text(_LEFT + (_WIDTH - _LEFT) / 2.0, _HEIGHT - 5.0, "prediction horizon, ms", "middle"))
-    parts.append(_path([(x(one.horizon_s), y(one.noise_alone)) for one in ahead], "noise"))
-    for name, of in (("before", [one.before for one in ahead]), ("after", [one.after for one in ahead])):
-        at = [x(one.horizon_s) for one in ahead]
+    parts.append(_path([(x(error.horizon_s), y(error.noise_floor)) for error in ahead], "noise"))
+    for name, of in (("before", [error.before for error in ahead]), ("after", [error.after for error in ahead])):
+        at = [x(error.horizon_s) for error in ahead]
         parts.append(_path([(a, y(value)) for a, (value, _, _) in zip(at, of, strict=True)], name))
         parts += [_bar(a, y(bottom), y(top), y(value), name) for a, (value, bottom, top) in zip(at, of, strict=True)]
     figure = tag("svg", *parts, viewBox=f"0 0 {_WIDTH:g} {_HEIGHT:g}", role="img",
                  aria_label="Prediction error before and after the diagnosis")  # fmt: skip
-    names = (("before", "the model before"), ("after", "extended by the causes"), ("noise", "sensor noise alone"))
+    names = (
+        ("before", "model before the diagnosis"),
+        ("after", "model extended by the causes"),
+        ("noise", "sensor noise only"),
+    )
     legend = [tag("span", tag("span", class_=f"mark {name}"), text, class_="entry") for name, text in names]
-    caption = tag("figcaption", "rms error of the position on recordings that no fit has seen, with 95 % intervals. ",
-                  *legend)  # fmt: skip
+    caption = tag(
+        "figcaption",
+        "rms error of the predicted position on recordings that were not used for fitting, with 95 % intervals. ",
+        *legend,
+    )
     return tag("figure", figure, caption, class_="errors")
 
 

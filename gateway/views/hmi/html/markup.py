@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 
-_VOID = frozenset({"input", "link", "meta"})  # elements without an inside
+_VOID = frozenset({"input", "link", "meta"})  # elements without content
 
 
 class Markup(str):
@@ -16,22 +16,22 @@ class Markup(str):
     __slots__ = ()
 
 
-def tag(name: str, /, *inside: str, **attributes: str | float | None) -> Markup:
-    """One element.
+def tag(name: str, /, *children: str, **attributes: str | float | None) -> Markup:
+    """Return one element.
 
     Args:
         name: of the element.
-        inside: markup as it is, other text escaped.
+        children: markup as it is, other text escaped.
         attributes: `class_` is class, `data_act` is data-act; True stands alone, None and False are left out.
     """
     words = "".join(_attribute(key, value) for key, value in attributes.items())
     if name in _VOID:
         return Markup(f"<{name}{words}>")
-    return Markup(f"<{name}{words}>{join(*inside)}</{name}>")
+    return Markup(f"<{name}{words}>{join(*children)}</{name}>")
 
 
 def join(*parts: str) -> Markup:
-    """One after the other."""
+    """Return the pieces of markup, one after the other."""
     return Markup("".join(part if isinstance(part, Markup) else html.escape(part) for part in parts))
 
 

@@ -11,8 +11,8 @@ from gateway.views.hmi.html import controls
 from gateway.views.hmi.html.errors_figure import errors_figure
 from gateway.views.hmi.html.markup import Markup, tag
 from gateway.views.hmi.model.campaigns import CampaignFolder
-from gateway.views.hmi.model.finding import Found, FoundCause
-from gateway.views.hmi.model.models import ModelFile, about, plant_assumed
+from gateway.views.hmi.model.finding import Finding, FindingCause
+from gateway.views.hmi.model.models import ModelFile, plant_assumed, summary
 from gateway.views.hmi.model.work import LIVE_MIN
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
@@ -28,7 +28,7 @@ _ASSUMED = (
 )
 _VERDICTS = {
     "causes-found": "causes found",
-    "partly-explained": "explained in part",
+    "partly-explained": "partly explained",
     "adequate": "the model is right",
     "unknown-cause": "no known cause explains it",
     "unfinished": "the search did not finish",
@@ -36,7 +36,7 @@ _VERDICTS = {
 
 
 def steps(chosen: CampaignFolder | None, may: May) -> Markup:
-    """The buttons, in the order of the work, and what they said."""
+    """Return the buttons in the order of the work, with their messages."""
     name = chosen.name if chosen is not None and chosen.toml is not None else ""
     measure = _row(
         controls.job("Run quick (35 s)", "campaign", "start", quick=True),
@@ -53,54 +53,56 @@ def steps(chosen: CampaignFolder | None, may: May) -> Markup:
         *(of_campaign if name else ()),
         controls.job(f"Diagnose the last {LIVE_MIN:g} minutes of flight", "diagnose", "start", live=True),
     )
-    of = f"Of the campaign of {chosen.made}." if chosen is not None else "There is no campaign yet: run one first."
-    of += " Nothing was recorded in it." if chosen is not None and not name else ""
+    of = f"It uses the campaign of {chosen.made}." if chosen is not None else "There is no campaign yet: run one first."
+    of += " It has no recordings." if chosen is not None and not name else ""
     if not may("campaign"):
-        return _card("Work", tag("div", "An engineer runs campaigns, identifies and diagnoses.", class_="hint"))
+        return _card("Work", tag("div", "Only an engineer may run campaigns, identify and diagnose.", class_="hint"))
     return _card(
         "Work",
         _step("1 Measure: a campaign", "It moves the ball; the board must be idle.", measure, "campaign"),
         _step("2 Identify: K_A, T_A, K_c, b", of, identify if name else Markup(), "identify", warning=assumed),
-        _step("3 Diagnose: what the model gets wrong, and why", of, diagnose, "diagnose"),
+        _step("3 Diagnose: the errors of the model and their causes", of, diagnose, "diagnose"),
         _step("4 Hand over", "Choose one of the models; the twin uses it at once.", Markup(), "hand-over"),
     )
 
 
 def _twin_now(running: pb.TwinModel | None) -> Markup:
-    """Which model the twin runs on, and what it says of it."""
-    said = tag("div", data_live="wrong", class_="wrong", role="status")
+    """Return the card of the model on which the twin runs."""
+    message = tag("div", data_live="wrong", class_="wrong", role="status")
     if running is None:
-        return _card("The twin", tag("div", "No twin follows this rig: start `board51 twin`.", class_="hint"), said)
+        return _card("The twin", tag("div", "No twin follows this rig: start `board51 twin`.", class_="hint"), message)
     try:
-        content = about(parse_json(running.model_json, where="the twin's model"))
+        content = summary(parse_json(running.model_json, where="the twin's model"))
     except (DataError, AttributeError):
         content = ""
-    since = f"handed over by {running.who}" if running.who else "it was started with it"
+    since = f"handed over by {running.who}" if running.who else "the model with which it was started"
     return _card(
         "The twin",
-        said,
-        tag("div", f"It runs on {running.name} ({running.sha256[:12]}), {since}.", class_="strong"),
+        message,
+        tag("div", f"The twin runs on {running.name} ({running.sha256[:12]}), {since}.", class_="strong"),
         tag("div", content, class_="hint"),
     )
 
 
-def found_card(chosen: CampaignFolder | None, found: Found | None, problem: str, report: str, may: May) -> Markup:
-    """The answer of the diagnosis of a campaign."""
+def finding_card(chosen: CampaignFolder | None, finding: Finding | None, problem: str, report: str, may: May) -> Markup:
+    """Return the card with the result of the diagnosis of a campaign."""
     if chosen is None:
-        return _card("What was found", tag("div", "Nothing yet: run a campaign.", class_="hint"))
-    title = f"What was found in the campaign of {chosen.made}"
-    if found is None:
-        return _card(title, tag("div", problem or "This campaign was not diagnosed yet.", class_="hint"))
-    causes = [_cause(chosen, cause, may, sure=found.sure) for cause in found.causes]
-    quick = () if found.calibrated else (tag("div", "Made quickly: confidence is not calibrated.", class_="hint"),)
-    warnings = [tag("li", text) for text in found.warnings]
+        return _card("Result of the diagnosis", tag("div", "Nothing yet: run a campaign.", class_="hint"))
+    title = f"Result of the diagnosis, campaign of {chosen.made}"
+    if finding is None:
+        return _card(title, tag("div", problem or "This campaign has not been diagnosed yet.", class_="hint"))
+    causes = [_cause(chosen, cause, may, sure=finding.sure) for cause in finding.causes]
+    quick = (
+        () if finding.calibrated else (tag("div", "Quick diagnosis: its confidence is not calibrated.", class_="hint"),)
+    )
+    warnings = [tag("li", text) for text in finding.warnings]
     assumed = "The plant is assumed: K_c and b of this answer hold for a published CE 152 only."
     return _card(
         title,
-        tag("div", _VERDICTS.get(found.verdict, found.verdict), class_="verdict", data_verdict=found.verdict),
-        tag("p", found.sentence, class_="sentence"),
-        _warning(assumed if found.plant_assumed or chosen.plant_assumed else ""),
-        errors_figure(found.ahead) if found.ahead else Markup(),
+        tag("div", _VERDICTS.get(finding.verdict, finding.verdict), class_="verdict", data_verdict=finding.verdict),
+        tag("p", finding.sentence, class_="sentence"),
+        _warning(assumed if finding.plant_assumed or chosen.plant_assumed else ""),
+        errors_figure(finding.ahead) if finding.ahead else Markup(),
         *causes,
         *quick,
         tag("ul", *warnings, class_="hint") if warnings else Markup(),
@@ -109,12 +111,12 @@ def found_card(chosen: CampaignFolder | None, found: Found | None, problem: str,
 
 
 def models_card(models: list[ModelFile], may: May) -> Markup:
-    """The models, each with where it comes from."""
+    """Return the card of the models, each with its origin."""
     rows = [_model(model, may) for model in models]
     if not rows:
         return _card("Models", tag("div", "None yet: identify or diagnose a campaign.", class_="hint"))
     assumed = any(plant_assumed(model.content) for model in models)
-    note = "Plant assumed: nobody stated it, and the value holds for a published CE 152 only." if assumed else ""
+    note = "Plant assumed: nobody stated it. The values hold for a published CE 152 only." if assumed else ""
     return _card(
         "Models",
         *rows,
@@ -124,10 +126,12 @@ def models_card(models: list[ModelFile], may: May) -> Markup:
 
 
 def campaigns_card(board: str, campaigns: list[CampaignFolder], chosen: CampaignFolder | None, may: May) -> Markup:
-    """The campaigns of the rig; one is looked at."""
+    """Return the card of the rig's campaigns; the chosen one is marked."""
     if not campaigns:
         return _card("Campaigns", tag("div", "None yet.", class_="hint"))
-    return _card("Campaigns", *(_campaign(board, one, may, looked_at=one is chosen) for one in campaigns))
+    return _card(
+        "Campaigns", *(_campaign(board, campaign, may, looked_at=campaign is chosen) for campaign in campaigns)
+    )
 
 
 def _step(title: str, hint: str, buttons: Markup, kind: str, *, warning: str = "") -> Markup:
@@ -148,25 +152,27 @@ def _warning(text: str) -> Markup:
     return tag("div", text, class_="class-of") if text else Markup()
 
 
-def _cause(chosen: CampaignFolder, cause: FoundCause, may: May, *, sure: bool) -> Markup:
-    said = [tag("div", f"{cause.name}: {cause.sentence}", class_="strong")]
+def _cause(chosen: CampaignFolder, cause: FindingCause, may: May, *, sure: bool) -> Markup:
+    lines = [tag("div", f"{cause.name}: {cause.sentence}", class_="strong")]
     word = "cause" if sure else "candidate"
-    said.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
+    lines.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
     if cause.equals:
-        said.append(tag("div", f"These recordings cannot tell it from: {', '.join(cause.equals)}.", class_="class-of"))
+        lines.append(
+            tag("div", f"These recordings cannot distinguish it from {', '.join(cause.equals)}.", class_="class-of")
+        )
     if cause.experiments and may("campaign"):
-        said.append(_row(*(_experiment(chosen, name) for name in cause.experiments[:3])))
-    said += [tag("div", f"Only with another instrument: {text}", class_="hint") for text in cause.outside]
+        lines.append(_row(*(_experiment(chosen, name) for name in cause.experiments[:3])))
+    lines += [tag("div", f"It needs another instrument: {text}", class_="hint") for text in cause.outside]
     if cause.confirm:
-        said.append(tag("div", f"To see it at the rig: {cause.confirm}.", class_="hint"))
+        lines.append(tag("div", f"To confirm it at the rig: {cause.confirm}.", class_="hint"))
     if cause.cure:
-        said.append(tag("div", f"To be rid of it: {cause.cure}.", class_="hint"))
-    return tag("div", *said, class_="cause")
+        lines.append(tag("div", f"To remedy it: {cause.cure}.", class_="hint"))
+    return tag("div", *lines, class_="cause")
 
 
 def _experiment(chosen: CampaignFolder, name: str) -> Markup:
     person = EXPERIMENT_OF_NAME[name].person
-    text = f"Next experiment: {name}" if not person else f"{person} Done: record {name}"
+    text = f"Next experiment: {name}" if not person else f"{person} When done: record {name}"
     return controls.job(
         text, "campaign", "start", campaign=chosen.name, experiment=name, prepared=bool(person)
     )  # fmt: skip
@@ -176,12 +182,12 @@ def _model(model: ModelFile, may: May) -> Markup:
     if model.in_use:
         act = tag("span", "\u25cf in use", class_="in-use")
     elif may("use_model"):
-        text = "Back to this model" if model.was_replaced else "Hand over to the twin"
+        text = "Return to this model" if model.was_replaced else "Hand over to the twin"
         act = controls.job(text, "hand-over", "start", model=model.name)
     else:
         act = Markup()
     words = tag(
-        "div", tag("div", model.kind, class_="strong"), tag("div", model.about, class_="hint"), class_="file-name"
+        "div", tag("div", model.kind, class_="strong"), tag("div", model.summary, class_="hint"), class_="file-name"
     )
     return tag("div", words, tag("span", model.made, class_="at"), act, class_="file")
 
@@ -193,31 +199,31 @@ def _campaign(board: str, campaign: CampaignFolder, may: May, *, looked_at: bool
         ("not finished", campaign.interrupted),
         ("plant assumed", campaign.plant_assumed),
     )
-    done = [word for word, holds in stages if holds]
+    marks = [word for word, holds in stages if holds]
     acts = [tag("div", f"{act.at} {act.who} {act.what}", class_="hint") for act in campaign.acts]
     title = tag("a", f"Campaign of {campaign.made}", href=f"/model/{board}?campaign={campaign.name}",
                 aria_current="true" if looked_at else None)  # fmt: skip
-    about_it = ", ".join([f"{campaign.recordings} recordings", *done])
+    details = ", ".join([f"{campaign.recordings} recordings", *marks])
     resume = controls.job("Continue", "campaign", "start", campaign=campaign.name, resume=True)
     act = tag("span", resume, data_idle="campaign") if campaign.interrupted and may("campaign") else Markup()
     words = tag("div", title, *acts, class_="file-name")
-    return tag("div", words, tag("span", about_it, class_="at"), act, class_="file")
+    return tag("div", words, tag("span", details, class_="at"), act, class_="file")
 
 
-def _card(title: str, *inside: Markup) -> Markup:
-    return tag("section", tag("h2", title, class_="card-title"), *inside, class_="card")
+def _card(title: str, *content: Markup) -> Markup:
+    return tag("section", tag("h2", title, class_="card-title"), *content, class_="card")
 
 
-def _row(*inside: Markup) -> Markup:
-    return tag("div", *inside, class_="row-of")
+def _row(*content: Markup) -> Markup:
+    return tag("div", *content, class_="row-of")
 
 
 def page(running: pb.TwinModel | None, work: Markup, *results: Markup) -> Markup:
-    """The cards; static/model.js replaces what bears `data-part`."""
-    twin, shown = _twin_now(running), "" if running is None else running.sha256[:12]
+    """Return the cards; static/model.js replaces the elements with `data-part`."""
+    twin, model_id = _twin_now(running), "" if running is None else running.sha256[:12]
     return tag(
         "main",
-        tag("div", tag("div", twin, data_part="twin"), work, class_="work", data_model=shown),
+        tag("div", tag("div", twin, data_part="twin"), work, class_="work", data_model=model_id),
         tag("div", *results, class_="results", data_part="results"),
         class_="model",
     )

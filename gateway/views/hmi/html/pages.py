@@ -22,13 +22,13 @@ from gateway.views.hmi.html import controls, model_page
 from gateway.views.hmi.html.markup import Markup, join, tag
 from gateway.views.hmi.library import LibraryFile
 from gateway.views.hmi.model.campaigns import choose, rig_of
-from gateway.views.hmi.model.finding import read_found
+from gateway.views.hmi.model.finding import read_finding
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from protocol.errors import DataError
 
 REPLAY = "/live-replay"  # where the frames of replays come from
-REPORTS_SHOWN = 20
+MAX_REPORTS = 20
 _CHIPS = ("link", "to-board", "mode", "runs", "twin", "log", "alarm-count")
 _NUMBERS = (
     ("x", "position", "mm", True), ("x_ref", "reference", "mm", False), ("twin_x", "twin", "mm", False),
@@ -46,7 +46,7 @@ class Pages:
         self._actions, self._work = actions, work
 
     def routes(self) -> list[Route]:
-        """Where they are."""
+        """Return the routes of the pages."""
         pages = {
             "/": self.overview,
             "/rig/{board}": self.rig,
@@ -59,13 +59,13 @@ class Pages:
         return [Route(path, endpoint, methods=["GET"]) for path, endpoint in pages.items()]
 
     async def overview(self, request: Request) -> Response:
-        """All rigs."""
+        """Return the page of all rigs."""
         return self._page(request, "All rigs", _boards(), live="/live", prefix="/rig")
 
     async def rig(self, request: Request) -> Response:
-        """One rig, with what this session may do."""
+        """Return the page of one rig, with the controls that this session may use."""
         board, session = request.path_params["board"], _session(request)
-        reports = [one for one in await asyncio.to_thread(self._actions.reports.entries) if rig_of(one) == board]
+        reports = [entry for entry in await asyncio.to_thread(self._actions.reports.entries) if rig_of(entry) == board]
         cards = controls.cards(lambda act: self._actions.may(session, act))
         body = tag(
             "main",
@@ -78,7 +78,7 @@ class Pages:
         return self._page(request, board, body, live=f"/live/{board}", board=board, chips=True)
 
     async def model(self, request: Request) -> Response:
-        """The model of a rig: from a campaign to a model that has what was missing."""
+        """Return the page of a rig's model: from a campaign to an extended model."""
         board, session = request.path_params["board"], _session(request)
         body = await asyncio.to_thread(self._model, board, request.query_params.get("campaign", ""), session)
         return self._page(
@@ -88,14 +88,14 @@ class Pages:
     def _model(self, board: str, campaign: str, session: LoginSession) -> Markup:
         campaigns = self._work.campaigns(board)
         chosen = choose(campaigns, campaign)
-        found, problem, report = None, "", ""
+        finding, problem, report = None, "", ""
         if chosen is not None and chosen.diagnosis is not None:
             try:
-                found = read_found(chosen.diagnosis)
+                finding = read_finding(chosen.diagnosis)
             except DataError as error:
                 problem = str(error)
             page = (chosen.diagnosis.parent / "report.html").resolve()
-            report = next((one.name for one in self._actions.reports.entries() if one.path == page), "")
+            report = next((entry.name for entry in self._actions.reports.entries() if entry.path == page), "")
 
         def may(act: str) -> bool:
             return self._actions.may(session, act)
@@ -103,17 +103,17 @@ class Pages:
         return model_page.page(
             self._work.running(board),
             model_page.steps(chosen, may),
-            model_page.found_card(chosen, found, problem, report, may),
+            model_page.finding_card(chosen, finding, problem, report, may),
             model_page.models_card(self._work.models(board), may),
             model_page.campaigns_card(board, campaigns, chosen, may),
         )
 
     async def replays(self, request: Request) -> Response:
-        """What is replayed."""
+        """Return the page of all replayed rigs."""
         return self._page(request, "Replay", self._replay_banner(), _boards(), live=REPLAY, prefix="/replay")
 
     async def replay(self, request: Request) -> Response:
-        """One rig of a recording."""
+        """Return the page of one rig of a recording."""
         board = request.path_params["board"]
         lists = (_list("Alarms", "alarms"), _list("Events", "events"), _list("Commands", "commands"))
         body = tag("main", _measured(), tag("div", *lists, class_="side"), class_="rig replayed")
@@ -123,17 +123,17 @@ class Pages:
         )
 
     async def logs(self, request: Request) -> Response:
-        """Files."""
+        """Return the page of reports and logs."""
         session = _session(request)
         logs = await asyncio.to_thread(self._actions.logs.entries)
         reports = await asyncio.to_thread(self._actions.reports.entries)
         body = tag(
             "main",
-            _card("Diagnosis reports", *map(_report_row, reports[:REPORTS_SHOWN]), empty=self._how_to_report()),
+            _card("Diagnosis reports", *map(_report_row, reports[:MAX_REPORTS]), empty=self._how_to_report()),
             _card(
                 "Logs",
                 *([_filter()] if logs else []),
-                *(_log_row(one, deletable=self._actions.may(session, "delete_log")) for one in logs),
+                *(_log_row(entry, deletable=self._actions.may(session, "delete_log")) for entry in logs),
                 empty="There are no logs in this folder yet.",
             ),
             tag("dialog", tag("div", class_="file-name"), tag("pre", class_="summary-text"),
@@ -143,7 +143,7 @@ class Pages:
         return self._page(request, "Logs and reports", body, live="/live")
 
     async def report(self, request: Request) -> Response:
-        """A report within a page of ours, which has STOP; the report itself runs no script."""
+        """Return a report within a page that has STOP; the report itself runs no script."""
         entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
@@ -205,11 +205,11 @@ class Pages:
             tag("button", "Log out", type="button", data_act="log-out", class_="plain") if self._actions.users else "",
             class_="bar-row",
         )
-        shown = tag("div", *(_live(name, class_="chip") for name in _CHIPS), class_="chips") if chips else ""
-        said = [_live(name, "div", class_="said", role="alert") for name in ("stop-said", "lost", "session")]
+        chip_row = tag("div", *(_live(name, class_="chip") for name in _CHIPS), class_="chips") if chips else ""
+        messages = [_live(name, "div", class_="said", role="alert") for name in ("stop-said", "lost", "session")]
         content = join(
-            tag("header", tag("div", row, shown, class_="bar-rows"), _stop(stops, replayed), class_="bar"),
-            tag("div", tag("span", _what_stops(stops, replayed), class_="hint"), tag("div", *said, class_="stack"),
+            tag("header", tag("div", row, chip_row, class_="bar-rows"), _stop(stops, replayed), class_="bar"),
+            tag("div", tag("span", _what_stops(stops, replayed), class_="hint"), tag("div", *messages, class_="stack"),
                 class_="messages"),
             *body,
             tag("div", class_="toasts", role="status"),
@@ -238,16 +238,18 @@ def _coils(stops: str, replayed: bool) -> str:
 def _what_stops(stops: str, replayed: bool) -> str:
     if stops != "*":
         return f"STOP or Esc: the coil of {stops} off, at once."
-    return f"STOP or Esc: the coils of {_coils(stops, replayed)} off, at once, for this page belongs to no single one."
+    return (
+        f"STOP or Esc: the coils of {_coils(stops, replayed)} off, at once: this page does not belong to a single rig."
+    )
 
 
 def _live(name: str, element: str = "span", **attributes: str) -> Markup:
-    """An element that hmi.js fills."""
+    """Return an element that hmi.js fills."""
     return tag(element, data_live=name, **attributes)
 
 
-def _card(title: str, *inside: Markup, empty: str) -> Markup:
-    rows = inside or (tag("div", empty, class_="empty"),)
+def _card(title: str, *content: Markup, empty: str) -> Markup:
+    rows = content or (tag("div", empty, class_="empty"),)
     return tag("section", tag("h2", title, class_="card-title"), *rows, class_="card")
 
 
@@ -281,7 +283,7 @@ def _list(title: str, name: str) -> Markup:
 
 def _to_model(board: str, reports: list[LibraryFile]) -> Markup:
     links = [tag("a", "Campaign, diagnosis, hand-over", href=f"/model/{board}")]
-    links += [tag("a", f"Last report, {one.changed}", href=f"/report/{one.name}") for one in reports[:1]]
+    links += [tag("a", f"Last report, {entry.changed}", href=f"/report/{entry.name}") for entry in reports[:1]]
     return _card("Model", _live("wrong", "div", class_="wrong"), *(tag("div", link) for link in links), empty="")
 
 

@@ -21,14 +21,14 @@ from protocol.campaign import load_plant
 from protocol.errors import Board51Error, DataError
 from protocol.files import parse_json, read_small
 
-SHOWN = 50  # the newest
+MAX_CAMPAIGNS = 50  # the newest
 MODEL, DIAGNOSIS = "model.json", "diagnosis"
 _NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignFolder:
-    """One campaign."""
+    """The folder of one campaign."""
 
     name: str
     path: Path
@@ -42,33 +42,33 @@ class CampaignFolder:
 
     @property
     def model(self) -> Path | None:
-        """What `identify` made of it."""
+        """Return the model of `identify`."""
         return _file(self.path / MODEL)
 
     @property
     def extended_model(self) -> Path | None:
-        """What `diagnose` made of it."""
+        """Return the extended model of `diagnose`."""
         return _file(self.path / DIAGNOSIS / "extended_model.json")
 
     @property
     def diagnosis(self) -> Path | None:
-        """The diagnosis.json."""
+        """Return the diagnosis.json."""
         return _file(self.path / DIAGNOSIS / "diagnosis.json")
 
     @property
     def toml(self) -> Path | None:
-        """The campaign.toml: None before a campaign has recorded anything."""
+        """Return the campaign.toml; None before the campaign has recorded anything."""
         recorded = sorted((self.path / DIAGNOSIS).glob("live-*/campaign.toml"))
         return _file(self.path / "campaign.toml") or (recorded[-1] if recorded else None)
 
     @property
     def interrupted(self) -> bool:
-        """Whether something is left to do, so that it can be continued."""
+        """Return whether experiments or steps are left, so that it can be continued."""
         return bool(self.left) or self.investigation
 
     @property
     def plant_assumed(self) -> bool:
-        """Whether nobody stated its plant."""
+        """Return whether nobody stated its plant."""
         try:
             return self.toml is not None and load_plant(self.toml).assumed
         except Board51Error:  # `identify` says what is wrong with it
@@ -76,38 +76,38 @@ class CampaignFolder:
 
 
 def board_of(name: str) -> str:
-    """The board whose campaign a folder of that name holds; empty if it is not such a name."""
+    """Return the board of a campaign's folder by its name; empty if it is not the name of a campaign."""
     match = _NAME.fullmatch(name)
     return match["board"] if match is not None else ""
 
 
 def rig_of(report: LibraryFile) -> str:
-    """The board whose campaign a report belongs to; empty where its folders do not tell."""
+    """Return the board of the campaign of a report; empty if no folder in its path is a campaign."""
     return next(filter(None, (board_of(folder.name) for folder in report.path.parents)), "")
 
 
 def campaigns_of(root: Path, board: str) -> list[CampaignFolder]:
-    """Those of one board below `root`, the newest first."""
+    """Return the campaigns of one board below `root`, the newest first."""
     try:
         names = sorted((path.name for path in root.iterdir() if path.is_dir() and not path.is_symlink()), reverse=True)
     except OSError:
         return []
-    mine = [name for name in names if board_of(name) == board][:SHOWN]
+    mine = [name for name in names if board_of(name) == board][:MAX_CAMPAIGNS]
     return [_campaign(root / name, board) for name in mine]
 
 
 def choose(campaigns: list[CampaignFolder], name: str) -> CampaignFolder | None:
-    """The campaign of that name; for an empty name the newest finished one, else the newest with recordings."""
+    """Return the campaign of that name; for an empty name the newest finished one, else the newest with recordings."""
     if name:
-        return next((one for one in campaigns if one.name == name), None)
-    recorded = [one for one in campaigns if one.toml is not None]
-    return next((one for one in recorded if not one.interrupted), recorded[0] if recorded else None)
+        return next((campaign for campaign in campaigns if campaign.name == name), None)
+    recorded = [campaign for campaign in campaigns if campaign.toml is not None]
+    return next((campaign for campaign in recorded if not campaign.interrupted), recorded[0] if recorded else None)
 
 
 def find_campaign(root: Path, board: str, name: str) -> CampaignFolder | None:
-    """The campaign of that name; the newest for an empty name."""
-    found = campaigns_of(root, board)
-    return next((one for one in found if name in ("", one.name)), None)
+    """Return the campaign of that name, or the newest for an empty name; None if there is none."""
+    campaigns = campaigns_of(root, board)
+    return next((campaign for campaign in campaigns if name in ("", campaign.name)), None)
 
 
 def _campaign(path: Path, board: str) -> CampaignFolder:
@@ -130,7 +130,7 @@ def _campaign(path: Path, board: str) -> CampaignFolder:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    """The content of a JSON file; empty where it is absent or damaged."""
+    """Return the content of a JSON file; empty if it is missing or damaged."""
     if not path.is_file():
         return {}
     try:

@@ -1,4 +1,4 @@
-"""What a page shows of a diagnosis.json."""
+"""The part of a diagnosis.json that a page shows."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Ahead:
     horizon_s: float
     before: tuple[float, float, float]
     after: tuple[float, float, float]
-    noise_alone: float
+    noise_floor: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FoundCause:
+class FindingCause:
     """A cause or candidate."""
 
     name: str
@@ -39,7 +39,7 @@ class FoundCause:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class Finding:
     """The answer of a diagnosis."""
 
     verdict: str
@@ -47,12 +47,12 @@ class Found:
     calibrated: bool
     plant_assumed: bool  # nobody stated the plant of the rig
     sure: bool  # whether `causes` are causes, and not candidates
-    causes: tuple[FoundCause, ...]
+    causes: tuple[FindingCause, ...]
     ahead: tuple[Ahead, ...]
     warnings: tuple[str, ...]
 
 
-def read_found(path: Path) -> Found:
+def read_finding(path: Path) -> Finding:
     """Read diagnosis.json.
 
     Raises:
@@ -62,24 +62,24 @@ def read_found(path: Path) -> Found:
     try:
         causes = table.get("causes") or table.get("candidates") or []
         show = table.get("show") or {}
-        return Found(
+        return Finding(
             verdict=str(table["verdict"]),
             sentence=str(table["sentence"]),
             calibrated=bool(table.get("calibrated", True)),
             plant_assumed=table.get("plant_assumed") is True,
             sure=bool(table.get("causes")),
             causes=tuple(map(_cause, causes)),
-            ahead=tuple(_ahead(one) for one in show.get("ahead", ())) if show.get("judged") else (),
+            ahead=tuple(_ahead(entry) for entry in show.get("ahead", ())) if show.get("judged") else (),
             warnings=tuple(map(str, table.get("warnings", ()))),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{path} is no answer of board51 diagnose ({error!r})", remedy=_REMEDY) from None
+        raise DataError(f"{path} is not a diagnosis.json of board51 diagnose ({error!r})", remedy=_REMEDY) from None
 
 
-def _cause(table: Mapping[str, Any]) -> FoundCause:
+def _cause(table: Mapping[str, Any]) -> FindingCause:
     proposal = table.get("next_experiment") or {}
     rig = table.get("at_the_rig") or {}
-    return FoundCause(
+    return FindingCause(
         name=str(table["name"]),
         sentence=str(table.get("sentence", table["name"])),
         confidence=float(table["confidence"]),
@@ -87,7 +87,7 @@ def _cause(table: Mapping[str, Any]) -> FoundCause:
         confirm=str(rig.get("confirm", "")),
         cure=str(rig.get("cure", "")),
         experiments=tuple(
-            n for n in (str(one["name"]) for one in proposal.get("experiments", ())) if n in EXPERIMENT_OF_NAME
+            n for n in (str(entry["name"]) for entry in proposal.get("experiments", ())) if n in EXPERIMENT_OF_NAME
         ),
         outside=tuple(map(str, proposal.get("not_separable_here", ()))),
     )
@@ -98,7 +98,7 @@ def _ahead(table: Mapping[str, Any]) -> Ahead:
         horizon_s=float(table["horizon_s"]),
         before=_interval(table["baseline"]),
         after=_interval(table["extended"]),
-        noise_alone=float(table["floor_m"]),
+        noise_floor=float(table["floor_m"]),
     )
 
 

@@ -1,4 +1,4 @@
-"""Who did what with a campaign: `acts.jsonl` in its folder, a line for each act."""
+"""The record of who did what with a campaign: `acts.jsonl` in its folder, one line for each act."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 FILE = "acts.jsonl"
-SHOWN = 20
-_MOST_BYTES = 65_536  # of the end of the file that is read
+MAX_ACTS = 20
+_TAIL_BYTES = 65_536  # of the end of the file that is read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Act:
-    """One line."""
+    """An act: one line of the file."""
 
     at: str  # for people
     who: str
@@ -33,11 +33,11 @@ def acts_of(folder: Path) -> tuple[Act, ...]:
     """The newest acts, in their order; lines that are none are left out."""
     try:
         with (folder / FILE).open("rb") as stream:
-            stream.seek(max(0, stream.seek(0, 2) - _MOST_BYTES))
+            stream.seek(max(0, stream.seek(0, 2) - _TAIL_BYTES))
             lines = stream.read().decode("utf-8", errors="replace").splitlines()
     except OSError:
         return ()
-    return tuple(act for act in map(_act, lines[-SHOWN:]) if act is not None)
+    return tuple(act for act in map(_act, lines[-MAX_ACTS:]) if act is not None)
 
 
 def _act(line: str) -> Act | None:

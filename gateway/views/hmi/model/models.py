@@ -20,14 +20,14 @@ from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 from protocol.files import parse_json, read_small
 
-KEPT_SHOWN = 10  # the newest
-_KEPT = "kept"
+MAX_REPLACED = 10  # the newest
+_REPLACED = "kept"
 _RESTS_ON_THE_PLANT = ("K_c", "b")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFile:
-    """One file."""
+    """A model file."""
 
     name: str  # of the file, for requests
     path: Path
@@ -38,17 +38,20 @@ class ModelFile:
 
     @property
     def was_replaced(self) -> bool:
-        """Whether it is here because a hand-over replaced it."""
-        return self.name.startswith(f"{_KEPT}/")
+        """Return whether a hand-over replaced this model."""
+        return self.name.startswith(f"{_REPLACED}/")
 
     @property
-    def about(self) -> str:
-        """Parameters and causes in one line."""
-        return about(self.content)
+    def summary(self) -> str:
+        """Return parameters and causes in one line."""
+        return summary(self.content)
 
 
-def about(content: dict[str, Any]) -> str:
-    """The parameters (SI units) and causes of a model file in one line; what rests on an assumed plant is marked."""
+def summary(content: dict[str, Any]) -> str:
+    """Return the parameters (SI units) and causes of a model file in one line.
+
+    Parameters that depend on an assumed plant are marked.
+    """
     words, assumed = [], plant_assumed(content)
     for name, parameter in (content.get("parameters") or {}).items():
         value = parameter.get("value") if isinstance(parameter, dict) else parameter
@@ -61,13 +64,13 @@ def about(content: dict[str, Any]) -> str:
 
 
 def plant_assumed(content: dict[str, Any]) -> bool:
-    """Whether nobody stated the plant of the rig that a model file is of."""
+    """Return whether nobody stated the plant of the rig of a model file."""
     plant = content.get("plant")
     return isinstance(plant, dict) and plant.get("assumed") is True
 
 
 def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: pb.TwinModel | None) -> list[ModelFile]:
-    """Those of one board, the newest first; a file that cannot be read is left out."""
+    """Return the models of one board, the newest first; a file that cannot be read is left out."""
     now = _parsed(running.model_json, where="the twin's model") if running is not None else None
     return [
         ModelFile(name=name, path=path, kind=kind, made=made, content=content, in_use=content == now)
@@ -77,7 +80,7 @@ def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: 
 
 
 def _is_reference(content: dict[str, Any]) -> bool:
-    """Whether a diagnosis found no model that predicts better: its extended_model.json is the reference itself."""
+    """Return whether an extended model is the reference itself: no model of the diagnosis predicts better."""
     provenance = content.get("provenance")
     return isinstance(provenance, dict) and provenance.get("extends") == "reference" and not content.get("causes")
 
@@ -96,10 +99,10 @@ def _files(data: Path, board: str, campaigns: list[CampaignFolder]) -> Iterator[
         for path, kind in ((campaign.extended_model, "extended by diagnose"), (campaign.model, "identified")):
             if path is not None:
                 yield f"{campaign.name}/{path.name}", path, f"{kind}, campaign of {campaign.made}", _changed(path)
-    kept = sorted((data / "models" / board).glob("*.json"), reverse=True)[:KEPT_SHOWN]
-    for path in kept:
+    replaced = sorted((data / "models" / board).glob("*.json"), reverse=True)[:MAX_REPLACED]
+    for path in replaced:
         if path.is_file() and not path.is_symlink():
-            yield f"{_KEPT}/{path.name}", path, "the twin had it before a hand-over", _changed(path)
+            yield f"{_REPLACED}/{path.name}", path, "used by the twin before a hand-over", _changed(path)
 
 
 def _changed(path: Path) -> str:

@@ -11,12 +11,12 @@ _SIGNALS = {
     "divergence-i_c": (
         "i_c_a", 1.0, "A",
         "the coil draws {} more than the model", "the coil draws {} less than the model",
-        "current and model differ by {} rms",
+        "measured and modelled current differ by {} rms",
     ),
     "divergence-x": (
         "x_m", 1e6, "\u00b5m",
-        "the ball is {} higher than the model has it", "the ball is {} lower than the model has it",
-        "position and model differ by {} rms",
+        "the ball is {} higher than in the model", "the ball is {} lower than in the model",
+        "measured and modelled position differ by {} rms",
     ),
 }  # fmt: skip
 
@@ -25,7 +25,7 @@ SPOKEN = ("divergence-i_c", "divergence-x", "innovation")  # alarms that have nu
 
 
 def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
-    """One sentence on an active alarm.
+    """Return a sentence with numbers on an active alarm.
 
     Args:
         name: of the alarm.
@@ -39,7 +39,7 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
         if not (divergence.innovation_valid and divergence.nis_mean > 0.0):
             return ""
         times = math.sqrt(divergence.nis_mean / 2.0)  # two degrees of freedom
-        return f"one sample ahead the model errs {_times(times)} what noise explains, since {since}"
+        return f"the prediction of the next sample errs {_times(times)} as much as noise explains, since {since}"
     if name not in _SIGNALS or divergence.sync != "in-step":
         return ""
     field, scale, unit, above, below, differ = _SIGNALS[name]
@@ -48,11 +48,11 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
         return ""
     if abs(signal.rolling_mean) >= _DIRECTED * signal.rolling_rmse:
         size = f"{_digits(abs(signal.rolling_mean) * scale)} {unit}"
-        said = (above if signal.rolling_mean > 0.0 else below).format(size)
+        difference = (above if signal.rolling_mean > 0.0 else below).format(size)
     else:
-        said = differ.format(f"{_digits(signal.rolling_rmse * scale)} {unit}")
+        difference = differ.format(f"{_digits(signal.rolling_rmse * scale)} {unit}")
     times = signal.rolling_rmse / abs(signal.error / signal.normalised)
-    return f"{said} since {since}, {_times(times)} what noise explains"
+    return f"{difference} since {since}, {_times(times)} as much as noise explains"
 
 
 def _times(times: float) -> str:

@@ -39,94 +39,101 @@ class ModelWork:
         return self._data / "campaigns"
 
     def campaigns(self, board: str) -> list[CampaignFolder]:
-        """Those of a board, the newest first."""
+        """Return the campaigns of a board, the newest first."""
         return campaigns_of(self._root, board)
 
     def running(self, board: str) -> pb.TwinModel | None:
-        """The model that the twin says it runs on."""
+        """Return the model on which the twin runs, as the twin reports it."""
         feed = self._actions.feed.board(board)
         return None if feed is None else feed.latest(pb.TwinModel)
 
     def models(self, board: str) -> list[ModelFile]:
-        """Those of a board, the newest campaign's first."""
+        """Return the models of a board, those of the newest campaign first."""
         return models_of(self._data, board, self.campaigns(board), self.running(board))
 
     def start_campaign(
         self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False
     ) -> pb.CommandReply:
-        """The paper's experiments into a new folder; or those that a diagnosis asks for, one after the other."""
+        """Start a campaign of the paper's experiments, or an investigation, in a new folder."""
         folder = self._new(board)
         what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
         words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
-        said = "investigates the rig" if investigate else f"began a {'quick ' * quick}campaign"
-        return self._start(session, "campaign", "campaign", board, words, folder, said)
+        entry = "started an investigation" if investigate else f"started a {'quick ' * quick}campaign"
+        return self._start(session, "campaign", "campaign", board, words, folder, entry)
 
     def resume_campaign(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
-        """What an interrupted campaign or investigation has left to do, into the same folder."""
-        found = find_campaign(self._root, board, campaign) if campaign else None
-        if found is None or not found.interrupted:
-            return refusal("no-campaign", "There is no such campaign, or nothing of it is left to do.")
-        what = ["investigate", board, "--out", str(found.path)] if found.investigation else self._run(found.path, board)
-        wanted = () if found.investigation else (word for name in found.left for word in ("--experiment", name))
-        words = [*what, *wanted, *["--quick"] * found.quick, "--who", session.name, *self._routes.live(session.name)]
-        return self._start(session, "campaign", "campaign", board, words, found.path, "continued it")
+        """Continue an interrupted campaign or investigation in its folder."""
+        chosen = find_campaign(self._root, board, campaign) if campaign else None
+        if chosen is None or not chosen.interrupted:
+            return refusal("no-campaign", "There is no such campaign, or it is complete.")
+        if chosen.investigation:
+            what = ["investigate", board, "--out", str(chosen.path)]
+        else:
+            what = self._run(chosen.path, board)
+            what += [word for name in chosen.left for word in ("--experiment", name)]
+        words = [*what, *["--quick"] * chosen.quick, "--who", session.name, *self._routes.live(session.name)]
+        return self._start(session, "campaign", "campaign", board, words, chosen.path, "continued the campaign")
 
     def add_experiment(
         self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False
     ) -> pb.CommandReply:
-        """One more experiment into a campaign; `prepared`: what it needs of a person has been done."""
-        found = find_campaign(self._root, board, campaign)
-        if found is None or found.toml != found.path / "campaign.toml":
-            return refusal("no-campaign", "There is no such campaign that can be continued.")
+        """Add an experiment to a campaign; `prepared`: a person has made the manual preparation."""
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml != chosen.path / "campaign.toml":
+            return refusal("no-campaign", "There is no such campaign, or it cannot be continued.")
         if experiment not in EXPERIMENT_OF_NAME:
             return refusal("no-experiment", "There is no such experiment.")
         if EXPERIMENT_OF_NAME[experiment].person and not prepared:
             return refusal("person-needed", EXPERIMENT_OF_NAME[experiment].person)
-        words = [*self._run(found.path, board), "--experiment", experiment, *["--yes"] * prepared,
+        words = [*self._run(chosen.path, board), "--experiment", experiment, *["--yes"] * prepared,
                  "--who", session.name, *self._routes.live(session.name)]  # fmt: skip
-        return self._start(session, "campaign", "campaign", board, words, found.path, f"added {experiment}")
+        return self._start(
+            session, "campaign", "campaign", board, words, chosen.path, f"added the experiment {experiment}"
+        )
 
     def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
-        """K_A, T_A, K_c, b from a campaign."""
-        found = find_campaign(self._root, board, campaign)
-        if found is None or found.toml is None:
+        """Identify K_A, T_A, K_c and b from a campaign."""
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml is None:
             return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
-        words = ["identify", str(found.toml), "--out", str(found.path / MODEL)]
-        return self._start(session, "diagnose", "identify", board, words, found.path, "identified")
+        words = ["identify", str(chosen.toml), "--out", str(chosen.path / MODEL)]
+        return self._start(session, "diagnose", "identify", board, words, chosen.path, "identified")
 
     def diagnose(self, session: LoginSession, board: str, campaign: str, *, quick: bool) -> pb.CommandReply:
-        """The causes of the model's errors in a campaign."""
-        found = find_campaign(self._root, board, campaign)
-        if found is None or found.toml is None:
+        """Diagnose the causes of the model's errors in a campaign."""
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml is None:
             return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
-        words = ["diagnose", str(found.toml), "--out", str(found.path / DIAGNOSIS), "--next-experiment",
+        words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / DIAGNOSIS), "--next-experiment",
                  *["--quick"] * quick]  # fmt: skip
-        return self._start(session, "diagnose", "diagnose", board, words, found.path, "diagnosed" + ", quick" * quick)
+        return self._start(session, "diagnose", "diagnose", board, words, chosen.path, "diagnosed" + ", quick" * quick)
 
     def diagnose_live(self, session: LoginSession, board: str) -> pb.CommandReply:
-        """The causes of the model's errors in what the rig flew in the last minutes."""
+        """Diagnose the causes of the model's errors in the last minutes of flight."""
         folder = self._new(board)
         words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", board, "--logs", str(self._logs), "--quick",
                  "--next-experiment", "--out", str(folder / DIAGNOSIS), *self._routes.live(session.name)]  # fmt: skip
-        said = f"diagnosed the last {LIVE_MIN:g} minutes of flight"
-        return self._start(session, "diagnose", "diagnose", board, words, folder, said)
+        entry = f"diagnosed the last {LIVE_MIN:g} minutes of flight"
+        return self._start(session, "diagnose", "diagnose", board, words, folder, entry)
 
     def hand_over(self, session: LoginSession, board: str, model: str) -> pb.CommandReply:
         """Give a model of the list to the running twin; what it replaces is kept."""
-        wanted = next((one for one in self.models(board) if one.name == model), None)
-        if wanted is None:
+        chosen = next((file for file in self.models(board) if file.name == model), None)
+        if chosen is None:
             return refusal("no-model", "There is no such model.")
         running = self.running(board)
         try:
-            if running is not None and not any(one.in_use for one in self.models(board)):
+            if running is not None and not any(file.in_use for file in self.models(board)):
                 keep(self._data, running, board)
         except OSError as error:
-            return refusal("failed", f"The present model cannot be kept: {error.strerror}. Nothing was handed over.")
-        words = ["twin", "--hand-over", str(wanted.path), "--board", board, "--who", session.name,
+            return refusal("failed", f"The present model cannot be saved: {error.strerror}. Nothing was handed over.")
+        words = ["twin", "--hand-over", str(chosen.path), "--board", board, "--who", session.name,
                  *self._routes.live(session.name)]  # fmt: skip
-        folder = wanted.path.parent if wanted.path.name == MODEL else wanted.path.parent.parent
+        folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
         folder = folder if folder.parent == self._root else self._data / "models" / board
-        return self._start(session, "use_model", "hand-over", board, words, folder, f"handed {wanted.kind} model over")
+        return self._start(
+            session, "use_model", "hand-over", board, words, folder, f"handed over the model: {chosen.kind}"
+        )
 
     def _new(self, board: str) -> Path:
         return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -135,12 +142,12 @@ class ModelWork:
         return ["campaign", "run", str(folder), "--board", board]
 
     def _start(
-        self, session: LoginSession, act: str, kind: str, board: str, words: list[str], folder: Path, said: str
+        self, session: LoginSession, act: str, kind: str, board: str, words: list[str], folder: Path, entry: str
     ) -> pb.CommandReply:
         reply = self._actions.start_job(session, act, kind, board, words, title=folder.name)
         if reply.accepted:
             try:
-                write_act(folder, who=session.name, what=said)
+                write_act(folder, who=session.name, what=entry)
             except OSError as error:
-                _logger.warning("%s: who did it cannot be written (%s)", folder, error.strerror)
+                _logger.warning("%s: the act cannot be recorded (%s)", folder, error.strerror)
         return reply

@@ -128,7 +128,7 @@ export function limits(rest) {
 
 // --- jobs, gains, summaries ---------------------------------------------------------------------------------------------
 
-const IDLE_WORDS = { record: "The gateway's own log runs always; this makes a file of its own." };
+const IDLE_WORDS = { record: "The gateway always writes its log; a recording is a separate file." };
 const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over"];
 
 export function showJobs(jobs) {

@@ -132,7 +132,7 @@ function told(gone, serverGone) {
   if (counted) chip("alarm-count", ...counted, serverGone);
 }
 
-const UNEXPECTED = { "stray-answer": "answers after their time", implausible: "implausible ticks", duplicate: "repeated samples",
+const UNEXPECTED = { "stray-answer": "late answers", implausible: "implausible ticks", duplicate: "repeated samples",
               "events-lost": "lost events" };
 function toModel() {
   const link = cell("a", "What is wrong, and why", "to-model");
@@ -239,8 +239,8 @@ function card(name) {
 }
 
 const NOBODY = page.replay
-  ? "Nothing is replayed yet: it starts within seconds of Replay under Logs."
-  : "No board has been heard yet. Is the gateway running?";
+  ? "Nothing is being replayed. Choose a log under Logs and press Replay."
+  : "No message from a board has arrived yet. Is the gateway running?";
 
 function overview() {
   const place = $("boards");

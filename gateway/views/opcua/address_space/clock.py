@@ -20,18 +20,18 @@ class StampClock:
         self._newest_ns = 0
 
     def stamp(self, *, session: int, t_s: float, host_time_ns: int) -> int:
-        """When the sample with board time `t_s` was made; `host_time_ns` 0 where its arrival is not known."""
+        """Return the time of the sample with board time `t_s`; `host_time_ns` is 0 if its arrival is not known."""
         t_ns = round(t_s * 1e9)
         if host_time_ns:
-            late_ns = host_time_ns - (self._origin_ns + t_ns)
-            if session != self._session or abs(late_ns) > JUMP_NS:
+            delay_ns = host_time_ns - (self._origin_ns + t_ns)
+            if session != self._session or abs(delay_ns) > JUMP_NS:
                 self._origin_ns = host_time_ns - t_ns
             else:
-                self._origin_ns += late_ns if late_ns < 0 else round(PULL * late_ns)
+                self._origin_ns += delay_ns if delay_ns < 0 else round(PULL * delay_ns)
             self._session = session
         self._newest_ns = max(self._newest_ns + 1000, self._origin_ns + t_ns)  # Python's datetime counts in us
         return self._newest_ns
 
-    def place(self, t_s: float) -> int:
-        """The time of another message of the same session, such as the twin's, without learning from it."""
+    def time_ns(self, t_s: float) -> int:
+        """Return the time of another message of the same session, such as the twin's, without updating the estimate."""
         return self._origin_ns + round(t_s * 1e9)

@@ -61,7 +61,7 @@ def extra(feed: BoardFeed, path: str) -> object:
 
 
 def extra_value(feed: BoardFeed, path: str, variant: ua.VariantType, now_ns: int) -> Value:
-    """With its time: of a command, when it was answered; else now, when it is judged."""
+    """Return a value with its time: that of the answer for a command, otherwise now."""
     value = extra(feed, path)
     if path.startswith("last_command/"):
         records = feed.commands()

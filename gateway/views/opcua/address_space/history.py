@@ -39,7 +39,7 @@ class Track:
         self._codes = [array("L", bytes(array("L").itemsize * rows)) for _ in range(columns)]
 
     def append(self, stamp_ns: int, values: Sequence[float], codes: Sequence[int]) -> None:
-        """One row, in the order of the columns; the oldest makes room."""
+        """Append a row, in the order of the columns; a full track drops its oldest row."""
         at = self._head
         self._stamps_ns[at], self._retained_ns[at] = stamp_ns, time.time_ns()
         for column, (value, code) in enumerate(zip(values, codes, strict=True)):
@@ -49,7 +49,7 @@ class Track:
         self.count = min(self.count + 1, self.rows)
 
     def find(self, stamp_ns: int) -> int:
-        """How many rows are older than `stamp_ns`."""
+        """Return the number of rows older than `stamp_ns`."""
         low, high = 0, self.count
         while low < high:
             middle = (low + high) // 2
@@ -60,16 +60,16 @@ class Track:
         return low
 
     def value(self, column: int, row: int) -> ua.DataValue:
-        """The value in a row, counted from the oldest."""
+        """Return the value in a row, counted from the oldest."""
         at = self._slot(row)
-        found = data_value(
+        value = data_value(
             self._values[column][at], ua.VariantType.Double, self._codes[column][at], self._stamps_ns[at]
         )
-        found.ServerTimestamp = datetime_of(self._retained_ns[at])
-        return found
+        value.ServerTimestamp = datetime_of(self._retained_ns[at])
+        return value
 
     def stamp(self, row: int) -> datetime:
-        """Of a row."""
+        """Return the source timestamp of a row."""
         return datetime_of(self._stamps_ns[self._slot(row)])
 
     def _slot(self, row: int) -> int:
@@ -88,14 +88,14 @@ class RingHistory(HistoryStorageInterface):  # type: ignore[misc]  # asyncua's c
         self._columns[node] = (track, column)
 
     def holds(self, node: ua.NodeId) -> bool:
-        """Whether there is a history of `node`."""
+        """Return whether there is a history of `node`."""
         return node in self._columns
 
     async def init(self) -> None:
-        """Nothing to open."""
+        """Do nothing: there is nothing to open."""
 
     async def stop(self) -> None:
-        """Nothing to close."""
+        """Do nothing: there is nothing to close."""
 
     async def read_node_history(
         self, node_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int
@@ -129,12 +129,12 @@ class RingHistory(HistoryStorageInterface):  # type: ignore[misc]  # asyncua's c
         """Events are in the log."""
 
     async def save_event(self, event: Any) -> None:
-        """Events are in the log."""
+        """Do nothing: events are in the log."""
 
     async def read_event_history(
         self, source_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int, evfilter: Any
     ) -> tuple[list[Any], datetime | None]:
-        """Events are in the log."""
+        """Return no events: they are in the log."""
         return [], None
 
 
@@ -150,14 +150,13 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
         """Return one result for each requested node."""
         results: list[ua.HistoryReadResult] = await super().read_history(params)
         return [
-            self._judged(params, wanted.NodeId, result)
-            for wanted, result in zip(params.NodesToRead, results, strict=True)
+            self._checked(params, item.NodeId, result) for item, result in zip(params.NodesToRead, results, strict=True)
         ]
 
-    def _judged(
+    def _checked(
         self, params: ua.HistoryReadParameters, node: ua.NodeId, result: ua.HistoryReadResult
     ) -> ua.HistoryReadResult:
-        details, asked = params.HistoryReadDetails, params.TimestampsToReturn
+        details, requested = params.HistoryReadDetails, params.TimestampsToReturn
         raw = isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified
         if node not in self._server.aspace:
             code = S.BadNodeIdUnknown
@@ -165,7 +164,7 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
             code = S.BadHistoryOperationUnsupported
         else:
             values = result.HistoryData.DataValues
-            result.HistoryData.DataValues = [stamped(value, asked, value.ServerTimestamp) for value in values]
+            result.HistoryData.DataValues = [stamped(value, requested, value.ServerTimestamp) for value in values]
             if not values:
                 result.StatusCode = ua.StatusCode(S.GoodNoData)
             return result

@@ -40,7 +40,7 @@ VARIANTS: dict[int, ua.VariantType] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leaf:
-    """One variable of a board."""
+    """A variable of a board."""
 
     path: str  # below the board: state/x_m, state/x_m/min
     topic: str
@@ -51,48 +51,48 @@ class Leaf:
     statistic: Statistic | None  # None: not decimated
     unit: ua.EUInformation | None
     words: tuple[str, ...]  # of an enumeration, by number
-    about: str
+    description: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Argument:
-    """One input of a method: a field of the command's message."""
+    """An input of a method: a field of the command's message."""
 
     name: str
     variant: ua.VariantType
     is_array: bool
-    about: str
+    description: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """One kind of command."""
+    """A method: one kind of command."""
 
     name: str  # SetReference
     act: str  # set_reference: its field in pb.Command, and its name in the table of rights
-    about: str
+    description: str
     arguments: tuple[Argument, ...]
 
 
 @cache
 def leaves() -> tuple[Leaf, ...]:
-    """Every variable that the topics give."""
-    found: list[Leaf] = []
+    """Return all variables of the topics."""
+    collected: list[Leaf] = []
     for topic in TOPICS:
         row = topics.TOPIC_OF_NAME[topic]
-        found += _leaves(row.message, row.message.DESCRIPTOR, topic, "")
-    return tuple(found)
+        collected += _leaves(row.message, row.message.DESCRIPTOR, topic, "")
+    return tuple(collected)
 
 
 @cache
 def methods() -> tuple[Method, ...]:
-    """Every kind of command."""
+    """Return the methods of all kinds of commands."""
     kinds = pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields
     return tuple(
         Method(
             name="".join(word.capitalize() for word in kind.name.split("_")),
             act=kind.name,
-            about=METHODS[kind.name],
+            description=METHODS[kind.name],
             arguments=tuple(_argument(kind.name, field) for field in _fields(kind)),
         )
         for kind in kinds
@@ -100,12 +100,12 @@ def methods() -> tuple[Method, ...]:
 
 
 def _leaves(message: type[Message], descriptor: Any, topic: str, prefix: str) -> list[Leaf]:
-    found: list[Leaf] = []
+    collected: list[Leaf] = []
     for field in descriptor.fields:
         name = prefix + field.name
-        about = comments().get(f"{descriptor.name}.{field.name}", "")
+        description = comments().get(f"{descriptor.name}.{field.name}", "")
         if field.message_type is not None and not _is_map(field):
-            found += _leaves(message, field.message_type, topic, name + ".")
+            collected += _leaves(message, field.message_type, topic, name + ".")
             continue
         variant = ua.VariantType.String if _is_map(field) else VARIANTS[field.type]
         is_array = _is_map(field) or field.is_repeated
@@ -114,7 +114,7 @@ def _leaves(message: type[Message], descriptor: Any, topic: str, prefix: str) ->
         if ticking:
             statistics = (("last", "", ""), ("low", "/min", "lowest tick: "), ("high", "/max", "highest tick: "))
         words = tuple(value.name for value in field.enum_type.values) if field.enum_type is not None else ()
-        found += [
+        collected += [
             Leaf(
                 path=f"{topic}/{name}{end}",
                 topic=topic,
@@ -125,18 +125,20 @@ def _leaves(message: type[Message], descriptor: Any, topic: str, prefix: str) ->
                 statistic=statistic,
                 unit=unit_of(name) if variant is ua.VariantType.Double else None,
                 words=words,
-                about=(lead + about).strip(": "),
+                description=(lead + description).strip(": "),
             )
             for statistic, end, lead in statistics
         ]
-    return found
+    return collected
 
 
 def _argument(act: str, field: Any) -> Argument:
-    about = ARGUMENTS.get(f"{act}.{field.name}", "") or comments().get(f"{field.containing_type.name}.{field.name}", "")
+    description = ARGUMENTS.get(f"{act}.{field.name}", "") or comments().get(
+        f"{field.containing_type.name}.{field.name}", ""
+    )
     if field.enum_type is not None:
-        about = f"{', '.join(f'{v.number} {v.name}' for v in field.enum_type.values)}. {about}".strip()
-    return Argument(name=field.name, variant=VARIANTS[field.type], is_array=field.is_repeated, about=about)
+        description = f"{', '.join(f'{v.number} {v.name}' for v in field.enum_type.values)}. {description}".strip()
+    return Argument(name=field.name, variant=VARIANTS[field.type], is_array=field.is_repeated, description=description)
 
 
 def _fields(field: Any) -> Any:
@@ -151,12 +153,12 @@ def _is_map(field: Any) -> bool:
 def comments() -> dict[str, str]:
     """`State.x_m` -> the comment behind the field in board51.proto."""
     text = (files("protocol.bus") / "board51.proto").read_text(encoding="utf-8")
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     message = ""
     for line in text.splitlines():
         opening = re.match(r"message (\w+) \{", line)
         message = opening[1] if opening else message
         field = re.search(r"(\w+) = \d+;\s*//\s*(.*)", line)
         if field and message:
-            found[f"{message}.{field[1]}"] = field[2].strip()
-    return found
+            texts[f"{message}.{field[1]}"] = field[2].strip()
+    return texts

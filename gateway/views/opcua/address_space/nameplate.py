@@ -24,14 +24,14 @@ FIELDS: dict[str, tuple[ua.VariantType, str]] = {
 def nameplate(parameters: pb.Parameters) -> dict[str, ua.Variant]:
     """Value of each field of FIELDS."""
     serial = str(parameters.board_id) if parameters.board_id else ""
-    said = {
+    texts = {
         "SerialNumber": serial,
         "ProductInstanceUri": f"urn:board51:board:{serial}" if serial else "",
         "SoftwareRevision": parameters.firmware,
     }
     return {
         name: ua.Variant(
-            ua.LocalizedText(said.get(name, "")) if variant is _V.LocalizedText else said.get(name, ""), variant
+            ua.LocalizedText(texts.get(name, "")) if variant is _V.LocalizedText else texts.get(name, ""), variant
         )
         for name, (variant, _) in FIELDS.items()
     }

@@ -10,7 +10,7 @@
 | a converter at its end: the value is clipped | UncertainSensorNotAccurate (x_m, i_c_a) |
 | samples lost within the interval: a spike may be missing | UncertainSubNormal (min, max) |
 | twin settling or out of step | UncertainSubNormal |
-| twin gone | UncertainLastUsableValue, after TWIN_GONE_S BadNoCommunication |
+| twin gone | UncertainLastUsableValue, after TWIN_TIMEOUT_S BadNoCommunication |
 | a figure that does not exist (NaN, absent) | BadDataUnavailable |
 """
 
@@ -33,38 +33,38 @@ CLIPPED: int = S.UncertainSensorNotAccurate
 SENSOR_FAILURE: int = S.BadSensorFailure
 
 TWIN_STALE_S = 0.5
-TWIN_GONE_S = 5.0
+TWIN_TIMEOUT_S = 5.0
 STATUS_STALE_S = 3.5  # published once a second
 _SOFT = frozenset({"silent", "handshake", "connecting", "streaming"})  # the gateway is there and tries
 
 
 def is_bad(code: int) -> bool:
-    """Whether a value with this status is not to be used at all."""
+    """Return whether a value with this status must not be used."""
     return code >= 0x80000000
 
 
 def is_down(code: int) -> bool:
-    """Whether nothing new comes, as a topic's status says it."""
+    """Return whether the status of a topic means that no new values arrive."""
     return code not in (GOOD, SUBNORMAL)
 
 
 def of_board(link: Link) -> int:
-    """Of what the board itself says: `state`."""
+    """Return the status of the board's own topic, `state`."""
     if link.live:
         return GOOD
     return STALE if link.state in _SOFT else NO_COMMUNICATION
 
 
 def of_gateway(link: Link, status_age_s: float) -> int:
-    """Of what the gateway says about a board, whether or not that board is there: `status`."""
+    """Return the status of `status`, which the gateway sends also for a board that is absent."""
     if status_age_s > STATUS_STALE_S:
         return NO_COMMUNICATION if link.state == "no-gateway" else STALE
     return GOOD
 
 
 def of_twin(age_s: float, sync: str) -> int:
-    """Of `twin/state` and `twin/divergence`."""
-    if age_s > TWIN_GONE_S:
+    """Return the status of `twin/state` and `twin/divergence`."""
+    if age_s > TWIN_TIMEOUT_S:
         return NO_COMMUNICATION
     if age_s > TWIN_STALE_S:
         return STALE
@@ -72,7 +72,7 @@ def of_twin(age_s: float, sync: str) -> int:
 
 
 def of_signal(base: int, leaf: Leaf, flags: int, *, sensor_fault: bool) -> int:
-    """Of one signal of `state`, given the board's."""
+    """Return the status of one signal of `state`, given that of the board."""
     if base != GOOD:
         return base
     if leaf.field == "x_m":
@@ -86,5 +86,5 @@ def of_signal(base: int, leaf: Leaf, flags: int, *, sensor_fault: bool) -> int:
 
 
 def of_extreme(base: int, statistic: Statistic | None, lost: int) -> int:
-    """Of a lowest or highest value over an interval in which samples were lost."""
+    """Return the status of a lowest or highest value over an interval in which samples were lost."""
     return SUBNORMAL if base == GOOD and lost and statistic in ("low", "high") else base

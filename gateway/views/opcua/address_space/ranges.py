@@ -21,18 +21,18 @@ def ranges(parameters: pb.Parameters) -> dict[str, Span]:
     position = (min(0.0, parameters.x_ref_min_m), max(parameters.x_ref_max_m, COUNTS_MAX * abs(parameters.x_lsb_m)))
     voltage = (min(0.0, parameters.u_min_v), parameters.u_max_v)
     reference = reference_range(parameters)
-    found = {"setpoint/x_ref_m": reference}
+    spans = {"setpoint/x_ref_m": reference}
     for field, span in (("i_c_a", current), ("x_m", position), ("u_c_v", voltage), ("x_ref_m", reference)):
         for topic in ("state", "twin/state"):
-            found |= {f"{topic}/{field}{end}": span for end in _ENDS}
+            spans |= {f"{topic}/{field}{end}": span for end in _ENDS}
         width = span[1] - span[0]  # two signals of this span differ by no more
         for figure, low in (
             (f"{field}.error", -width),
             (f"{field}.rolling_mean", -width),
             (f"{field}.rolling_rmse", 0.0),
         ):
-            found |= {f"twin/divergence/{figure}{end}": (low, width) for end in _ENDS if field != "x_ref_m"}
-    return found
+            spans |= {f"twin/divergence/{figure}{end}": (low, width) for end in _ENDS if field != "x_ref_m"}
+    return spans
 
 
 def instrument_ranges(parameters: pb.Parameters) -> dict[str, Span]:

@@ -15,29 +15,29 @@ from gateway.views.opcua.address_space.values import Value
 T = ua.TimestampsToReturn
 
 
-def check(asked: ua.TimestampsToReturn, *, of_history: bool = False) -> None:
+def check(requested: ua.TimestampsToReturn, *, of_history: bool = False) -> None:
     """Check the requested timestamps; a history must have timestamps (Part 11, 6.4.2).
 
     Raises:
         ServiceError: BadTimestampsToReturnInvalid.
     """
-    if asked not in (T.Source, T.Server, T.Both) and (of_history or asked != T.Neither):
+    if requested not in (T.Source, T.Server, T.Both) and (of_history or requested != T.Neither):
         raise ServiceError(ua.StatusCodes.BadTimestampsToReturnInvalid)
 
 
 def stamped(
-    value: ua.DataValue, asked: ua.TimestampsToReturn, served: datetime | None, *, of_value: bool = True
+    value: ua.DataValue, requested: ua.TimestampsToReturn, served: datetime | None, *, of_value: bool = True
 ) -> ua.DataValue:
     """Return `value` with the requested timestamps.
 
     Args:
         value: as it is kept; not changed.
-        asked: by the client.
+        requested: by the client.
         served: the server's timestamp.
         of_value: of the attribute Value; the others have no source.
     """
-    source = value.SourceTimestamp if of_value and asked in (T.Source, T.Both) else None
-    server = served if asked in (T.Server, T.Both) else None
+    source = value.SourceTimestamp if of_value and requested in (T.Source, T.Both) else None
+    server = served if requested in (T.Server, T.Both) else None
     if source is value.SourceTimestamp and server is value.ServerTimestamp:
         return value
     return Value(

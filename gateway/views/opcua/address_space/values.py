@@ -25,12 +25,12 @@ class Value(ua.DataValue):  # type: ignore[misc]  # asyncua is untyped here
 
 
 def datetime_of(stamp_ns: int) -> datetime:
-    """UTC of Unix nanoseconds, in microseconds; without the rounding of floating-point seconds."""
+    """Return the UTC time of Unix nanoseconds, in microseconds, without rounding through floating-point seconds."""
     return _EPOCH + timedelta(microseconds=stamp_ns // 1000)
 
 
 def data_value(value: object, variant: ua.VariantType, code: int, stamp_ns: int) -> Value:
-    """`value` with status and source time; without a value where the status is bad, as Part 4, 7.7.1 asks."""
+    """Return `value` with status and source time; without a value if the status is bad (Part 4, 7.7.1)."""
     if isinstance(value, float) and not math.isfinite(value) and not is_bad(code):
         code = UNAVAILABLE
     if is_bad(code) or value is None:
@@ -43,7 +43,7 @@ def data_value(value: object, variant: ua.VariantType, code: int, stamp_ns: int)
     return Value(Value=held, StatusCode=status, SourceTimestamp=datetime_of(stamp_ns) if stamp_ns else None)
 
 
-async def tell(attribute: Any, value: Value) -> None:
+async def notify(attribute: Any, value: Value) -> None:
     """Send a value to the subscribers of an attribute of asyncua's address space."""
     for handle, callback in list(attribute.datachange_callbacks.items()):
         await callback(handle, value)

@@ -41,36 +41,39 @@ class Builder:
     Args:
         server: asyncua's.
         spaces: indices of all namespaces.
-        own: that of the node ids.
+        index: of the namespace of the node ids.
     """
 
-    def __init__(self, server: InternalServer, spaces: Namespaces, own: int) -> None:
-        self._server, self.spaces, self.own = server, spaces, own
+    def __init__(self, server: InternalServer, spaces: Namespaces, index: int) -> None:
+        self._server, self.spaces, self.index = server, spaces, index
 
     def id(self, path: str) -> ua.NodeId:
-        """The node id of a path."""
-        return ua.NodeId(path, self.own)
+        """Return the node id of a path."""
+        return ua.NodeId(path, self.index)
 
     def name(self, path: str) -> ua.QualifiedName:
-        """The last chunk of a path: below a rig, as the type has it; a rig's or site's own name is the site's."""
+        """Return the last chunk of a path as a name.
+
+        Below a rig it is in the namespace of the types, for a rig or a site in that of the site.
+        """
         _, slash, last = path.rpartition("/")
-        return ua.QualifiedName(last, self.spaces.types if slash else self.own)
+        return ua.QualifiedName(last, self.spaces.types if slash else self.index)
 
     def object(
         self,
         parent: ua.NodeId,
         path: str,
-        about: str,
+        description: str,
         *,
         kind: ua.NodeId | int = _O.BaseObjectType,
         events: bool = False,
         reference: int = _O.HasComponent,
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
-        """An object; its name is the last chunk of the path where none is given."""
+        """Add an object; without a name it is named by the last chunk of its path."""
         attributes = ua.ObjectAttributes()
         attributes.EventNotifier = 1 if events else 0
-        _describe(attributes, path, about, name)
+        _describe(attributes, path, description, name)
         return self.add(parent, path, ua.NodeClass.Object, attributes, reference, kind, name=name)
 
     def variable(
@@ -78,7 +81,7 @@ class Builder:
         parent: ua.NodeId,
         path: str,
         variant: ua.VariantType,
-        about: str = "",
+        description: str = "",
         *,
         is_array: bool = False,
         access: int = READ,
@@ -86,11 +89,11 @@ class Builder:
         data_type: ua.NodeId | None = None,
         min_sampling_ms: float = 0.0,
     ) -> ua.NodeId:
-        """A variable without a value: until it has one, its status says so."""
+        """Add a variable without a value; its status says so until the first value."""
         attributes = _variable(variant, is_array=is_array, access=access)
         attributes.MinimumSamplingInterval = min_sampling_ms
         attributes.DataType = data_type or attributes.DataType
-        _describe(attributes, path, about)
+        _describe(attributes, path, description)
         node = self.add(parent, path, ua.NodeClass.Variable, attributes, _O.HasComponent, kind)
         self.await_value(node, variant)
         return node
@@ -103,16 +106,16 @@ class Builder:
         variant: ua.VariantType,
         data_type: int,
         *,
-        about: str = "",
+        description: str = "",
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
-        """A property with its value; without one its status says so.  Its name is of the standard if not given."""
+        """Add a property; without a value its status says so.  The default name is that of the standard."""
         attributes = _variable(variant, is_array=isinstance(value, list), access=READ)
         attributes.DataType = ua.NodeId(data_type)
         attributes.Value = ua.Variant(value, variant if value is not None else ua.VariantType.Null)
         last = path.rpartition("/")[2]
         name = name or ua.QualifiedName(last, 0)
-        _describe(attributes, path, about or PROPERTIES[last], name)
+        _describe(attributes, path, description or PROPERTIES[last], name)
         kind = _O.PropertyType
         node = self.add(parent, path, ua.NodeClass.Variable, attributes, _O.HasProperty, kind, name=name)
         if value is None:
@@ -124,12 +127,12 @@ class Builder:
         self._server.aspace[node].attributes[VALUE].value = data_value(None, variant, WAITING, 0)
 
     def method(
-        self, parent: ua.NodeId, path: str, about: str, inputs: Sequence[Argument], outputs: Sequence[Argument]
+        self, parent: ua.NodeId, path: str, description: str, inputs: Sequence[Argument], outputs: Sequence[Argument]
     ) -> ua.NodeId:
-        """A method; what it does is decided in `sessions.py`."""
+        """Add a method; `sessions.py` carries it out."""
         attributes = ua.MethodAttributes()
         attributes.Executable = attributes.UserExecutable = True
-        _describe(attributes, path, about)
+        _describe(attributes, path, description)
         node = self.add(parent, path, ua.NodeClass.Method, attributes, _O.HasComponent, None)
         for name, arguments in (("InputArguments", inputs), ("OutputArguments", outputs)):
             if arguments:
@@ -163,11 +166,11 @@ class Builder:
         return item.RequestedNewNodeId
 
     def refer(self, source: ua.NodeId, reference: int, target: ua.NodeId, *, both: bool = True) -> None:
-        """A reference, and its inverse where `both`."""
+        """Add a reference, with `both` also its inverse."""
         ends = ((source, target, True), (target, source, False))
-        for one, other, forward in ends if both else ends[:1]:
+        for start, end, forward in ends if both else ends[:1]:
             item = ua.AddReferencesItem()
-            item.SourceNodeId, item.TargetNodeId, item.IsForward = one, other, forward
+            item.SourceNodeId, item.TargetNodeId, item.IsForward = start, end, forward
             item.ReferenceTypeId, item.TargetNodeClass = ua.NodeId(reference), ua.NodeClass.Unspecified
             for status in self._server.node_mgt_service.add_references([item]):
                 status.check()
@@ -187,7 +190,7 @@ class TypeBuilder(Builder):
         *,
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
-        """Any node; below the type itself with a rule.  A rig that nobody simulates may be without a twin."""
+        """Add any node, below the type with a modelling rule.  The twin is optional."""
         node = super().add(parent, path, node_class, attributes, reference, kind, name=name)
         _, slash, below = path.partition("/")
         if slash:
@@ -197,9 +200,9 @@ class TypeBuilder(Builder):
         return node
 
 
-def _describe(attributes: Any, path: str, about: str, name: ua.QualifiedName | None = None) -> None:
+def _describe(attributes: Any, path: str, description: str, name: ua.QualifiedName | None = None) -> None:
     attributes.DisplayName = ua.LocalizedText(name.Name if name is not None else path.rpartition("/")[2])
-    attributes.Description = ua.LocalizedText(about)
+    attributes.Description = ua.LocalizedText(description)
     attributes.WriteMask = attributes.UserWriteMask = 0
 
 
@@ -219,5 +222,5 @@ def _argument(argument: Argument) -> ua.Argument:
     made.DataType = ua.NodeId(argument.variant.value)
     made.ValueRank = _SEVERAL if argument.is_array else -1
     made.ArrayDimensions = []
-    made.Description = ua.LocalizedText(argument.about)
+    made.Description = ua.LocalizedText(argument.description)
     return made

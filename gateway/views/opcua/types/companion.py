@@ -35,12 +35,12 @@ _NUMBERS = {  # numeric ids of the specifications, by path
     "MachineIdentificationType/DefaultInstanceBrowseName": 6030,
 }
 _MANDATORY = frozenset({"Manufacturer", "SerialNumber", "ProductInstanceUri"})
-_METADATA = {"di": range(15001, 15009), "machinery": (5001, 6033, 6034, 6032, 6031, 6035, 6036, 6037)}
+_METADATA_NUMBERS = {"di": range(15001, 15009), "machinery": (5001, 6033, 6034, 6032, 6031, 6035, 6036, 6037)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metadata:
-    """What Server/Namespaces says of a namespace."""
+    """The metadata of a namespace in Server/Namespaces."""
 
     uri: str
     version: str
@@ -48,7 +48,7 @@ class Metadata:
     is_subset: bool
 
 
-SAID = {
+METADATA = {
     "di": Metadata(uri=DI, version="1.04.0", published=datetime(2022, 11, 3, tzinfo=UTC), is_subset=True),
     "machinery": Metadata(uri=MACHINERY, version="1.04.0", published=datetime(2025, 7, 1, tzinfo=UTC), is_subset=True),
 }
@@ -60,13 +60,13 @@ class _Numbered(Builder):
     numbers: dict[str, int]
 
     def id(self, path: str) -> ua.NodeId:
-        """The node id of a path."""
-        return ua.NodeId(self.numbers[path], self.own)
+        """Return the node id of a path."""
+        return ua.NodeId(self.numbers[path], self.index)
 
 
 def add_companions(server: InternalServer, spaces: Namespaces) -> None:
-    """Add them to an address space without."""
-    di, machinery = (_Numbered(server, spaces, own) for own in (spaces.di, spaces.machinery))
+    """Add the nodes of the companion specifications to an address space without them."""
+    di, machinery = (_Numbered(server, spaces, index) for index in (spaces.di, spaces.machinery))
     di.numbers = machinery.numbers = _NUMBERS
     group = object_type(di, ua.NodeId(_O.FolderType), "FunctionalGroupType", "groups parameters and methods")
     item = object_type(machinery, group, "MachineryItemIdentificationType", "nameplate of a machine or a component")
@@ -77,12 +77,14 @@ def add_companions(server: InternalServer, spaces: Namespaces) -> None:
             variant, _ = FIELDS[field]
             name = ua.QualifiedName(field, spaces.di)
             above = item if owner == "MachineryItemIdentificationType" else machine
-            node = machinery.property(above, path, None, variant, int(variant), about=f"{field} of the item", name=name)
+            node = machinery.property(
+                above, path, None, variant, int(variant), description=f"{field} of the item", name=name
+            )
             rule = _O.ModellingRule_Mandatory if field in _MANDATORY else _O.ModellingRule_Optional
             machinery.refer(node, _O.HasModellingRule, ua.NodeId(rule), both=False)
     machinery.property(
         machine, "MachineIdentificationType/DefaultInstanceBrowseName",
-        ua.QualifiedName("Identification", spaces.di), _V.QualifiedName, _O.QualifiedName, about="name of each",
+        ua.QualifiedName("Identification", spaces.di), _V.QualifiedName, _O.QualifiedName, description="name of each",
         name=ua.QualifiedName("DefaultInstanceBrowseName", 0),
     )  # fmt: skip
     machinery.object(
@@ -94,28 +96,28 @@ def add_companions(server: InternalServer, spaces: Namespaces) -> None:
         name=ua.QualifiedName("Machines", spaces.machinery),
     )
     for which, builder in (("di", di), ("machinery", machinery)):
-        said, numbers = SAID[which], _METADATA[which]
-        paths = (said.uri, *(_below(said, name) for name in metadata_values(said)))
+        metadata, numbers = METADATA[which], _METADATA_NUMBERS[which]
+        paths = (metadata.uri, *(_below(metadata, name) for name in metadata_values(metadata)))
         builder.numbers = dict(zip(paths, numbers, strict=True))
-        add_metadata(builder, said)
+        add_metadata(builder, metadata)
 
 
-def object_type(builder: Builder, above: ua.NodeId, name: str, about: str) -> ua.NodeId:
-    """An object type below another."""
+def object_type(builder: Builder, above: ua.NodeId, name: str, description: str) -> ua.NodeId:
+    """Add an object type below another."""
     attributes: Any = ua.ObjectTypeAttributes()
-    attributes.DisplayName, attributes.Description = ua.LocalizedText(name), ua.LocalizedText(about)
+    attributes.DisplayName, attributes.Description = ua.LocalizedText(name), ua.LocalizedText(description)
     attributes.IsAbstract = False
     return builder.add(above, name, ua.NodeClass.ObjectType, attributes, _O.HasSubtype, None)
 
 
-def metadata_values(said: Metadata) -> dict[str, tuple[Any, ua.VariantType, int, str]]:
-    """(value, variant, data type, description) of each property of NamespaceMetadataType (Part 5, 6.3.14)."""
+def metadata_values(metadata: Metadata) -> dict[str, tuple[Any, ua.VariantType, int, str]]:
+    """Return (value, variant, data type, description) of each property of NamespaceMetadataType (Part 5, 6.3.14)."""
     return {
-        "NamespaceUri": (said.uri, _V.String, _O.String, "URI of the namespace"),
-        "NamespaceVersion": (said.version, _V.String, _O.String, "version of the specification"),
-        "NamespacePublicationDate": (said.published, _V.DateTime, _O.DateTime, "when it was published"),
+        "NamespaceUri": (metadata.uri, _V.String, _O.String, "URI of the namespace"),
+        "NamespaceVersion": (metadata.version, _V.String, _O.String, "version of the specification"),
+        "NamespacePublicationDate": (metadata.published, _V.DateTime, _O.DateTime, "when it was published"),
         "IsNamespaceSubset": (
-            said.is_subset,
+            metadata.is_subset,
             _V.Boolean,
             _O.Boolean,
             "whether nodes of the namespace are missing here",
@@ -126,21 +128,27 @@ def metadata_values(said: Metadata) -> dict[str, tuple[Any, ua.VariantType, int,
     }
 
 
-def add_metadata(builder: Builder, said: Metadata) -> ua.NodeId:
-    """An entry of Server/Namespaces; the paths are its URI and those of its properties below it."""
+def add_metadata(builder: Builder, metadata: Metadata) -> ua.NodeId:
+    """Add an entry to Server/Namespaces; its path is the URI, and its properties are below it."""
     node = builder.object(
         ua.NodeId(_O.Server_Namespaces),
-        said.uri,
-        f"namespace {said.uri}",
+        metadata.uri,
+        f"namespace {metadata.uri}",
         kind=_O.NamespaceMetadataType,
-        name=ua.QualifiedName(said.uri, builder.own),
+        name=ua.QualifiedName(metadata.uri, builder.index),
     )
-    for name, (value, variant, data_type, about) in metadata_values(said).items():
+    for name, (value, variant, data_type, description) in metadata_values(metadata).items():
         builder.property(
-            node, _below(said, name), value, variant, int(data_type), about=about, name=ua.QualifiedName(name, 0)
+            node,
+            _below(metadata, name),
+            value,
+            variant,
+            int(data_type),
+            description=description,
+            name=ua.QualifiedName(name, 0),
         )
     return node
 
 
-def _below(said: Metadata, name: str) -> str:
-    return f"{said.uri.rstrip('/')}/{name}"
+def _below(metadata: Metadata, name: str) -> str:
+    return f"{metadata.uri.rstrip('/')}/{name}"

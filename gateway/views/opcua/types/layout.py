@@ -26,10 +26,10 @@ SETPOINTS = (  # path, field of State, what it is
     ("setpoint/mode", "mode", "write: 0 idle (coil off), 1 open loop, 2 closed loop"),
 )
 OUTPUTS = (
-    Argument(name="accepted", variant=_V.Boolean, is_array=False, about="whether the command was carried out"),
-    Argument(name="reason", variant=_V.String, is_array=False, about="kebab-case, stable; empty where accepted"),
-    Argument(name="text", variant=_V.String, is_array=False, about="a sentence for people"),
-    Argument(name="tick", variant=_V.UInt64, is_array=False, about="from which it is in force"),
+    Argument(name="accepted", variant=_V.Boolean, is_array=False, description="whether the command was carried out"),
+    Argument(name="reason", variant=_V.String, is_array=False, description="kebab-case, stable; empty where accepted"),
+    Argument(name="text", variant=_V.String, is_array=False, description="a sentence for people"),
+    Argument(name="tick", variant=_V.UInt64, is_array=False, description="from which it is in force"),
 )
 
 
@@ -48,39 +48,39 @@ class Layout:
         self._places = {"": top}
         for leaf in leaves():
             self._leaf(leaf)
-        for path, variant, is_array, about in EXTRAS:
+        for path, variant, is_array, description in EXTRAS:
             data_type = ua.NodeId(LINK_STATE, builder.spaces.types) if path == LINK_CODE else None
             builder.variable(
                 self._above(path),
                 f"{root}/{path}",
                 variant,
-                about,
+                description,
                 is_array=is_array,
                 data_type=data_type,
                 min_sampling_ms=interval_ms,
             )
-        for path, field, about in SETPOINTS:
+        for path, field, description in SETPOINTS:
             leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
             node = builder.variable(
                 self._above(path),
                 f"{root}/{path}",
                 leaf.variant,
-                about,
+                description,
                 access=READ | WRITE,
                 kind=_kind(leaf, path),
                 min_sampling_ms=interval_ms,
             )
             self._describe_value(node, leaf, path)
         for method in methods():
-            builder.method(top, f"{root}/{method.name}", method.about, method.arguments, OUTPUTS)
+            builder.method(top, f"{root}/{method.name}", method.description, method.arguments, OUTPUTS)
         self._nameplate(top)
 
     def _above(self, path: str) -> ua.NodeId:
-        """The folder of a path; made where it is not there yet."""
+        """Return the folder of a path; make it if it is missing."""
         folder, _, _ = path.rpartition("/")
         if folder not in self._places:
-            about = topics.TOPIC_OF_NAME[folder].description if folder in TOPICS else FOLDERS[folder]
-            self._places[folder] = self._builder.object(self._above(folder), f"{self._root}/{folder}", about)
+            description = topics.TOPIC_OF_NAME[folder].description if folder in TOPICS else FOLDERS[folder]
+            self._places[folder] = self._builder.object(self._above(folder), f"{self._root}/{folder}", description)
         return self._places[folder]
 
     def _leaf(self, leaf: Leaf) -> None:
@@ -90,7 +90,7 @@ class Layout:
             self._builder.id(f"{self._root}/{base}") if extreme else self._above(leaf.path),
             f"{self._root}/{leaf.path}",
             leaf.variant,
-            leaf.about,
+            leaf.description,
             is_array=leaf.is_array,
             access=READ | HISTORY if leaf.statistic is not None else READ,
             kind=_kind(leaf, leaf.path),
@@ -99,14 +99,14 @@ class Layout:
         self._describe_value(node, leaf, leaf.path)
 
     def _describe_value(self, node: ua.NodeId, leaf: Leaf, path: str) -> None:
-        """Unit, ranges or words; a range comes with the board's parameters."""
-        path, place = f"{self._root}/{path}", path
+        """Add unit, ranges or words; the values of a range come with the board's parameters."""
+        path, relative = f"{self._root}/{path}", path
         if leaf.unit is not None:
             self._builder.property(
                 node, f"{path}/EngineeringUnits", unit_of(leaf.field), _V.ExtensionObject, _O.EUInformation
             )
             for name, paths in (("EURange", RANGED), ("InstrumentRange", INSTRUMENTS)):
-                if place in paths:
+                if relative in paths:
                     self._builder.property(node, f"{path}/{name}", None, _V.ExtensionObject, _O.Range)
         if leaf.words:
             words = [ua.LocalizedText(word) for word in leaf.words]
@@ -122,20 +122,20 @@ class Layout:
             reference=_O.HasAddIn,
             name=ua.QualifiedName("Identification", spaces.di),
         )
-        for name, (variant, about) in FIELDS.items():
+        for name, (variant, description) in FIELDS.items():
             self._builder.property(
                 plate,
                 f"{path}/{name}",
                 None,
                 variant,
                 int(variant),
-                about=about,
+                description=description,
                 name=ua.QualifiedName(name, spaces.di),
             )
 
 
 def _kind(leaf: Leaf, path: str) -> int:
-    """The type of a variable: AnalogItemType promises an EURange, MultiStateDiscreteType words."""
+    """Return the type of a variable: AnalogItemType promises an EURange, MultiStateDiscreteType words."""
     if leaf.unit is not None:
         return int(_O.AnalogItemType if path in RANGED else _O.AnalogUnitType)
     return int(_O.MultiStateDiscreteType if leaf.words else _O.BaseDataVariableType)

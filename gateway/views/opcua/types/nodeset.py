@@ -11,7 +11,7 @@ from asyncua import Server, ua
 from asyncua.common.xmlexporter import XmlExporter
 
 from gateway.views.opcua.types.build import Namespaces
-from gateway.views.opcua.types.companion import DI, MACHINERY, SAID, Metadata
+from gateway.views.opcua.types.companion import DI, MACHINERY, METADATA, Metadata
 from gateway.views.opcua.types.rig_type import PUBLISHED, TYPES, VERSION, add_types
 
 _UA = Metadata(  # the oldest that Machinery asks for
@@ -48,9 +48,9 @@ async def _nodeset() -> str:
     server = Server()
     await server.init()
     spaces = await register(server)
-    ours = [node for node in server.iserver.aspace.keys() if node.NamespaceIndex == spaces.types]
+    nodes = [node for node in server.iserver.aspace.keys() if node.NamespaceIndex == spaces.types]
     exporter = XmlExporter(server, export_values=True)
-    await exporter.build_etree([server.get_node(node) for node in ours])
+    await exporter.build_etree([server.get_node(node) for node in nodes])
     return _written(exporter)
 
 
@@ -58,7 +58,7 @@ def _written(exporter: XmlExporter) -> str:
     root = exporter.etree.getroot()
     models = Et.Element("Models")
     model = _model(models, "Model", Metadata(uri=TYPES, version=VERSION, published=PUBLISHED, is_subset=False))
-    for required in (_UA, *SAID.values()):
+    for required in (_UA, *METADATA.values()):
         _model(model, "RequiredModel", required)
     root.insert(1, models)  # the schema wants namespaces, models, aliases, nodes
     for identifier in root.iter("uax:Identifier"):  # of structures: that of their XML encoding, not of the data type
@@ -71,6 +71,6 @@ def _written(exporter: XmlExporter) -> str:
     return Et.tostring(root, encoding="unicode", xml_declaration=False) + "\n"
 
 
-def _model(parent: Et.Element, tag: str, said: Metadata) -> Et.Element:
-    published = f"{said.published:%Y-%m-%dT%H:%M:%SZ}"
-    return Et.SubElement(parent, tag, ModelUri=said.uri, Version=said.version, PublicationDate=published)
+def _model(parent: Et.Element, tag: str, metadata: Metadata) -> Et.Element:
+    published = f"{metadata.published:%Y-%m-%dT%H:%M:%SZ}"
+    return Et.SubElement(parent, tag, ModelUri=metadata.uri, Version=metadata.version, PublicationDate=published)

@@ -29,8 +29,8 @@ def add_types(server: InternalServer, spaces: Namespaces) -> None:
     add_companions(server, spaces)
     plain = Builder(server, spaces, spaces.types)
     _add_link_state(server, plain)
-    about = "a magnetic levitation rig with its link, its alarms, its commands and its simulated twin"
-    rig = object_type(plain, ua.NodeId(_O.BaseObjectType), RIG_TYPE, about)
+    description = "a magnetic levitation rig with its link, its alarms, its commands and its simulated twin"
+    rig = object_type(plain, ua.NodeId(_O.BaseObjectType), RIG_TYPE, description)
     for event in _EVENTS:
         plain.refer(rig, _O.GeneratesEvent, ua.NodeId(event), both=False)
     Layout(TypeBuilder(server, spaces, spaces.types), rig, RIG_TYPE)

@@ -222,7 +222,7 @@ def changed(data: dict[str, Any], path: str, value: object) -> dict[str, Any]:
         ("gain.judge.extended_rmse_m", 9e-5),
         ("gain.judge.noise_floor_m", 9e-7),
         ("gains.0.judge.excess_removed", 0.5),
-        ("sentence", "The coil sits 0.50 mm higher than the model has it: this explains 72 % of what is missing."),
+        ("sentence", "The coil sits 0.50 mm higher than in the model: this explains 72 % of what is missing."),
     ],
 )
 def test_a_number_that_contradicts_the_others_is_found(path: str, value: object) -> None:
