@@ -23,8 +23,8 @@ class Verb(ModuleType):
     @property
     def function(self) -> Callable[..., Any]:
         """What a call does."""
-        found: Callable[..., Any] = getattr(importlib.import_module("twin.api"), self.__name__.rpartition(".")[2])
-        return found
+        function: Callable[..., Any] = getattr(importlib.import_module("twin.api"), self.__name__.rpartition(".")[2])
+        return function
 
     @property
     def __signature__(self) -> inspect.Signature:

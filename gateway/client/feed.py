@@ -71,11 +71,11 @@ class Feed:
         """The next message; None if none arrives within `timeout_s` (s; None: wait without limit)."""
         return self._waiting.take(timeout_s)
 
-    def first(self, kind: type[M], timeout_s: float, wanted: Callable[[M], bool] = lambda message: True) -> M | None:
-        """The next message of type `kind` for which `wanted` is true; None if none arrives within `timeout_s`, s."""
+    def first(self, kind: type[M], timeout_s: float, accepts: Callable[[M], bool] = lambda message: True) -> M | None:
+        """The next message of type `kind` for which `accepts` is true; None if none arrives within `timeout_s`, s."""
         end_s = time.monotonic() + timeout_s
         while (arrival := self.take(max(0.0, end_s - time.monotonic()))) is not None:
-            if isinstance(arrival.message, kind) and wanted(arrival.message):
+            if isinstance(arrival.message, kind) and accepts(arrival.message):
                 return arrival.message
         return None
 
@@ -104,9 +104,9 @@ class _Waiting:
                 if not self._changed.wait_for(lambda: self._messages, left_s):
                     return None
                 key, data = self._messages.popleft()
-            place = topics.split(key)
-            if place is not None:
-                return Arrival(key, parse(topics.TOPIC_OF_NAME[place[2]].message, data), len(data))
+            address = topics.split(key)
+            if address is not None:
+                return Arrival(key, parse(topics.TOPIC_OF_NAME[address[2]].message, data), len(data))
 
 
 def _undeclare(subscribers: list[zenoh.Subscriber[None]]) -> None:
@@ -126,5 +126,5 @@ def check_topic(name: str) -> None:
         or topics.TOPIC_OF_NAME[name].source == "client"
         or not topics.TOPIC_OF_NAME[name].bus
     ):
-        there = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.source != "client")
-        raise UsageError(f"{name!r} is no topic to listen to", remedy=f"Choose among {there}")
+        available = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.source != "client")
+        raise UsageError(f"{name!r} is no topic to listen to", remedy=f"Choose among {available}")

@@ -121,14 +121,14 @@ class Recording:
         if self._closed.is_set():
             return
         key, data = str(sample.key_expr), sample.payload.to_bytes()
-        place = topics.split(key)
-        if place is None or not topics.TOPIC_OF_NAME[place[2]].logged:
+        address = topics.split(key)
+        if address is None or not topics.TOPIC_OF_NAME[address[2]].logged:
             return
-        _, board, topic = place
+        _, board, topic = address
         message = parse(topics.TOPIC_OF_NAME[topic].message, data)
         # Log time is the gateway's, as in its own log.  Messages without a time (twin/*) get that of the board's newest
         # message, as the clock of this host may differ.
-        own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
-        if own_ns is not None:
-            self._newest_ns[board] = max(own_ns, self._newest_ns.get(board, 0))
-        self._recorder.put(key, data, self._newest_ns.get(board, time.time_ns()) if own_ns is None else own_ns)
+        stamp_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
+        if stamp_ns is not None:
+            self._newest_ns[board] = max(stamp_ns, self._newest_ns.get(board, 0))
+        self._recorder.put(key, data, self._newest_ns.get(board, time.time_ns()) if stamp_ns is None else stamp_ns)

@@ -215,9 +215,9 @@ class Rig:
             ServiceError: the command was accepted, but the samples did not arrive.
         """
         with Feed(self._session, self.site, self.board, ["capture"]) as feed:
-            wanted = commands.capture(u_from_v=u_from_v, u_to_v=u_to_v, duration_s=duration_s, pre_s=pre_s)
-            reply = self._execute(wanted)
-            record = feed.first(pb.CaptureRecord, CAPTURE_WAIT_S, lambda one: one.tick >= reply.tick)
+            command = commands.capture(u_from_v=u_from_v, u_to_v=u_to_v, duration_s=duration_s, pre_s=pre_s)
+            reply = self._execute(command)
+            record = feed.first(pb.CaptureRecord, CAPTURE_WAIT_S, lambda record: record.tick >= reply.tick)
         if record is not None:
             return Capture.of(record)
         raise ServiceError(
@@ -370,9 +370,9 @@ class Rig:
 
     def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
         with Feed(self._session, self.site, self.board, [topic]) as feed:
-            found = feed.first(kind, timeout_s)
-        if found is not None:
-            return found
+            message = feed.first(kind, timeout_s)
+        if message is not None:
+            return message
         raise ServiceError(
             f"No {topic} from {self.site}/{self.board} within {timeout_s:g} s",
             remedy="Is its gateway running, and is that the board's name?",

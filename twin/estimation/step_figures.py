@@ -159,8 +159,8 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
 
 def together(rows: Sequence[Compared]) -> tuple[Compared, ...]:
     """The figures of the same steps with `significant`, decided as one family of tests."""
-    found = holm([row.chance for row in rows])
-    return tuple(replace(row, significant=differs) for row, differs in zip(rows, found, strict=True))
+    significant = holm([row.chance for row in rows])
+    return tuple(replace(row, significant=differs) for row, differs in zip(rows, significant, strict=True))
 
 
 def _widths(bands: Sequence[float]) -> tuple[float, float] | None:

@@ -143,18 +143,18 @@ class _Surface:
         return self._criterion.loglik(run.innovations) + self._criterion.outside(point), run
 
     def slopes(
-        self, point: Theta, seen: Results, free: Sequence[str], before: Slopes | None, decrement: float
+        self, point: Theta, results: Results, free: Sequence[str], before: Slopes | None, decrement: float
     ) -> Slopes:
         if before is not None and decrement <= CLOSE:
             # The derivatives are as good as those of this point.
-            return self._of(point, seen, free, before.retained, exact=before.exact, fresh=False)
-        rough = self._criterion.mean_square(seen.innovations) < settings.EXACT_SLOPES_SQUARE
-        _, change = self._criterion.derivatives(point, free, seen, rough=rough)
-        return self._of(point, seen, free, change, exact=self._approximate or not rough)
+            return self._of(point, results, free, before.retained, exact=before.exact, fresh=False)
+        rough = self._criterion.mean_square(results.innovations) < settings.EXACT_SLOPES_SQUARE
+        _, change = self._criterion.derivatives(point, free, results, rough=rough)
+        return self._of(point, results, free, change, exact=self._approximate or not rough)
 
-    def exact(self, point: Theta, seen: Results, free: Sequence[str]) -> Slopes:
-        _, change = self._criterion.derivatives(point, free, seen)
-        return self._of(point, seen, free, change)
+    def exact(self, point: Theta, results: Results, free: Sequence[str]) -> Slopes:
+        _, change = self._criterion.derivatives(point, free, results)
+        return self._of(point, results, free, change)
 
     def _of(
         self,

@@ -47,20 +47,20 @@ class Claim:
         self._lock = threading.Lock()  # guards the two below: the look and zenoh's callback may find the same twin
         self._declared = self._refused = False
         self._token: zenoh.LivelinessToken | None = None
-        self._others = f"{site}/*/{topics.TWIN_ALIVE}/*"
-        self._subscriber = session.liveliness().declare_subscriber(self._others, self._appeared, history=True)
+        self._key = f"{site}/*/{topics.TWIN_ALIVE}/*"
+        self._subscriber = session.liveliness().declare_subscriber(self._key, self._appeared, history=True)
 
     def declare(self) -> None:
         """Look for other twins, and declare the token if there is none; the session has reached the router."""
-        for reply in self._session.liveliness().get(self._others, timeout=_LOOK_S):
+        for reply in self._session.liveliness().get(self._key, timeout=_LOOK_S):
             if reply.ok is not None:
                 self._meet(str(reply.ok.key_expr))
         with self._lock:
             if self._refused:
                 return
             self._declared = True
-        own = f"{self._site}/{self._board}/{topics.TWIN_ALIVE}/{self._name}"
-        self._token = self._session.liveliness().declare_token(own)
+        key = f"{self._site}/{self._board}/{topics.TWIN_ALIVE}/{self._name}"
+        self._token = self._session.liveliness().declare_token(key)
 
     def _appeared(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT and self._declared:  # before that, `declare` looks
