@@ -198,7 +198,7 @@ def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -
     while _call("watch", *bus, "--topic", "state", "--count", 1, "--timeout", 2, cwd=tmp_path).returncode:
         assert time.monotonic() < deadline, "no samples"
 
-    recorded = _call("record", "-o", "new/folder", "--seconds", 2, *bus, cwd=tmp_path)
+    recorded = _call("record", "-o", "new/folder", "--seconds", 5, *bus, cwd=tmp_path)
     accepted = _call("send", "rig1", "mode", "closed-loop", "--json", "--who", "me", *bus, cwd=tmp_path)
     refused = _call("send", "rig1", "reference", "0.1", *bus, cwd=tmp_path)
     nobody = _call("send", "rig2", "ping", *bus, "--timeout", 1, cwd=tmp_path)
