@@ -7,14 +7,17 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import board51
+from gateway.investigate.work import Work
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
+from protocol.errors import ServiceError
 from tests.harness.gateway.campaign_line import ROOT, Line, emulated_line
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S
@@ -81,6 +84,18 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     assert 0.0 < table["rig_s"] < 60.0
     assert (folder / "diagnosis" / "report.html").is_file()
     assert json.loads((folder / "investigation.json").read_text())["ended"] == table["ended"]
+
+
+def test_a_stop_during_a_diagnosis_ends_the_investigation(tmp_path: Path) -> None:
+    with emulated_line(tmp_path) as line:
+        rig = ("--board", "rig", "--connect", line.endpoint, "--plant", str(line.plant), "--quick")
+        work = Work(tmp_path / "i", rig, ordered_ns=time.time_ns(), workers=1, write_line=print)
+        line.bus.command("emergency", stop=pb.Stop())
+        with pytest.raises(ServiceError, match="somebody stopped the board"):
+            work.perform(["lift-off"])
+        states = line.bus.states()
+
+    assert not any(state.u_c_v for state in states)
 
 
 @pytest.mark.slow
