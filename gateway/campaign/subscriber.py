@@ -110,8 +110,9 @@ class BoardSubscriber:
                 case pb.Parameters():
                     self.parameters, self._parameters_message = message, logged
                 case pb.Status():
-                    self.status = message
-                    if message.last_stop_ns > self._ordered_ns and self.stop_sender is None:
+                    first, self.status = self.status is None, message
+                    # Only the first one: a later STOP is heard here, and may be the run's own.
+                    if first and message.last_stop_ns > self._ordered_ns and self.stop_sender is None:
                         self.stop_sender = "somebody"
                 case pb.CaptureRecord():
                     self.captures += 1

@@ -163,7 +163,7 @@ def test_a_gateway_that_is_not_there_is_one_line_and_nothing_is_lost(
     err = capsys.readouterr().err.strip().splitlines()
     assert code == 1
     assert "board51 investigate: campaign run ended with exit code 1" in err[-1]
-    assert "the same command goes on" in err[-1]
+    assert "the same command continues" in err[-1]
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def test_what_the_port_does_not_take_expires_and_stop_goes_first() -> None:
 
     assert (mode.reason, mode.attempts) == ("timed-out", 0)
     assert (stop.reason, stop.attempts) == ("timed-out", 0)
-    assert "goes out as soon as" in stop.text
+    assert "is sent as soon as" in stop.text
     assert modes(board) == []
     assert [m.name for m in board.heard[ping_limit:] if m.name not in ("PING", "GET_PARAMETERS")] == ["STOP"]
 
