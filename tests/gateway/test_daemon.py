@@ -29,13 +29,13 @@ from tests.harness.gateway.gateway_peers import (
     Bus,
     ScriptedBoard,
     client,
-    free_port,
     gateway_and_client,
     gateway_config,
     running,
     wait_for,
     with_log,
 )
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 
