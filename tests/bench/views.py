@@ -27,6 +27,7 @@ from protocol.log.reader import read
 from tests.bench.gateway import TAIL_S, WINDOW_S, Result, result
 from tests.bench.line import processes as line
 from tests.bench.line.browsers import CHROMIUM
+from tests.harness.ports import free_port
 
 BOARDS = 8
 CLIENTS = 4  # of either kind
