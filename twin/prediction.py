@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.errors import DataError
-from twin.diagnose.evidence.gather import gather
+from twin.diagnosis.evidence.gather import gather
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.rollout import SETTLE_S, within_reach
@@ -23,8 +23,8 @@ from twin.model.causes.catalogue import cause_of_detector
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
-from twin.validate.extended import system_of
-from twin.validate.source import source_of
+from twin.validation.extended import system_of
+from twin.validation.source import source_of
 
 NEEDED = ("u_c", "i_c", "x")
 

@@ -13,8 +13,8 @@ import sys
 import time
 from pathlib import Path
 
-from twin.diagnose import settings
-from twin.diagnose.inference.budget import FULL, MILLION, QUICK
+from twin.diagnosis import settings
+from twin.diagnosis.inference.budget import FULL, MILLION, QUICK
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
 
 

@@ -16,15 +16,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from twin.diagnose import pipeline, settings
-from twin.diagnose.checks import consistency
-from twin.diagnose.evidence import dead_time, gather
-from twin.diagnose.inference import fisher_scoring, initial_guess
-from twin.diagnose.inference.fisher_scoring import Fit
-from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.judge import prediction_gain
-from twin.diagnose.search import periodic, prediction_benefit, score_test
+from twin.diagnosis import pipeline, settings
+from twin.diagnosis.checks import consistency
+from twin.diagnosis.evidence import dead_time, gather
+from twin.diagnosis.inference import fisher_scoring, initial_guess
+from twin.diagnosis.inference.fisher_scoring import Fit
+from twin.diagnosis.inference.likelihood import Criterion
+from twin.diagnosis.inference.noise_floor import Floor
+from twin.diagnosis.judge import prediction_gain
+from twin.diagnosis.search import periodic, prediction_benefit, score_test
 from twin.estimation.record import Record
 from twin.model.causes.cause import Cause
 
@@ -63,7 +63,7 @@ def remembered() -> Iterator[None]:
     for home, name in _FUNCTIONS:
         original = getattr(home, name)
         once = _once(original, known)
-        for module in [module for at, module in sys.modules.items() if at.startswith("twin.diagnose")]:
+        for module in [module for at, module in sys.modules.items() if at.startswith("twin.diagnosis")]:
             if getattr(module, name, None) is original:
                 before.append((module, name, original))
                 setattr(module, name, once)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, narrow
-from twin.diagnose.inference.theta import Theta
+from twin.diagnosis.inference.theta import Theta
 from twin.estimation.innovations import FLIES, whitened
 
 QUIET = replace(THETA, sigma_i_c_a=1e-6, sigma_x_m=1e-8)

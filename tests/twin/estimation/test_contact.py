@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from protocol.campaign import Kind, Plant
-from twin.diagnose.evidence.gather import gather
-from twin.diagnose.evidence.sensor_noise import sensor_noise
+from twin.diagnosis.evidence.gather import gather
+from twin.diagnosis.evidence.sensor_noise import sensor_noise
 from twin.estimation.contact import at_converter_end, bounces, held_samples, partly_cut_off
 from twin.estimation.innovations import FLIES, RESTS_LOW, USE_X
 from twin.estimation.record import FloatArray, Record

@@ -10,10 +10,10 @@ import pytest
 
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S
-from twin.diagnose.evidence.gather import gather
-from twin.diagnose.inference.fisher_scoring import climb
-from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import BASE, Theta, coordinates_of, parameter_of
+from twin.diagnosis.evidence.gather import gather
+from twin.diagnosis.inference.fisher_scoring import climb
+from twin.diagnosis.inference.likelihood import Criterion
+from twin.diagnosis.inference.theta import BASE, Theta, coordinates_of, parameter_of
 from twin.estimation.record import Record
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.wander import MINUTE_S
