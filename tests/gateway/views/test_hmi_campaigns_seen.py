@@ -87,7 +87,7 @@ def test_a_campaign_that_failed_is_not_shown_in_place_of_a_result_and_an_interru
     expect(rows.filter(has=page.get_by_role("button", name="Continue"))).to_contain_text("1 recordings, not finished")
 
     page.goto(f"/model/rig?campaign={FAILED}")
-    expect(page.get_by_text("Nothing was recorded in it.").first).to_be_visible()
+    expect(page.get_by_text("It has no recordings.").first).to_be_visible()
     expect(page.get_by_role("button", name="Identify")).to_have_count(0)
 
 

@@ -153,15 +153,17 @@ def test_an_alarm_says_by_how_much_which_way_and_how_often_noise_explains_it() -
 
     assert (
         in_numbers("divergence-i_c", "14:59", more)
-        == "the coil draws 0.26 A more than the model since 14:59, 12 times what noise explains"
+        == "the coil draws 0.26 A more than the model since 14:59, 12 times as much as noise explains"
     )
     assert (
         in_numbers("divergence-x", "14:59", lower)
-        == "the ball is 40 \u00b5m lower than in the model since 14:59, 5.1 times what noise explains"
+        == "the ball is 40 \u00b5m lower than in the model since 14:59, 5.1 times as much as noise explains"
     )
-    assert in_numbers("divergence-x", "9:00", to_and_fro).startswith("position and model differ by 120 \u00b5m rms")
+    assert in_numbers("divergence-x", "9:00", to_and_fro).startswith(
+        "measured and modelled position differ by 120 \u00b5m rms"
+    )
     assert in_numbers("innovation", "9:00", more) == (
-        "one sample ahead the model errs 2.0 times what noise explains, since 9:00"
+        "the prediction of the next sample errs 2.0 times as much as noise explains, since 9:00"
     )
 
 
