@@ -130,8 +130,8 @@ def diagnose(
     """
     from twin.diagnosis import pipeline
     from twin.diagnosis.equilibria.run import is_static
-    from twin.diagnosis.inference.budget import MILLION
     from twin.diagnosis.residuals.summary import summarise
+    from twin.inference.budget import MILLION
 
     if not 0.0 < share <= 1.0:
         raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")

@@ -65,7 +65,7 @@ def _campaign(folder: Path) -> Path:
     from protocol.campaign_text import emit
     from twin.diagnosis.experiments.designed_law import designed
     from twin.diagnosis.experiments.virtual_recordings import TICK_S, Schedule, simulate
-    from twin.diagnosis.inference.theta import Theta
+    from twin.inference.theta import Theta
     from twin.model.causes.catalogue import CATALOGUE
     from twin.model.nominal import nominal
 

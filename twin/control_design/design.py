@@ -94,7 +94,7 @@ def design(
     with_observer: bool = False,
     seed: int = 1,
 ) -> Design:
-    """Design a controller and analyse its loop, as `twin.control_design` does (results: `README.md`).
+    """Design a controller and analyse its loop, as `twin.design` does (results: `README.md`).
 
     Raises:
         DataError: K_A or K_c of the model is a placeholder.

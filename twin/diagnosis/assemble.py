@@ -9,20 +9,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
-from twin.diagnosis import settings
 from twin.diagnosis.checks.change_point import Change
 from twin.diagnosis.checks.confidence import confidence_of
 from twin.diagnosis.checks.consistency import beginnings, contradictions
-from twin.diagnosis.evidence import sample_loss
-from twin.diagnosis.evidence.gather import Evidence
-from twin.diagnosis.evidence.sample_loss import Lost, lost_samples
 from twin.diagnosis.experiments.design import propose
-from twin.diagnosis.inference.adequacy import where_left
-from twin.diagnosis.inference.budget import Budget, Spent
-from twin.diagnosis.inference.fisher_scoring import Fit, spreads
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import Theta
 from twin.diagnosis.judge import judgement
 from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
@@ -51,10 +41,20 @@ from twin.diagnosis.result import (
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record
+from twin.evidence import sample_loss
+from twin.evidence.gather import Evidence
+from twin.evidence.sample_loss import Lost, lost_samples
+from twin.inference.adequacy import where_left
+from twin.inference.budget import Budget, Spent
+from twin.inference.fisher_scoring import Fit, spreads
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta
 from twin.model.assumed import assumption, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model, Parameter
+from twin.settings import diagnosis as settings
 
 Progress = Callable[[str], None]
 

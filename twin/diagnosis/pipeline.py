@@ -21,33 +21,33 @@ import numpy as np
 
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
-from twin.diagnosis import settings
 from twin.diagnosis.assemble import Options, Progress, SearchResult, assemble, testable_causes, timed
 from twin.diagnosis.checks.change_point import find_change
 from twin.diagnosis.checks.outlier_recording import Outlier, find_outlier
-from twin.diagnosis.evidence.gather import Evidence, gather
-from twin.diagnosis.evidence.instruments import instruments, with_noise
-from twin.diagnosis.evidence.noise_levels import Noise
-from twin.diagnosis.evidence.outliers import without_outliers
-from twin.diagnosis.evidence.shorten import shortened
-from twin.diagnosis.inference.adequacy import adequate
-from twin.diagnosis.inference.budget import FULL, QUICK, RESERVED, Budget, Spent, millions
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.initial_guess import start_theta, with_noise_bounds
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import floor_of
-from twin.diagnosis.inference.theta import BASE, STOPS, Theta, parameter_of
 from twin.diagnosis.judge.reference_model import check_plant
 from twin.diagnosis.report.sentences import change_sentence, outlier_sentence
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search.stepwise import select
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import Record
-from twin.identification.checks.dead_channels import without_dead
-from twin.identification.checks.plausibility import inspect
+from twin.evidence.checks.dead_channels import without_dead
+from twin.evidence.checks.plausibility import inspect
+from twin.evidence.gather import Evidence, gather
+from twin.evidence.instruments import instruments, with_noise
+from twin.evidence.noise_levels import Noise
+from twin.evidence.outliers import without_outliers
+from twin.evidence.shorten import shortened
+from twin.inference.adequacy import adequate
+from twin.inference.budget import FULL, QUICK, RESERVED, Budget, Spent, millions
+from twin.inference.fisher_scoring import climb
+from twin.inference.initial_guess import start_theta, with_noise_bounds
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, STOPS, Theta, parameter_of
 from twin.model.assumed import assumption_warning
 from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
 
 UNASKED = "--quick: not asked whether an effect begins or ends in the middle of the campaign"
 MIN_FLIGHT_S = 2.0  # 120 time constants of the unstable pole
@@ -82,7 +82,7 @@ def diagnose(
         free_form: whether to model what is left by curves; None: where more than noise is, if not `quick`.
         seed: of the bootstrap.
         workers: threads.
-        budget: filter steps (`twin/diagnosis/inference/budget.py`); None: QUICK or FULL.
+        budget: filter steps (`twin/inference/budget.py`); None: QUICK or FULL.
         say: is called with lines of progress, each with the used share of the budget.
 
     Raises:

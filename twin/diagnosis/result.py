@@ -8,18 +8,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twin.diagnosis.checks.confidence import MAX_CONFIDENCE
-from twin.diagnosis.evidence.gather import Evidence
-from twin.diagnosis.evidence.noise_levels import colours_json
-from twin.diagnosis.evidence.noise_levels import to_json as noise_json
-from twin.diagnosis.inference.budget import Budget
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import Theta
 from twin.diagnosis.judge.account import Account, Verdict
 from twin.diagnosis.judge.choice import Choice
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.remainder.remainder import Remainder
 from twin.diagnosis.search.state import Selection
+from twin.evidence.gather import Evidence
+from twin.evidence.noise_levels import colours_json
+from twin.evidence.noise_levels import to_json as noise_json
+from twin.inference.budget import Budget
+from twin.inference.fisher_scoring import Fit
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, Parameter
 

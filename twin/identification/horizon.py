@@ -16,7 +16,7 @@ from twin.estimation.prepare import prepare
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.rollout import roll_out
 from twin.estimation.structures import System
-from twin.identification.fit import Likelihood, Point
+from twin.inference.nominal_fit import Likelihood, Point
 
 HORIZONS_S = (2e-3, 10e-3, 20e-3, 40e-3)
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.identification import settings
-from twin.identification.fit import FLOORS, PARAMETERS, Fit, Likelihood, Point, fit
+from twin.inference.nominal_fit import FLOORS, PARAMETERS, Fit, Likelihood, Point, fit
+from twin.settings import identification as settings
 
 Z = 1.96
 _ROUNDS = 6

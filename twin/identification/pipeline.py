@@ -23,20 +23,22 @@ from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import Record
 from twin.estimation.structures import NOISES
 from twin.estimation.whiteness import Whiteness, whiteness
-from twin.identification import settings, verdicts
-from twin.identification.checks.dead_channels import without_dead
-from twin.identification.checks.input_delay import delayed, input_delay
-from twin.identification.checks.plausibility import inspect
-from twin.identification.fit import FLOORS, NAMES, PARAMETERS, Fit, Likelihood, Point, fit, gate, max_drag, sandwich
+from twin.evidence.checks.dead_channels import without_dead
+from twin.evidence.checks.plausibility import inspect
+from twin.evidence.dead_time import delayed
+from twin.evidence.starting.levels import Levels, Shape, find_levels, find_shape
+from twin.evidence.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
+from twin.evidence.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
+from twin.identification import verdicts
 from twin.identification.horizon import Horizon, horizons
+from twin.identification.input_delay import input_delay
 from twin.identification.intervals import Interval, quadratic_or_profile
 from twin.identification.result import Identification, noise_of, provenance_of
-from twin.identification.starting.levels import Levels, Shape, find_levels, find_shape
-from twin.identification.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
-from twin.identification.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
+from twin.inference.nominal_fit import FLOORS, NAMES, PARAMETERS, Fit, Likelihood, Point, fit, gate, max_drag, sandwich
 from twin.model.assumed import assumption_warning, mark
 from twin.model.parameters import Model, Parameter
 from twin.readers.campaign import read_campaign
+from twin.settings import identification as settings
 
 # The process noise starts large.  From a small value an incomplete model converges to a far lower maximum, which
 # attributes all its error to the noise of the position sensor (250 um instead of 4).

@@ -10,10 +10,10 @@ from protocol.campaign import Campaign
 from twin.estimation.prepare import Usage
 from twin.estimation.record import Record
 from twin.estimation.whiteness import Whiteness
-from twin.identification.fit import FLOORS, Fit
+from twin.evidence.starting.levels import Levels, Shape
+from twin.evidence.starting.liftoff import ForceConstant
 from twin.identification.horizon import Horizon
-from twin.identification.starting.levels import Levels, Shape
-from twin.identification.starting.liftoff import ForceConstant
+from twin.inference.nominal_fit import FLOORS, Fit
 from twin.model.parameters import NOISE, Model, Noise
 
 _ASSUMED = Noise(sigma_x_m=5e-6, sigma_i_c_a=2e-3, process_a_m_s2=0.02, process_i_c_a=1e-4)

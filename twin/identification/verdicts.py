@@ -6,13 +6,13 @@ import math
 from dataclasses import replace
 
 from protocol.campaign import Plant
-from twin.identification import settings
-from twin.identification.fit import Fit
+from twin.evidence.starting.levels import Levels, Shape
+from twin.evidence.starting.liftoff import ForceConstant
+from twin.evidence.starting.regression import BallStart
 from twin.identification.intervals import Interval
-from twin.identification.starting.levels import Levels, Shape
-from twin.identification.starting.liftoff import ForceConstant
-from twin.identification.starting.regression import BallStart
+from twin.inference.nominal_fit import Fit
 from twin.model.parameters import PARAMETERS, Parameter, Verdict
+from twin.settings import identification as settings
 
 IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value
 _HELP = {

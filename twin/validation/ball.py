@@ -16,9 +16,9 @@ from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.prediction_floor import TOLERANCE, floor_rmse
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.estimation.rollout import SETTLE_S, window
-from twin.identification.fit import FLOORS
 from twin.identification.horizon import HORIZONS_S
 from twin.identification.horizon import errors as error_ahead
+from twin.inference.nominal_fit import FLOORS
 from twin.validation.source import Filtered
 
 WINDOW_S = 0.04

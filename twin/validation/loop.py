@@ -17,12 +17,12 @@ from twin.control import LawNumbers, integral_behind, law
 from twin.estimation.record import runs
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.step_figures import LoopRun
-from twin.identification.checks.control_law import law_gap
+from twin.evidence.checks.control_law import law_gap
 from twin.mirror.monitor.expected import autocovariance, error_dynamics
-from twin.mirror.settings import STABLE
 from twin.model.extended import I_C, Base, V, X
 from twin.model.parameters import Model
 from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
+from twin.settings.mirror import STABLE
 from twin.validation.source import Filtered, Source
 
 SHORTEST_S = 0.5

@@ -27,12 +27,13 @@ from twin.estimation.prepare import flights, prepare
 from twin.estimation.propagate import delay_s
 from twin.estimation.record import FloatArray, Record, runs
 from twin.estimation.structures import System
-from twin.identification.checks.control_law import WIDE_V, numbers_of
-from twin.identification.checks.dead_channels import without_dead
-from twin.identification.checks.input_delay import delayed, input_delay
-from twin.identification.checks.plausibility import inspect
-from twin.identification.fit import gate
+from twin.evidence.checks.control_law import WIDE_V, numbers_of
+from twin.evidence.checks.dead_channels import without_dead
+from twin.evidence.checks.plausibility import inspect
+from twin.evidence.dead_time import delayed
+from twin.identification.input_delay import input_delay
 from twin.identification.pipeline import grouped
+from twin.inference.nominal_fit import gate
 from twin.model.parameters import Model
 from twin.readers.campaign import read_recording
 from twin.readers.log import entries, parse

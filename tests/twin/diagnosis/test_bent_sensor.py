@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from protocol.campaign import Campaign, load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import QUIET
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import STOPS, derivative_step, moved
 from twin.diagnosis.pipeline import diagnose, tick_of
+from twin.evidence.gather import gather
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import STOPS, derivative_step, moved
 from twin.model.causes.catalogue import neutral
 from twin.model.causes.position_sensor_nonlinearity import BOW, CAUSE, FULLNESS, SKEW
 from twin.model.extended import Base, position_of_reading, position_reading

@@ -17,21 +17,21 @@ import board51
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.twin.independent_plant import Ball, wandering
-from twin.diagnosis import settings
 from twin.diagnosis.checks.change_point import in_time, share_clock
 from twin.diagnosis.checks.consistency import beginnings, contradictions
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.evidence.sample_loss import lost_samples
-from twin.diagnosis.evidence.sensor_noise import noise_error, sensor_noise
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor, floor_of
-from twin.diagnosis.inference.theta import BASE, Theta
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.report.sentences import contradiction_sentence
 from twin.estimation.record import FloatArray, Record
+from twin.evidence.gather import gather
+from twin.evidence.sample_loss import lost_samples
+from twin.evidence.sensor_noise import noise_error, sensor_noise
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor, floor_of
+from twin.inference.theta import BASE, Theta
 from twin.model.parameters import Model, load_model, model_to_dict
 from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
 
 BALL = Ball()
 TRUE = Theta(

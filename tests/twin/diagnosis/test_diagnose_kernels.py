@@ -11,15 +11,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.harness.twin.independent_plant import Ball, wandering
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import BASE, Theta, coordinates_of
 from twin.diagnosis.judge.prediction_gain import bootstrap
 from twin.diagnosis.search.candidate_starts import start_of
 from twin.diagnosis.search.score_test import screen
 from twin.estimation.record import FloatArray
-from twin.identification.fit import Likelihood, Point
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.nominal_fit import Likelihood, Point
+from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
 from twin.model.causes.cause import PLACES, Cause
 from twin.model.extended import Base, advance

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from tests.harness.diagnose.simulated_rig import ITEMS, criterion_of, made, narrow, strong
-from twin.diagnosis import settings
-from twin.diagnosis.inference.adequacy import adequate, where_left
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import floor_of
-from twin.diagnosis.inference.theta import BASE, STOPS, coordinates_of
 from twin.diagnosis.search.score_test import screen
+from twin.inference.adequacy import adequate, where_left
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, STOPS, coordinates_of
+from twin.settings import diagnosis as settings
 
 OFFSET_M = 0.3e-3
 HIDDEN, CONFOUNDER = "position-sensor-offset", "air-gap-offset"

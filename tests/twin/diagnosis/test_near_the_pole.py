@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.campaign import Plant
-from twin.diagnosis.evidence.gather import POLE_SHARE, gather
 from twin.estimation.innovations import FLIES, USE_I
 from twin.estimation.record import Record
+from twin.evidence.gather import POLE_SHARE, gather
 
 TRAVEL_M = 5.7e-3
 

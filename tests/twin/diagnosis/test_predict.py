@@ -21,8 +21,8 @@ from protocol.wire.messages import Shape
 from tests.harness.twin.emulated_campaign import TICK_S, Lab
 from tests.harness.twin.true_model import true_model
 from twin.estimation.record import Record
-from twin.identification.fit import Point
 from twin.identification.horizon import horizons
+from twin.inference.nominal_fit import Point
 from twin.model.parameters import model_to_dict
 from twin.prediction import predict
 from twin.readers.log import TwinLog

@@ -14,18 +14,18 @@ import pytest
 
 from board51 import main
 from protocol.campaign import load
-from twin.diagnosis.evidence.gather import Evidence, gather
-from twin.diagnosis.evidence.instruments import instruments, with_noise
-from twin.diagnosis.evidence.outliers import without_outliers
-from twin.diagnosis.evidence.sensor_noise import sensor_noise
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import BASE, STOPS, Theta, coordinates_of
 from twin.diagnosis.judge.prediction_gain import predictions
 from twin.diagnosis.pipeline import tick_of
 from twin.diagnosis.remainder.curve_fits import fully_fitted, roughly_fitted, scores
 from twin.diagnosis.remainder.likeness import substitutes
 from twin.estimation.innovations import FLIES
+from twin.evidence.gather import Evidence, gather
+from twin.evidence.instruments import instruments, with_noise
+from twin.evidence.outliers import without_outliers
+from twin.evidence.sensor_noise import sensor_noise
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, STOPS, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.curve import CURVES
 from twin.readers.campaign import read_campaign

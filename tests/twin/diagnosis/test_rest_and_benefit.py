@@ -11,16 +11,16 @@ import pytest
 
 from protocol.campaign import Campaign, load
 from tests.harness.diagnose.hidden_campaign import make_campaign
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.evidence.sensor_noise import sensor_noise
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.initial_guess import start_theta, with_noise_bounds
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import BASE, STOPS, Theta
 from twin.diagnosis.search.candidate_starts import start_of, substitute_start
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import screen
 from twin.estimation.innovations import RESTS_LOW, USE_X
+from twin.evidence.gather import gather
+from twin.evidence.sensor_noise import sensor_noise
+from twin.inference.fisher_scoring import climb
+from twin.inference.initial_guess import start_theta, with_noise_bounds
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, STOPS, Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.readers.campaign import read_campaign
 

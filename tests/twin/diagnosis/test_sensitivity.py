@@ -10,10 +10,10 @@ from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.remembered import INSIDE, remembered
 from tests.harness.diagnose.sensitivity import AS_IT_IS, VARIED, VARIED_FULL, table, variants, varied
-from twin.diagnosis import settings
 from twin.diagnosis.pipeline import diagnose_records
 from twin.diagnosis.result import Diagnosis, to_json
 from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
 
 
 def test_what_is_varied_is_a_setting_that_decides_and_nothing_is_computed_by() -> None:

@@ -11,14 +11,14 @@ import pytest
 from gateway.emulator.plant.effects import EFFECTS
 from tests.harness.diagnose.known_diagnosis import campaign, fit_of
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, strong
-from twin.diagnosis.evidence.gather import Evidence, gather
 from twin.diagnosis.experiments.closed_loop import Converters
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import FLOORS, Theta
 from twin.diagnosis.judge.prediction_gain import gain, predictions
 from twin.diagnosis.report.model_file import model_of
 from twin.estimation.prediction_floor import floor_rmse
+from twin.evidence.gather import Evidence, gather
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import FLOORS, Theta
 from twin.model.causes.catalogue import CATALOGUE
 from twin.validation.ball import _effective, multi_step
 from twin.validation.source import filtered, source_of

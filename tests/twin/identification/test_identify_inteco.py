@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from protocol.campaign import Campaign, load
-from twin.identification.checks.input_delay import delayed, input_delay
+from twin.evidence.dead_time import delayed
 from twin.identification.horizon import Horizon, horizons
+from twin.identification.input_delay import input_delay
 from twin.identification.pipeline import identify
 from twin.identification.result import Identification
 from twin.readers.campaign import read_campaign

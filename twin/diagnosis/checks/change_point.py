@@ -17,13 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.adequacy import adequate
-from twin.diagnosis.inference.budget import Spent
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import Theta, derivative_step, moved
 from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.probes import probes_of
 from twin.diagnosis.search.score_test import probed
@@ -33,8 +26,15 @@ from twin.estimation.innovations import information
 from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
 from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
+from twin.inference.adequacy import adequate
+from twin.inference.budget import Spent
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta, derivative_step, moved
 from twin.model.causes.cause import Cause
 from twin.model.extended import STATES
+from twin.settings import diagnosis as settings
 
 _NO_STATE = np.empty((0, STATES))
 

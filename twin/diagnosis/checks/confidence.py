@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-from twin.diagnosis import settings
 from twin.diagnosis.judge.account import Verdict
 from twin.diagnosis.search.state import Selection
+from twin.settings import diagnosis as settings
 
 # Upper limit by verdict: the share of names that were right.  With `causes-found` 133 of 135, with `partly-explained`
 # 8 of 12, and 6 of 21 candidates with `unknown-cause`.

@@ -16,13 +16,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import parameter_of, unit_of
 from twin.estimation.innovations import FOLLOWS, information
 from twin.estimation.record import FloatArray
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import parameter_of, unit_of
 from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
 
 BLOCK_S = 1.0
 

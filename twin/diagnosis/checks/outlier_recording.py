@@ -17,21 +17,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.errors import DataError
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.evidence.instruments import with_noise
-from twin.diagnosis.evidence.outliers import without_outliers
-from twin.diagnosis.inference.adequacy import adequate
-from twin.diagnosis.inference.fisher_scoring import Fit, climb
-from twin.diagnosis.inference.initial_guess import start_theta, with_noise_bounds
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor, expected
-from twin.diagnosis.inference.theta import BASE, FLOORS, coordinates_of, reinitialised
 from twin.estimation.innovations import FLIES, information
 from twin.estimation.optimiser import inverse
 from twin.estimation.record import runs
+from twin.evidence.gather import gather
+from twin.evidence.instruments import with_noise
+from twin.evidence.outliers import without_outliers
+from twin.inference.adequacy import adequate
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.initial_guess import start_theta, with_noise_bounds
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor, expected
+from twin.inference.theta import BASE, FLOORS, coordinates_of, reinitialised
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

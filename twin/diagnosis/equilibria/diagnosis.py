@@ -19,7 +19,6 @@ from scipy.stats import t as t_distribution
 
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
-from twin.diagnosis import settings
 from twin.diagnosis.equilibria.points import (
     Points,
     StaticFit,
@@ -35,13 +34,14 @@ from twin.diagnosis.equilibria.points import (
     standard_error,
 )
 from twin.diagnosis.experiments.external_measurements import measurement_for
-from twin.diagnosis.inference.theta import Theta
 from twin.estimation.record import FloatArray, Record
+from twin.inference.theta import Theta
 from twin.model import parameters as file
 from twin.model.assumed import assumption_warning, mark
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.linear import linearised
 from twin.model.nominal import nominal
+from twin.settings import diagnosis as settings
 
 _METHOD = "least squares in i_c over the points of rest"
 Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]

@@ -21,12 +21,12 @@ from scipy.stats import f as f_distribution
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
-from twin.diagnosis import settings
-from twin.diagnosis.inference.theta import Theta, parameter_of
 from twin.estimation.record import FloatArray, Record
+from twin.inference.theta import Theta, parameter_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.equilibrium import holding_current
 from twin.model.extended import current_reading
+from twin.settings import diagnosis as settings
 
 _STARTS = (-8.0, -1.0, 1.0, 8.0)  # times the first probe
 

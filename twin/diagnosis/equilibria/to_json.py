@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnosis import settings
 from twin.diagnosis.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
 from twin.diagnosis.equilibria.points import StaticFit
 from twin.diagnosis.report.sentences import quantity
 from twin.diagnosis.result import parameters_json
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.settings import diagnosis as settings
 
 _MIN_CURRENT_A = 1e-12  # points without any error, as by hand: no ratio divides by less
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
-from twin.diagnosis.inference.theta import Theta
 from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
+from twin.inference.theta import Theta
 from twin.model.equilibrium import holding_current
 from twin.model.extended import (
     I_C,

@@ -13,8 +13,8 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from protocol.campaign import Controller, OperatingPoint, Plant
 from twin.control import LawNumbers
 from twin.control_design.gains import LARGEST_U_SHARE, LARGEST_X_SHARE, TIME_CONSTANTS, augmented
-from twin.diagnosis.inference.theta import Theta
-from twin.identification.checks.control_law import WIDE_V, numbers_of
+from twin.evidence.checks.control_law import WIDE_V, numbers_of
+from twin.inference.theta import Theta
 from twin.model.equilibrium import at_rest, holding_current, holding_input
 from twin.model.extended import I_C, current_reading
 from twin.model.linear import measured

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Controller, Kind, Plant, Use
 from twin.control import LawNumbers, law
-from twin.diagnosis.evidence import sample_loss
 from twin.diagnosis.experiments.closed_loop import Converters, converters_of, run, twelve_bits
 from twin.diagnosis.experiments.designed_law import law_of
-from twin.diagnosis.inference.theta import Theta
 from twin.estimation.record import Capture, FloatArray, Record, intervals
+from twin.evidence import sample_loss
+from twin.inference.theta import Theta
 from twin.model.equilibrium import at_rest, holding_current, steady_current
 from twin.model.extended import (
     FIELD,

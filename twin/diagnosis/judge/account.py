@@ -26,10 +26,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from twin.diagnosis import settings
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.search.state import Selection
 from twin.estimation.prediction_floor import TOLERANCE
+from twin.settings import diagnosis as settings
 
 Verdict = Literal["causes-found", "partly-explained", "model-adequate", "unknown-cause", "unfinished"]
 

@@ -19,11 +19,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.theta import Theta
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.search.state import Selection
+from twin.inference.fisher_scoring import Fit
+from twin.inference.theta import Theta
+from twin.settings import diagnosis as settings
 
 Kind = Literal["all-causes", "fewer-causes", "paper", "reference"]
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.diagnosis.evidence.gather import Evidence
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import FloatArray
+from twin.evidence.gather import Evidence
 
 PAST = 4  # readings of x and i_c, and inputs before them
 FEATURES = 600

@@ -15,14 +15,14 @@ from itertools import pairwise
 import numpy as np
 
 from protocol.campaign import Plant
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.gather import Evidence
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import Theta
 from twin.estimation.prediction_floor import floor_rmse
 from twin.estimation.record import BoolArray, FloatArray
 from twin.estimation.rollout import within_reach
 from twin.estimation.rollout_periodic import predict
+from twin.evidence.gather import Evidence
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta
+from twin.settings import diagnosis as settings
 
 HORIZONS_S = (0.002, 0.010, 0.020, 0.040)
 DRAWS = 1000

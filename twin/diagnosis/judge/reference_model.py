@@ -11,11 +11,11 @@ from dataclasses import replace
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
-from twin.diagnosis import settings
-from twin.diagnosis.inference.theta import PARAMETERS, Theta
 from twin.diagnosis.judge.prediction_gain import Gain
+from twin.inference.theta import PARAMETERS, Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model
+from twin.settings import diagnosis as settings
 
 _KNOWN = ("mass_kg", "travel_m", "x_max_m", "gravity_m_s2")
 _WORSE = 1.1  # times the error of the refitted model: the numbers are off

@@ -8,13 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from protocol.campaign import Plant
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.gather import Evidence
-from twin.diagnosis.inference.budget import Budget, Spent
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import Theta
 from twin.diagnosis.judge.prediction_gain import HORIZONS_S, Gain, gain
 from twin.estimation.pace import pace_of
+from twin.evidence.gather import Evidence
+from twin.inference.budget import Budget, Spent
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta
+from twin.settings import diagnosis as settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

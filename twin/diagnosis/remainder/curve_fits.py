@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.gather import Evidence
-from twin.diagnosis.inference.fisher_scoring import Fit, approach, climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import Theta, moved, parameter_of, prior_spread
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray
+from twin.evidence.gather import Evidence
+from twin.inference.fisher_scoring import Fit, approach, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import Theta, moved, parameter_of, prior_spread
 from twin.model.causes.cause import Cause
 from twin.model.causes.curve import COEFFICIENTS
+from twin.settings import diagnosis as settings
 
 _OUTER = 0.001  # share of the samples that may lie beyond either end of a range
 _SLOPE_SAMPLES = 2  # on either side, for the speed

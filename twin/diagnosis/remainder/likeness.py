@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.likelihood import Criterion
 from twin.diagnosis.remainder.curve_fits import coefficients, visited, with_range
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, refine, within_range
 from twin.diagnosis.search.score_test import screen
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 MAX_SUBSTITUTES = 2  # causes that are fitted
 

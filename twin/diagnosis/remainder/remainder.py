@@ -21,12 +21,6 @@ from typing import Literal
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.gather import Evidence
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import Theta
 from twin.diagnosis.judge.flexible import flexible_errors
 from twin.diagnosis.judge.prediction_gain import bootstrap, predictions
 from twin.diagnosis.remainder.curve_fits import CurveScore, band, fully_fitted, roughly_fitted, scores, visited
@@ -34,8 +28,14 @@ from twin.diagnosis.remainder.likeness import Substitute, substitutes
 from twin.estimation.pace import pace_of
 from twin.estimation.prediction_floor import floor_rmse
 from twin.estimation.record import BoolArray, FloatArray
+from twin.evidence.gather import Evidence
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta
 from twin.model.causes.cause import Cause
 from twin.model.causes.curve import CURVES
+from twin.settings import diagnosis as settings
 
 POINTS = 41
 

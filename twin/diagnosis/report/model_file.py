@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 from protocol.campaign import Campaign, Plant
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.theta import PARAMETERS
 from twin.diagnosis.result import fit_parameters
 from twin.estimation.record import Record
+from twin.inference.fisher_scoring import Fit
+from twin.inference.theta import PARAMETERS
 from twin.model import parameters as file
 from twin.model.assumed import mark, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import spreads
-from twin.diagnosis.inference.likelihood import Criterion
 from twin.diagnosis.report.sentences import bound_sentence
 from twin.diagnosis.result import MinorEffect, NotTestable, RuledOut, fit_parameters
 from twin.diagnosis.search.candidate_fits import within_range
 from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record
+from twin.inference.fisher_scoring import spreads
+from twin.inference.likelihood import Criterion
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 _MAX_MINOR_EFFECTS = 3
 

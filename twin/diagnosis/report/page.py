@@ -13,8 +13,6 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from twin.diagnosis.inference.budget import millions
-from twin.diagnosis.inference.fisher_scoring import Fit
 from twin.diagnosis.report import figures
 from twin.diagnosis.report.page_causes import causes
 from twin.diagnosis.report.page_errors import errors
@@ -25,6 +23,8 @@ from twin.diagnosis.residuals.regimes import Estimate
 from twin.diagnosis.residuals.summary import HORIZON_S, Ahead, Summary
 from twin.diagnosis.result import Diagnosis
 from twin.estimation.prepare import Usage
+from twin.inference.budget import millions
+from twin.inference.fisher_scoring import Fit
 from twin.model.assumed import RESTING, assumption, assumption_warning
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter

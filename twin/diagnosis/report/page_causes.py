@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from twin.diagnosis import settings
 from twin.diagnosis.judge.account import Account
 from twin.diagnosis.report import figures
 from twin.diagnosis.report.sentences import LACKED, capital, percent, round_sentence, sizes
@@ -13,6 +12,7 @@ from twin.diagnosis.result import Diagnosis, Finding, Proposal
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
 from twin.page.figures import inline
+from twin.settings import diagnosis as settings
 
 
 def causes(diagnosis: Diagnosis) -> dict[str, Any]:

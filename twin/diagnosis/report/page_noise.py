@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from twin.diagnosis.evidence.noise_levels import colours_json, to_json
 from twin.diagnosis.report.sentences import quantity
 from twin.diagnosis.result import Diagnosis
+from twin.evidence.noise_levels import colours_json, to_json
 
 _MAX_NAMES = 3  # recordings by name
 

@@ -13,13 +13,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.budget import millions
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import Score
+from twin.inference.budget import millions
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause, CauseParameter
 from twin.model.parameters import Parameter
+from twin.settings import diagnosis as settings
 
 if TYPE_CHECKING:
     from twin.diagnosis.checks.change_point import Change

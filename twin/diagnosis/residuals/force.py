@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
-from twin.diagnosis.evidence.gather import Evidence
-from twin.diagnosis.inference.theta import Theta
 from twin.diagnosis.residuals.regimes import (
     Blocks,
     Estimate,
@@ -38,6 +36,8 @@ from twin.diagnosis.search import periodic
 from twin.estimation.ekf.filter import filtered as run_filter
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.record import FloatArray
+from twin.evidence.gather import Evidence
+from twin.inference.theta import Theta
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_reading, sensor_lag_s
 

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.diagnosis.evidence.gather import Evidence
 from twin.diagnosis.residuals.force import Filtered
 from twin.diagnosis.residuals.regimes import (
     Bin,
@@ -22,6 +21,7 @@ from twin.diagnosis.residuals.regimes import (
 from twin.estimation.innovations import LOST
 from twin.estimation.record import FloatArray, runs
 from twin.estimation.step_figures import DWELL_S
+from twin.evidence.gather import Evidence
 from twin.model.extended import V
 
 _GROUPS = 8

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import settings
 from twin.estimation.family import chance_of_worse
 from twin.estimation.record import BoolArray, FloatArray
+from twin.settings import diagnosis as settings
 
 Labels = NDArray[np.int64]  # group of each sample, -1: none
 

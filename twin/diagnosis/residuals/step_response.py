@@ -13,10 +13,10 @@ import numpy as np
 
 from protocol.campaign import Controller, Plant
 from twin.diagnosis.experiments.virtual_recordings import resimulate
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import FLOORS, Theta
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.step_figures import Compared, LoopRun, compare_steps, responses
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import FLOORS, Theta
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

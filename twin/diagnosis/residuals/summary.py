@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protocol.campaign import Controller, Plant
-from twin.diagnosis.evidence.gather import Evidence
 from twin.diagnosis.judge.prediction_gain import Gain, gain
 from twin.diagnosis.residuals.force import Curve, Filtered, current_curves, filtered, force_curves
 from twin.diagnosis.residuals.groups import sorted_errors
@@ -26,6 +25,7 @@ from twin.diagnosis.residuals.spectrum import Spectrum, spectrum
 from twin.diagnosis.residuals.step_response import Steps, step_responses
 from twin.estimation.family import chance_of_worse, holm
 from twin.estimation.record import FloatArray, runs
+from twin.evidence.gather import Evidence
 from twin.page.plain import plain
 
 if TYPE_CHECKING:

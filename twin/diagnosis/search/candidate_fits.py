@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit, approach, climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import coordinates_of, parameter_of
 from twin.diagnosis.search.candidate_starts import start_of
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import Score
+from twin.inference.fisher_scoring import Fit, approach, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import coordinates_of, parameter_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.settings import diagnosis as settings
 
 _SAME = {cause.name: cause.same_samples_as for cause in CATALOGUE if cause.same_samples_as}
 

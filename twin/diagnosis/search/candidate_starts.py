@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from protocol.campaign import Plant
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, max_step, moved
 from twin.diagnosis.search.probes import probes_of
 from twin.diagnosis.search.score_test import Score, probed
 from twin.estimation.record import Record
-from twin.identification.starting.regression import amplifier_start
+from twin.evidence.starting.regression import amplifier_start
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, max_step, moved
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.model.extended import position_of_reading, position_reading

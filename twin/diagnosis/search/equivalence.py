@@ -12,19 +12,19 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit, climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import parameter_of, prior_spread, reinitialised
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, renamed, same_as, steepness, within_range
 from twin.diagnosis.search.candidate_starts import substitute_start
 from twin.diagnosis.search.forward_step import Reporter
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import parameter_of, prior_spread, reinitialised
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 
 def find_classes(

@@ -9,16 +9,16 @@ from typing import Literal
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor, part_logliks
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, steepness, within_range
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import Score, probed, screen
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor, part_logliks
 from twin.model.causes.catalogue import BY_NAME, with_trait
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 # A ball held by friction is predicted well whatever the model lacks, so prediction is not evidence for friction.
 HOLDS = with_trait("sticks")

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit, climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import Theta
 from twin.estimation.innovations import FLIES
 from twin.estimation.record import runs
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import Theta
 from twin.model.causes.catalogue import cause_of_detector
+from twin.settings import diagnosis as settings
 
 CAUSE = cause_of_detector("spectral-line")
 AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)

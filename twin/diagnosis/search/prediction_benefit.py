@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import Theta
 from twin.estimation.rollout import predict_ahead
 from twin.estimation.rollout_periodic import has_phase
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import Theta
+from twin.settings import diagnosis as settings
 
 
 def error_reduction(criterion: Criterion, before: Theta, after: Theta) -> float:

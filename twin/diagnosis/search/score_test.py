@@ -2,7 +2,7 @@
 
 Each candidate is tested on the innovations of all recordings together.  Effects that the parameters of the model can
 take up are projected out.  A probe or two of each candidate replace a fit, with the slopes of the model as it is.  That
-is exact enough to choose the candidates for a fit (tests/twin/diagnosis/inference/test_derivatives.py).
+is exact enough to choose the candidates for a fit (tests/twin/inference/test_derivatives.py).
 
 Rule 1: the signature of a candidate is a secant to a small value, because a limit that is not reached has no
         derivative.
@@ -18,15 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.diagnosis.search.probes import probes_of
 from twin.estimation.innovations import information
 from twin.estimation.optimiser import inverse
 from twin.estimation.pace import Reuse
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit, climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import reinitialised
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.forward_step import Round
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import reinitialised
+from twin.settings import diagnosis as settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,19 +17,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
-from twin.diagnosis import settings
-from twin.diagnosis.inference.budget import Spent
-from twin.diagnosis.inference.fisher_scoring import Fit, climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor
-from twin.diagnosis.inference.theta import reinitialised
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import deserves_full_fit, refine, within_range
 from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Reporter, Round, decide, forward
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
+from twin.inference.budget import Spent
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import reinitialised
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 
 def select(

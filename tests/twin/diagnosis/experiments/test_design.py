@@ -29,11 +29,11 @@ from twin.diagnosis.experiments import design as experiments
 from twin.diagnosis.experiments.design import ENOUGH_Z, Proposal, propose
 from twin.diagnosis.experiments.external_measurements import measurement_for
 from twin.diagnosis.experiments.schedules import MENU, schedule_of, sentence
-from twin.diagnosis.inference.fisher_scoring import Fit
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import moved
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.estimation.record import Record
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import moved
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 

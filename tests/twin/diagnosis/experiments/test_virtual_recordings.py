@@ -20,13 +20,13 @@ from tests.harness.diagnose.simulated_rig import (
     strong,
 )
 from tests.harness.twin.emulated_campaign import Lab
-from twin.diagnosis.evidence.sensor_noise import sensor_noise
 from twin.diagnosis.experiments.closed_loop import Converters, converters_of
 from twin.diagnosis.experiments.designed_law import lift_off_input
 from twin.diagnosis.experiments.schedules import MENU
 from twin.diagnosis.experiments.virtual_recordings import Schedule, input_limit, resimulate, simulate
 from twin.estimation.innovations import FLIES
 from twin.estimation.record import Record
+from twin.evidence.sensor_noise import sensor_noise
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
 STRENGTHS = {  # clear effects under which the loop still holds the ball; others: their first probe

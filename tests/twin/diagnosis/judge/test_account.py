@@ -15,7 +15,6 @@ import pytest
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
 from tests.harness.diagnose.simulated_rig import controller
-from twin.diagnosis import settings
 from twin.diagnosis.checks.confidence import MAX_CONFIDENCE
 from twin.diagnosis.judge.account import account_of, verdict_of
 from twin.diagnosis.judge.prediction_gain import Gain, bootstrap
@@ -25,6 +24,7 @@ from twin.diagnosis.residuals.summary import summarise
 from twin.diagnosis.result import Diagnosis, to_json
 from twin.diagnosis.search.state import Selection
 from twin.estimation.prediction_floor import TOLERANCE
+from twin.settings import diagnosis as settings
 
 
 def searched(explained: float, **gains: float) -> Selection:

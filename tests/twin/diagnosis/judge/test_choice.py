@@ -14,12 +14,12 @@ from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.known_diagnosis import QUIET, campaign, fit_of, steps
 from tests.harness.diagnose.simulated_rig import controller, strong
 from twin.api.results import Diagnosed
-from twin.diagnosis.inference.theta import Theta
 from twin.diagnosis.judge.choice import Choice, candidates_of, choice_without_judges, choose, worse
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.pipeline import diagnose_records
 from twin.diagnosis.residuals.summary import summarise
 from twin.diagnosis.search.state import Selection
+from twin.inference.theta import Theta
 from twin.model.parameters import load_model
 
 ONE, OTHER = strong("quadratic-drag", 1.0, QUIET), strong("coulomb-friction", 1e-3, QUIET)

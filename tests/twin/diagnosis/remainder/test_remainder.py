@@ -17,16 +17,16 @@ from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import draw_rig, make_campaign
 from tests.harness.diagnose.second_plant import WIRE_FROM_M
 from twin.diagnosis import assemble
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.inference.budget import Budget, Spent
-from twin.diagnosis.inference.fisher_scoring import Fit, climb
-from twin.diagnosis.inference.initial_guess import start_theta, with_noise_bounds
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import floor_of
-from twin.diagnosis.inference.theta import BASE, STOPS
 from twin.diagnosis.judge.flexible import flexible_errors
 from twin.diagnosis.remainder.curve_fits import basis, scores
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
+from twin.evidence.gather import gather
+from twin.inference.budget import Budget, Spent
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.initial_guess import start_theta, with_noise_bounds
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, STOPS
 from twin.model.causes import curve
 from twin.model.causes.catalogue import neutral
 from twin.readers.campaign import read_campaign

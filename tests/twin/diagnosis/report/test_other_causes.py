@@ -11,13 +11,13 @@ import pytest
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnosis import settings
-from twin.diagnosis.inference.likelihood import Criterion
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.report.other_causes import minor_effects_of
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.state import Selection
+from twin.inference.likelihood import Criterion
+from twin.settings import diagnosis as settings
 
 INDUCTANCE = "position-dependent-inductance"
 

@@ -9,14 +9,14 @@ import pytest
 
 from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, steps
 from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, controller, strong
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.inference.noise_floor import Floor
 from twin.diagnosis.residuals.force import filtered, parabola
 from twin.diagnosis.residuals.regimes import bin_labels, blocks_of, error_bins
 from twin.diagnosis.residuals.spectrum import spectrum
 from twin.diagnosis.residuals.step_response import Steps, step_responses
 from twin.diagnosis.residuals.summary import Summary, summarise, to_dict
 from twin.estimation.family import holm
+from twin.evidence.gather import gather
+from twin.inference.noise_floor import Floor
 
 GAP_M = 5e-4
 FLOOR = Floor(sigma_i_c_a=QUIET.sigma_i_c_a, sigma_x_m=QUIET.sigma_x_m, measured=True, counts=(0, 1))

@@ -11,13 +11,6 @@ from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import fit_of
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.initial_guess import start_theta, with_noise_bounds
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.noise_floor import Floor, floor_of
-from twin.diagnosis.inference.theta import BASE, STOPS, coordinates_of
 from twin.diagnosis.report.sentences import round_sentence
 from twin.diagnosis.search import forward_step as forward
 from twin.diagnosis.search import stepwise as search
@@ -26,8 +19,15 @@ from twin.diagnosis.search.candidate_starts import substitute_start
 from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.score_test import probed
 from twin.diagnosis.search.state import Selection
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import climb
+from twin.inference.initial_guess import start_theta, with_noise_bounds
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor, floor_of
+from twin.inference.theta import BASE, STOPS, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
 
 HIDDEN = {"quadratic-drag": 2.0, "air-gap-offset": 3e-4}
 TRIED = tuple(BY_NAME[name] for name in (*HIDDEN, "constant-force"))

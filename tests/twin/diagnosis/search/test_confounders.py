@@ -11,10 +11,6 @@ import pytest
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnosis import settings
-from twin.diagnosis.inference.fisher_scoring import Fit, climb
-from twin.diagnosis.inference.noise_floor import floor_of
-from twin.diagnosis.inference.theta import BASE, STOPS, coordinates_of, reinitialised
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.search import stepwise
 from twin.diagnosis.search.candidate_starts import start_of
@@ -22,7 +18,11 @@ from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, STOPS, coordinates_of, reinitialised
 from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
 
 GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
     "air-gap-offset",

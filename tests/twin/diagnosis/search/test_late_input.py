@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.dead_time import dead_time
-from twin.diagnosis.inference.noise_floor import floor_of
 from twin.diagnosis.search.candidate_fits import fit_candidates as tried
 from twin.diagnosis.search.forward_step import forward
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.stepwise import select
 from twin.estimation.record import Record
+from twin.evidence.dead_time import dead_time
+from twin.inference.noise_floor import floor_of
 from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
 
 FAST = replace(THETA, T_A=1.2e-4)
 DELAY_S = 1.73e-3

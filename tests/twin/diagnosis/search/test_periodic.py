@@ -9,15 +9,15 @@ import pytest
 
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, strong
-from twin.diagnosis import settings
-from twin.diagnosis.evidence.gather import gather
-from twin.diagnosis.inference.fisher_scoring import climb
-from twin.diagnosis.inference.likelihood import Criterion
-from twin.diagnosis.inference.theta import BASE, Theta, coordinates_of
 from twin.diagnosis.search import equivalence as confounders
 from twin.diagnosis.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, Line, find_line, fit_phases, refine_phases
 from twin.diagnosis.search.state import Selection
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
 
 FORCE_N, FREQUENCY_HZ = 2e-3, 7.3
 

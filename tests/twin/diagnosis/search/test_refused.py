@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnosis import settings
-from twin.diagnosis.inference.noise_floor import floor_of
 from twin.diagnosis.search import stepwise as select
 from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import probed
 from twin.diagnosis.search.state import Selection
+from twin.inference.noise_floor import floor_of
 from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
 
 FIRST, LATER = "motional-emf", "actuation-delay"
 
