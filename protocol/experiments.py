@@ -1,6 +1,6 @@
 """The menu of experiments, as a table: signals, durations and purpose.  Pure.
 
-`gateway.campaign` flies them; `twin.diagnose.experiments` simulates those for fitting, to propose the next one.
+`gateway.campaign` flies them; `twin.diagnosis.experiments` simulates those for fitting, to propose the next one.
 
 Rule 1: inputs are shares of the lift-off input (the u_c that just lifts the ball from its rest), positions are shares
         of the travel above the rest, so one table serves every rig.

@@ -49,15 +49,12 @@ __all__ = [
     "validate",
 ]
 
-_PACKAGES = ("design", "diagnose", "identify", "validate")  # can be called: verb.py
 _ELSEWHERE = {"Campaign": "protocol.campaign", "Model": "twin.model.parameters"}
 
 
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name in _PACKAGES:
-        return importlib.import_module(f"{__name__}.{name}")
     return getattr(importlib.import_module(_ELSEWHERE.get(name, f"{__name__}.api")), name)
 
 

@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.errors import DataError
-from twin.diagnose.evidence.gather import gather
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.rollout import SETTLE_S, within_reach
 from twin.estimation.rollout_periodic import has_phase
 from twin.estimation.rollout_periodic import predict as predict_readings
 from twin.estimation.structures import AT_THE_ENDS
+from twin.evidence.gather import gather
 from twin.model.causes.catalogue import cause_of_detector
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
-from twin.validate.extended import system_of
-from twin.validate.source import source_of
+from twin.validation.extended import system_of
+from twin.validation.source import source_of
 
 NEEDED = ("u_c", "i_c", "x")
 

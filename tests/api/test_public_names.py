@@ -48,7 +48,6 @@ def public() -> list[tuple[str, str]]:
 
 def problems(name: str, thing: Any, *, fields: bool = True) -> Iterator[str]:
     """What is missing of one public name."""
-    thing = getattr(thing, "function", thing)  # a package that can be called
     if not inspect.getdoc(thing):
         yield f"{name}: no docstring"
     if inspect.isclass(thing):

@@ -2,7 +2,7 @@
 
 Wall time is what a user waits for; processor time is what it costs where other programs have the cores.  Targets: 60 s
 full and 10 s quick, on two free cores.  And what a filter step takes, of which a budget is made, on recordings of a rig
-that the model does not fit; its baseline is what twin/diagnose/README.md states.
+that the model does not fit; its baseline is what twin/diagnosis/README.md states.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 from protocol.campaign import load
 from tests.harness.diagnose.foreign import hall_campaign
 from tests.harness.diagnose.hidden_campaign import make_campaign
-from twin.diagnose.pipeline import diagnose
-from twin.diagnose.residuals.summary import summarise
+from twin.diagnosis.pipeline import diagnose
+from twin.diagnosis.residuals.summary import summarise
 
 EFFECT = {"quadratic-drag": 1.0}
 SEED = 104

@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.prepare import prepare
 from twin.estimation.record import Record
-from twin.identify.fit import NAMES, Fit, Likelihood, fit
-from twin.identify.pipeline import _start, identify_records
-from twin.identify.starting.regression import amplifier_start, ball_start
+from twin.evidence.starting.regression import amplifier_start, ball_start
+from twin.identification.pipeline import _start, identify_records
+from twin.inference.nominal_fit import NAMES, Fit, Likelihood, fit
 
 FloatArray = NDArray[np.float64]
 TICKS = 10_000  # 20 s

@@ -20,9 +20,9 @@ from gateway.emulator.plant.effects import EFFECTS
 from protocol.campaign import Campaign, Recording, load
 from protocol.errors import DataError
 from tests.harness.diagnose.hidden_campaign import make_campaign
-from twin.diagnose.pipeline import diagnose
-from twin.diagnose.result import Diagnosis
-from twin.identify.pipeline import identify
+from twin.diagnosis.pipeline import diagnose
+from twin.diagnosis.result import Diagnosis
+from twin.identification.pipeline import identify
 
 SEED = 104
 HIDDEN = ("amplifier-dead-zone", "position-sensor-lag", "quadratic-drag", "air-gap-offset")  # strong; "": nothing

@@ -17,8 +17,8 @@ from tests.harness.gateway.opcua_peers import Served, peer, until
 from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import introduce_to, publish_to
 from twin.mirror.bus.service import TwinService
-from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
+from twin.settings.mirror import Settings
 
 BOARD = "rig"
 QUICK = Settings(window_s=0.25, false_alarms_per_day=0.1)

@@ -35,7 +35,7 @@ def drawn_twice() -> list[bytes]:
 def equilibria(**values: object) -> str:
     figure, _ = grid(1, 1, height=2.0)
     picture = inline(figure, 'x "in" mm', "png")
-    return render("diagnose/equilibria/page.html", **{**VALUES, "picture": picture, **values})
+    return render("diagnosis/equilibria/page.html", **{**VALUES, "picture": picture, **values})
 
 
 def test_names_and_sentences_are_escaped_wherever_they_stand() -> None:
@@ -60,7 +60,7 @@ def test_a_value_that_a_template_misses_is_an_error() -> None:
     values = {name: value for name, value in VALUES.items() if name != "rejected"}
 
     with pytest.raises(UndefinedError, match="rejected"):
-        render("diagnose/equilibria/page.html", **{**values, "picture": inline(grid(1, 1, height=2.0)[0], "x")})
+        render("diagnosis/equilibria/page.html", **{**values, "picture": inline(grid(1, 1, height=2.0)[0], "x")})
 
 
 def test_the_same_numbers_give_the_same_bytes() -> None:

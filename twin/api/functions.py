@@ -17,7 +17,7 @@ from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validat
 from twin.model.parameters import Model
 
 if TYPE_CHECKING:
-    from twin.design.board import Converters
+    from twin.control_design.board import Converters
 
 Progress = Callable[[str], None]
 SHARE = 0.2  # smallest part of the deviance above the noise floor that a cause must explain
@@ -43,7 +43,7 @@ def identify(campaign: Campaign | Path | str, *, data: Path | None = None, progr
         DataError: a file is missing, unreadable or implausible.
         ConfigError: a key of the campaign is wrong.
     """
-    from twin.identify import pipeline
+    from twin.identification import pipeline
 
     result = pipeline.identify(_campaign(campaign), data=data, progress=progress)
     return Identified(model=result.model, usable=result.usable, warnings=result.warnings, details=result)
@@ -73,7 +73,7 @@ def validate(
     """
     import numpy as np
 
-    from twin.validate import verdict
+    from twin.validation import verdict
 
     result = verdict.validate(_campaign(campaign), _model(model), data=data, progress=progress)
     return Validated(
@@ -128,10 +128,10 @@ def diagnose(
         ConfigError: a key of the campaign is wrong.
         UsageError: `share` or `budget` is out of range.
     """
-    from twin.diagnose import pipeline
-    from twin.diagnose.equilibria.run import is_static
-    from twin.diagnose.inference.budget import MILLION
-    from twin.diagnose.residuals.summary import summarise
+    from twin.diagnosis import pipeline
+    from twin.diagnosis.equilibria.run import is_static
+    from twin.diagnosis.residuals.summary import summarise
+    from twin.inference.budget import MILLION
 
     if not 0.0 < share <= 1.0:
         raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")
@@ -170,8 +170,8 @@ def diagnose(
 def _diagnosed_at_rest(
     campaign: Campaign, reference: Model | None, data: Path | None, where: str, progress: Progress
 ) -> Diagnosed:
-    from twin.diagnose.equilibria.run import diagnose_static
-    from twin.diagnose.equilibria.to_json import sentence_of
+    from twin.diagnosis.equilibria.run import diagnose_static
+    from twin.diagnosis.equilibria.to_json import sentence_of
 
     rest = diagnose_static(campaign, data=data, model=reference, say=progress)
     return Diagnosed(
@@ -289,8 +289,8 @@ def design(
     """
     import numpy as np
 
-    from twin.design import design as work
-    from twin.design.gains import Weights, bryson, operating_point
+    from twin.control_design import design as work
+    from twin.control_design.gains import Weights, bryson, operating_point
 
     if not SAMPLE_TIME_MIN_S <= sample_time_s <= SAMPLE_TIME_MAX_S:
         raise UsageError(

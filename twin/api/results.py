@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from matplotlib.figure import Figure
 
-    from twin.design.design import Design
-    from twin.diagnose.equilibria.diagnosis import StaticDiagnosis
-    from twin.diagnose.residuals.summary import Summary
-    from twin.diagnose.result import Diagnosis
-    from twin.identify.result import Identification
+    from twin.control_design.design import Design
+    from twin.diagnosis.equilibria.diagnosis import StaticDiagnosis
+    from twin.diagnosis.residuals.summary import Summary
+    from twin.diagnosis.result import Diagnosis
+    from twin.identification.result import Identification
     from twin.prediction import Prediction
-    from twin.validate.verdict import Validation
+    from twin.validation.verdict import Validation
 
     FloatArray = npt.NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class Identified:
 
     def table(self) -> str:
         """For people."""
-        from twin.identify.result import table
+        from twin.identification.result import table
 
         return table(self.details)
 
@@ -73,19 +73,19 @@ class Validated:
 
     def to_json(self) -> dict[str, Any]:
         """validation.json."""
-        from twin.validate.report import to_dict
+        from twin.validation.report import to_dict
 
         return to_dict(self.details)
 
     def to_html(self, title: str = "") -> str:
         """report.html, self-contained."""
-        from twin.validate.report import to_html
+        from twin.validation.report import to_html
 
         return to_html(self.details, title=title or f"Validation on {self.details.model.plant.name}")
 
     def figures(self) -> dict[str, Figure]:
         """The paper's figures 7, 8, 11 and 12, prediction errors and residuals; those without data are left out."""
-        from twin.validate import figures as draw
+        from twin.validation import figures as draw
 
         result, travel_m = self.details, self.details.model.plant.travel_m
         drawn: dict[str, Figure] = {}
@@ -135,31 +135,31 @@ class Diagnosed:
     def to_json(self) -> dict[str, Any]:
         """diagnosis.json."""
         if self.residuals is None:
-            from twin.diagnose.equilibria import to_json as static
+            from twin.diagnosis.equilibria import to_json as static
 
             return static.to_json(self._static)
-        from twin.diagnose import result
-        from twin.diagnose.residuals.summary import to_dict
+        from twin.diagnosis import result
+        from twin.diagnosis.residuals.summary import to_dict
 
         return result.to_json(self._flown) | {"show": to_dict(self.residuals)}
 
     def to_html(self, folder: Path | str = ".") -> str:
         """report.html, self-contained; the commands at its end name `folder`."""
         if self.residuals is None:
-            from twin.diagnose.equilibria.page import page
+            from twin.diagnosis.equilibria.page import page
 
             return page(self._static, f"What the model of {self.extended.plant.name} gets wrong at rest")
-        from twin.diagnose.report.page import to_html
+        from twin.diagnosis.report.page import to_html
 
         return to_html(self._flown, self.residuals, campaign=Path(self.where), out=Path(folder))
 
     def figures(self) -> dict[str, Figure]:
         """The errors before and after the extension: over the horizon, in time, by regime, as force, as spectrum."""
         if self.residuals is None:
-            from twin.diagnose.equilibria.page import figure
+            from twin.diagnosis.equilibria.page import figure
 
             return {"points": figure(self._static)}
-        from twin.diagnose.report import figures as draw
+        from twin.diagnosis.report import figures as draw
 
         show = self.residuals
         drawn: dict[str, Figure] = {}
@@ -183,7 +183,7 @@ class Diagnosed:
         """A summary in a few lines; `saved_in`: the folder of the files, which it then names."""
         lines = [self.sentence]
         if self.residuals is not None:
-            from twin.diagnose.report.sentences import percent, sizes
+            from twin.diagnosis.report.sentences import percent, sizes
 
             result = self._flown
             for cause in result.causes:
@@ -218,14 +218,14 @@ class Diagnosed:
 
     @property
     def _flown(self) -> Diagnosis:
-        from twin.diagnose.result import Diagnosis
+        from twin.diagnosis.result import Diagnosis
 
         assert isinstance(self.details, Diagnosis)
         return self.details
 
     @property
     def _static(self) -> StaticDiagnosis:
-        from twin.diagnose.equilibria.diagnosis import StaticDiagnosis
+        from twin.diagnosis.equilibria.diagnosis import StaticDiagnosis
 
         assert isinstance(self.details, StaticDiagnosis)
         return self.details
@@ -285,18 +285,18 @@ class Designed:
 
     def to_json(self) -> dict[str, Any]:
         """The controller file: law, gains, operating point."""
-        from twin.design.report import controller
+        from twin.control_design.report import controller
 
         return controller(self.details)
 
     def report(self) -> dict[str, Any]:
         """The controller with its full analysis, in the form that the command prints."""
-        from twin.design.report import everything
+        from twin.control_design.report import everything
 
         return everything(self.details)
 
     def table(self) -> str:
         """For people."""
-        from twin.design.report import table
+        from twin.control_design.report import table
 
         return table(self.details)

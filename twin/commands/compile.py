@@ -63,9 +63,9 @@ def _campaign(folder: Path) -> Path:
 
     from protocol.campaign import Campaign, Recording
     from protocol.campaign_text import emit
-    from twin.diagnose.experiments.designed_law import designed
-    from twin.diagnose.experiments.virtual_recordings import TICK_S, Schedule, simulate
-    from twin.diagnose.inference.theta import Theta
+    from twin.diagnosis.experiments.designed_law import designed
+    from twin.diagnosis.experiments.virtual_recordings import TICK_S, Schedule, simulate
+    from twin.inference.theta import Theta
     from twin.model.causes.catalogue import CATALOGUE
     from twin.model.nominal import nominal
 

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     # Imported here: --help must not wait for numba and scipy.
     from twin.api.functions import design
     from twin.api.results import as_text, write_text
-    from twin.design.board import Converters
+    from twin.control_design.board import Converters
 
     if args.observer and args.send is not None:
         raise UsageError(
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         write_text(args.out, as_text(result.to_json()) + "\n")
     if args.send is not None:
-        from twin.design.send import send
+        from twin.control_design.send import send
 
         print(
             send(

@@ -13,9 +13,9 @@ import sys
 import time
 from pathlib import Path
 
-from twin.diagnose import settings
-from twin.diagnose.inference.budget import FULL, MILLION, QUICK
+from twin.inference.budget import FULL, MILLION, QUICK
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
+from twin.settings import diagnosis as settings
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

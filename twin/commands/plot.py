@@ -16,8 +16,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import check_name
 from protocol.errors import DataError, UsageError
 from twin.commands.twin import add_model_options, chosen_model, chosen_settings
-from twin.mirror.settings import Settings
 from twin.model.parameters import SHIPPED, Model
+from twin.settings.mirror import Settings
 
 if TYPE_CHECKING:
     from twin.mirror.offline import BoardRun

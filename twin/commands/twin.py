@@ -23,8 +23,8 @@ from protocol.bus.identity import HELP, find_identity, login_name
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.ending import note_end, on_end_signal
 from protocol.errors import Board51Error, UsageError
-from twin.mirror.settings import Settings
 from twin.model.parameters import SHIPPED, Model
+from twin.settings.mirror import Settings
 
 REPORT_S = 10.0  # between two lines about each board
 

@@ -3,7 +3,7 @@
 Rule 1: nothing is interpolated.  Unusable readings are left out of the filter's correction; an unknown input starts a
         new piece.
 Rule 2: the number of samples left out is reported for each recording (`Usage`).
-Rule 3: a sawtooth gives lift-off currents (`twin/identify/starting/liftoff.py`).  Its x is not used here, because
+Rule 3: a sawtooth gives lift-off currents (`twin/evidence/starting/liftoff.py`).  Its x is not used here, because
         before lift-off the ball may rest on anything at any height.
 """
 

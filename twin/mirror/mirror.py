@@ -36,11 +36,11 @@ from twin.mirror.output import SETTLING as SETTLING
 from twin.mirror.output import Output
 from twin.mirror.regime import KnownParameters, Regime
 from twin.mirror.sample import Sample, read
-from twin.mirror.settings import SAMPLE_TIME_RANGE_S, SILENT_S, Settings
 from twin.mirror.step import Twin, step
 from twin.model.extended import WARMTH
 from twin.model.parameters import Model
 from twin.model.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
+from twin.settings.mirror import SAMPLE_TIME_RANGE_S, SILENT_S, Settings
 
 _SAMPLES_IN = {sync: f"samples_{sync}" for sync in (IN_STEP, SETTLING, OUT_OF_STEP)}
 _LOSS_TEXTS = {

@@ -23,9 +23,9 @@ from protocol.log.reader import LogReader, RawLogRecord
 from twin.mirror.bus.handover import believe
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
-from twin.mirror.settings import Settings
 from twin.model.parameters import Model
 from twin.readers.log import TwinLog, entries, parse
+from twin.settings.mirror import Settings
 
 SIGNALS = ("x_m", "i_c_a", "u_c_v")
 

@@ -9,7 +9,9 @@ from twin.compiled import Packed
 from twin.control import LawNumbers, law_numbers
 from twin.mirror.monitor.alarms import probability_per_window, white_threshold
 from twin.mirror.monitor.expected import Expectation, ExpectedError
-from twin.mirror.settings import (
+from twin.model.parameters import Model
+from twin.model.simulate import plant_numbers
+from twin.settings.mirror import (
     OFF_PROBABILITY,
     SETTLE_DRIVEN_S,
     SETTLE_MAX_S,
@@ -17,8 +19,6 @@ from twin.mirror.settings import (
     SETTLING_SHARE,
     Settings,
 )
-from twin.model.parameters import Model
-from twin.model.simulate import plant_numbers
 
 # In the board's Parameters these neither shape what it does at a tick nor how it is seen.
 _IRRELEVANT = (

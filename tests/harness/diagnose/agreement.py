@@ -11,8 +11,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from twin.diagnose.checks.confidence import MAX_CONFIDENCE
-from twin.diagnose.report.sentences import micrometres, percent
+from twin.diagnosis.checks.confidence import MAX_CONFIDENCE
+from twin.diagnosis.report.sentences import micrometres, percent
 from twin.estimation.prediction_floor import TOLERANCE
 
 COUNTED = "lost-samples"  # its gaps are counted: no likelihood, no share

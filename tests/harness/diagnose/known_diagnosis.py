@@ -11,22 +11,22 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, strong
-from twin.diagnose.evidence.gather import gather
-from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnose.inference.fisher_scoring import Fit
-from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
-from twin.diagnose.judge.account import account_of
-from twin.diagnose.judge.prediction_gain import HORIZONS_S, gain
-from twin.diagnose.report.model_file import model_of
-from twin.diagnose.report.sentences import finding_sentence, summary_sentence
-from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
-from twin.diagnose.search.candidate_fits import Trial
-from twin.diagnose.search.forward_step import Round
-from twin.diagnose.search.score_test import Score
-from twin.diagnose.search.state import Selection
+from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnosis.judge.account import account_of
+from twin.diagnosis.judge.prediction_gain import HORIZONS_S, gain
+from twin.diagnosis.report.model_file import model_of
+from twin.diagnosis.report.sentences import finding_sentence, summary_sentence
+from twin.diagnosis.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
+from twin.diagnosis.search.candidate_fits import Trial
+from twin.diagnosis.search.forward_step import Round
+from twin.diagnosis.search.score_test import Score
+from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import BASE, Theta, coordinates_of
 
 QUIET = replace(THETA, process_a_m_s2=0.02)  # what rounding leaves
 LARGE_M_S2 = 1.0  # what a baseline leaves to chance that does not know the cause

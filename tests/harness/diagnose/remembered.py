@@ -16,17 +16,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from twin.diagnose import pipeline, settings
-from twin.diagnose.checks import consistency
-from twin.diagnose.evidence import dead_time, gather
-from twin.diagnose.inference import fisher_scoring, initial_guess
-from twin.diagnose.inference.fisher_scoring import Fit
-from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.judge import prediction_gain
-from twin.diagnose.search import periodic, prediction_benefit, score_test
+from twin.diagnosis import pipeline
+from twin.diagnosis.checks import consistency
+from twin.diagnosis.judge import prediction_gain
+from twin.diagnosis.search import periodic, prediction_benefit, score_test
 from twin.estimation.record import Record
+from twin.evidence import dead_time, gather
+from twin.inference import fisher_scoring, initial_guess
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
 from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
 
 # What the functions below compute by; all other settings decide about what they return.
 INSIDE = (
@@ -38,6 +39,7 @@ INSIDE = (
     "RESTLESS",
     "MIN_NOISE_SHARE",
 )
+_PACKAGES = ("twin.diagnosis", "twin.evidence", "twin.inference")
 _FUNCTIONS = (
     (pipeline, "_prepared"),
     (gather, "gather"),
@@ -63,7 +65,7 @@ def remembered() -> Iterator[None]:
     for home, name in _FUNCTIONS:
         original = getattr(home, name)
         once = _once(original, known)
-        for module in [module for at, module in sys.modules.items() if at.startswith("twin.diagnose")]:
+        for module in [module for at, module in sys.modules.items() if at.startswith(_PACKAGES)]:
             if getattr(module, name, None) is original:
                 before.append((module, name, original))
                 setattr(module, name, once)

@@ -1,4 +1,4 @@
-"""What each number of `twin/diagnose/settings.py` does to the answers: halved and doubled, one at a time.
+"""What each number of `twin/settings/diagnosis.py` does to the answers: halved and doubled, one at a time.
 
     python -m tests.harness.diagnose.sensitivity --results sensitivity.jsonl --minutes 50    made or continued
     python -m tests.harness.diagnose.sensitivity --results sensitivity.jsonl --minutes 0     the table of what is there
@@ -26,11 +26,11 @@ from tests.harness.diagnose.remembered import remembered
 from tests.harness.diagnose.scoring import UNKNOWN, Answer, judge, read_answer
 from tests.harness.diagnose.tally import wilson
 from tests.harness.diagnose.trial import program_digest
-from twin.diagnose import settings
-from twin.diagnose.inference.budget import FULL, QUICK, RESERVED, Budget
-from twin.diagnose.pipeline import diagnose_records
-from twin.diagnose.result import to_json
+from twin.diagnosis.pipeline import diagnose_records
+from twin.diagnosis.result import to_json
+from twin.inference.budget import FULL, QUICK, RESERVED, Budget
 from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
 
 FIRST = 20_000
 AS_IT_IS = "as it is"

@@ -6,15 +6,15 @@ import numpy as np
 
 from protocol.campaign import Controller, OperatingPoint, Plant
 from protocol.experiments import Experiment
-from twin.diagnose.evidence.gather import gather
-from twin.diagnose.experiments.designed_law import lift_off_input
-from twin.diagnose.experiments.schedules import MENU, schedule_of
-from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnose.inference.fisher_scoring import Fit, climb
-from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
-from twin.diagnose.search.score_test import probed
+from twin.diagnosis.experiments.designed_law import lift_off_input
+from twin.diagnosis.experiments.schedules import MENU, schedule_of
+from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnosis.search.score_test import probed
 from twin.estimation.record import Record
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.equilibrium import at_rest
 

@@ -24,8 +24,8 @@ TIMEOUT_S = 900.0
 def program_digest() -> str:
     """Of the code that decides; results of different programs are never counted together."""
     digest = hashlib.sha256()
-    for folder in ("twin/diagnose", "twin/estimation", "twin/identify", "twin/model"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
+    for folder in ("diagnosis", "estimation", "evidence", "identification", "inference", "model", "settings"):
+        for path in sorted((ROOT / "twin" / folder).rglob("*.py")):
             digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]
 

@@ -76,20 +76,6 @@ def test_importing_the_package_loads_no_numerics() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "file"),
-    [("identify", "pipeline"), ("validate", "verdict"), ("diagnose", "pipeline"), ("design", "gains")],
-)
-def test_a_function_keeps_its_name_whatever_was_imported_before(name: str, file: str) -> None:
-    python(
-        f"from twin import {name} as before\n"
-        f"import twin.{name}.{file}\n"
-        f"import inspect, twin; from twin import {name} as after; from twin.api.functions import {name} as meant\n"
-        f"assert before is after is twin.{name} and callable(after)\n"
-        "assert inspect.signature(after) == inspect.signature(meant)"
-    )
-
-
 def test_a_model_is_what_the_command_writes(
     folder: Path, model: Model, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, narrow
-from twin.diagnose.inference.theta import Theta
 from twin.estimation.innovations import FLIES, whitened
+from twin.inference.theta import Theta
 
 QUIET = replace(THETA, sigma_i_c_a=1e-6, sigma_x_m=1e-8)
 I_A, X_M = 2e-3, 5e-6

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.harness.diagnose.simulated_rig import TICK_S
-from twin.diagnose.residuals.regimes import blocks_of, error_bins
+from twin.diagnosis.residuals.regimes import blocks_of, error_bins
 from twin.estimation.family import FAMILY_LEVEL, holm
 
 

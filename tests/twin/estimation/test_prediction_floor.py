@@ -11,17 +11,17 @@ import pytest
 from gateway.emulator.plant.effects import EFFECTS
 from tests.harness.diagnose.known_diagnosis import campaign, fit_of
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, strong
-from twin.diagnose.evidence.gather import Evidence, gather
-from twin.diagnose.experiments.closed_loop import Converters
-from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.inference.theta import FLOORS, Theta
-from twin.diagnose.judge.prediction_gain import gain, predictions
-from twin.diagnose.report.model_file import model_of
+from twin.diagnosis.experiments.closed_loop import Converters
+from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnosis.judge.prediction_gain import gain, predictions
+from twin.diagnosis.report.model_file import model_of
 from twin.estimation.prediction_floor import floor_rmse
+from twin.evidence.gather import Evidence, gather
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import FLOORS, Theta
 from twin.model.causes.catalogue import CATALOGUE
-from twin.validate.ball import _effective, multi_step
-from twin.validate.source import filtered, source_of
+from twin.validation.ball import _effective, multi_step
+from twin.validation.source import filtered, source_of
 
 QUIET = replace(THETA, process_i_c_a=FLOORS["process_i_c_a"], process_a_m_s2=FLOORS["process_a_m_s2"])
 # A slow amplifier with a current that wanders: what the causes of the amplifier do to the floor shows.

@@ -10,11 +10,11 @@ import pytest
 
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S
-from twin.diagnose.evidence.gather import gather
-from twin.diagnose.inference.fisher_scoring import climb
-from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import BASE, Theta, coordinates_of, parameter_of
 from twin.estimation.record import Record
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, Theta, coordinates_of, parameter_of
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.wander import MINUTE_S
 from twin.model.equilibrium import at_rest

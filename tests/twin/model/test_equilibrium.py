@@ -8,8 +8,8 @@ import pytest
 
 from protocol.campaign import Controller
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, strong
-from twin.diagnose.experiments.designed_law import law_of
-from twin.diagnose.inference.theta import Theta
+from twin.diagnosis.experiments.designed_law import law_of
+from twin.inference.theta import Theta
 from twin.model.causes.cause import Vector
 from twin.model.equilibrium import at_rest, holding_current, holding_input, steady_current
 from twin.model.extended import Base

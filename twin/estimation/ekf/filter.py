@@ -6,7 +6,7 @@ sample: predict (`predict.py`), initialise what begins there, correct (`correct.
 Rule 1: the flags are those of `../innovations.py`.  RESTS_LOW, RESTS_HIGH: the ball rests at a stop, whose place is
         known, which tests the position sensor alone: offset, scale and crosstalk without any force.  RESTS_UNSEEN: the
         ball rests beyond the sensor's range, and only i_c is valid.  LOST: the row of a lost sample
-        (`twin/diagnose/evidence/lost_rows.py`) has no readings, and u_c from it on is unknown.
+        (`twin/evidence/lost_rows.py`) has no readings, and u_c from it on is unknown.
 Rule 2: the covariance contains only the states that are independent under the model's causes: three for the paper's
         model.  This keeps the cost of each candidate low.
 Rule 3: the first readings of a flight, which determine its initial state, correct the state and are not counted as

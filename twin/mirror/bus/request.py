@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 from protocol.bus import board51_pb2 as pb
 from twin.mirror.monitor.divergence import ALARMS
-from twin.mirror.settings import SILENT_S
+from twin.settings.mirror import SILENT_S
 
 NAME = "diagnosis-wanted"
 

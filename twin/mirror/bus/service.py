@@ -35,9 +35,9 @@ from twin.mirror.bus.claim import Claim
 from twin.mirror.bus.handover import Answered, believe, read_command, read_model, refusal
 from twin.mirror.bus.watched import Watched
 from twin.mirror.output import Output
-from twin.mirror.settings import Settings
 from twin.mirror.warm_up import compile_kernels
 from twin.model.parameters import Model
+from twin.settings.mirror import Settings
 
 QUEUE_LENGTH = 5000  # a hundred seconds of one board
 DEAF_S = 5.0  # status comes every second: more than a moment's hold-up, and time for a new session to join

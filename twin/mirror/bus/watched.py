@@ -18,7 +18,7 @@ from twin.mirror.bus.handover import Belief, refusal
 from twin.mirror.bus.request import DiagnosisRequest
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
-from twin.mirror.settings import SILENT_S, Settings
+from twin.settings.mirror import SILENT_S, Settings
 
 REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
 _MESSAGES: dict[str, type[Message]] = {

@@ -20,8 +20,8 @@ from scipy.linalg import toeplitz
 from scipy.special import ndtr
 
 from twin.control import LawNumbers, discrete
-from twin.mirror.settings import EDGE_SHARE, OFF_PROBABILITY, POSITIONS, STABLE
 from twin.model.parameters import Model
+from twin.settings.mirror import EDGE_SHARE, OFF_PROBABILITY, POSITIONS, STABLE
 
 
 class Expectation(NamedTuple):

@@ -20,9 +20,9 @@ from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait,
 from twin.mirror.bus.handover import MAX_PAYLOAD, believe
 from twin.mirror.bus.service import TwinService
 from twin.mirror.bus.watched import REPEAT_S
-from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
 from twin.model.parameters import Model, model_to_dict
+from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
 OFFSET_M, SLOPE_A_PER_M = 2.4377e-3, 120.364

@@ -11,8 +11,8 @@ from tests.twin.mirror.bus.test_handover import alarms, ask, command, divergence
 from twin.commands import diagnose
 from twin.mirror.bus.request import NAME, DiagnosisRequest
 from twin.mirror.bus.service import TwinService
-from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
+from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
 

@@ -23,8 +23,8 @@ from twin.mirror.monitor.expected import (
     weighted_chi_square_quantile,
 )
 from twin.mirror.output import Output
-from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
+from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
 MEASURED_SLOPE = 120.364  # A/m: the line through the measured equilibria of a CE 152

@@ -19,9 +19,9 @@ from twin.mirror.bus.service import TwinService
 from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, Mirror
 from twin.mirror.offline import run_log
 from twin.mirror.output import Output
-from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
 from twin.readers.log import TwinLog
+from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
 ABOUT = ("innovation", "divergence-i_c")  # the integrator takes the ball to x_ref, so x is right all the same

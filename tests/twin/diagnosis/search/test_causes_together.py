@@ -1,0 +1,176 @@
+"""Two causes of one size hide each other: each alone explains less than a fifth, together they leave noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from protocol.campaign import load
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.known_diagnosis import fit_of
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnosis.report.sentences import round_sentence
+from twin.diagnosis.search import forward_step as forward
+from twin.diagnosis.search import stepwise as search
+from twin.diagnosis.search.candidate_fits import Trial
+from twin.diagnosis.search.candidate_starts import substitute_start
+from twin.diagnosis.search.equivalence import find_classes
+from twin.diagnosis.search.score_test import probed
+from twin.diagnosis.search.state import Selection
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import climb
+from twin.inference.initial_guess import start_theta, with_noise_bounds
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor, floor_of
+from twin.inference.theta import BASE, STOPS, coordinates_of
+from twin.model.causes.catalogue import BY_NAME
+from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
+
+HIDDEN = {"quadratic-drag": 2.0, "air-gap-offset": 3e-4}
+TRIED = tuple(BY_NAME[name] for name in (*HIDDEN, "constant-force"))
+
+
+@pytest.mark.slow
+def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the rule of the benefit, which would take the first of these two by itself."""
+    monkeypatch.setattr(settings, "MIN_BENEFIT", 1.0)
+    make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
+    campaign = load(tmp_path / "both")
+    records = read_campaign(campaign)
+    criterion = Criterion(gather(records, campaign.plant), campaign.plant, 2e-3, workers=1)
+    try:
+        start = with_noise_bounds(start_theta(records, campaign.plant), criterion.evidence)
+        base = climb(criterion, start, (*BASE, *STOPS))
+        floor = floor_of(criterion, base.theta)
+        alone = search.select(criterion, base, floor, candidates=TRIED, quick=True, classes=False)
+        one = search.select(criterion, base, floor, candidates=(TRIED[1], TRIED[2]), classes=False)
+        both = search.select(criterion, base, floor, candidates=TRIED, classes=False)
+        right = floor.under(criterion, both.fit.theta)
+    finally:
+        criterion.close()
+
+    assert alone.causes == ()
+    assert one.causes == ()  # the other is not among the candidates: nothing leaves noise
+    assert set(both.causes) == set(HIDDEN)
+    assert not right.material(both.fit.loglik)
+    assert abs(right.excess(both.fit.loglik)) < 3.0 * right.error * right.readings
+    assert both.fit.theta.value("quadratic-drag.c_n_s2_m2") == pytest.approx(2.0, rel=0.05)
+    assert both.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+
+
+def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several_too() -> None:
+    gains = {"air-gap-offset": 1000.0, "force-exponent": 999.0, "constant-force": 900.0, "quadratic-drag": 300.0}
+    trials = tuple(
+        Trial(cause=cause, fit=fit_of(strong(cause, BY_NAME[cause].strength.probes[0]), 0.0), gain=gain)
+        for cause, gain in gains.items()
+    )
+    again = forward.Round(scores=(), trials=trials, selected="air-gap-offset")
+
+    firsts = search._firsts(again)
+
+    # The second says the same as the leader: what stands in for one cause is not tried twice.
+    assert [first.selected for first in firsts] == ["air-gap-offset", "constant-force"]
+    assert all(first.trials[0].cause == first.selected and len(first.trials) == 4 for first in firsts)
+    assert search._firsts(replace(again, selected="")) == []
+
+
+@pytest.mark.slow
+def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: Path) -> None:
+    three = ("position-sensor-nonlinearity", "residual-magnetism", "quadratic-drag")
+    make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
+    campaign = load(tmp_path / "both")
+    criterion = Criterion(gather(read_campaign(campaign), campaign.plant), campaign.plant, 2e-3, workers=1)
+    try:
+        base = climb(criterion, start_theta(read_campaign(campaign), campaign.plant), (*BASE, *STOPS))
+        free = (*base.free, *(name for cause in three for name in coordinates_of(cause)))
+        fit = climb(criterion, probed(base.theta, BY_NAME["quadratic-drag"], 2.0), free)
+        gains = dict(zip(three, (1.0, 2.0, 3.0), strict=True))
+        at_first = Selection(base=base, fit=fit, causes=three, gains=gains)
+        unmoved = find_classes(criterion, at_first, candidates=(BY_NAME["motional-emf"],), max_candidates=3)
+        found = find_classes(criterion, at_first, candidates=(*TRIED, BY_NAME["residual-magnetism"]), max_candidates=3)
+    finally:
+        criterion.close()
+
+    assert unmoved.causes == three
+    assert set(found.causes) == set(found.gains) == set(HIDDEN)
+    assert found.fit.loglik > fit.loglik - settings.EQUIVALENT_GAIN
+    assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+
+
+def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() -> None:
+    """One in V, one in A: between the values of a grid the likelihood is 100 000 lower, and no climb began there."""
+    offset, zone = BY_NAME["amplifier-offset"], BY_NAME["amplifier-dead-zone"]
+    rig = strong(offset.name, -0.0611)
+    criterion = criterion_of(narrow(rig, seconds=4.0))
+    try:
+        there = substitute_start(criterion, rig, offset, zone)
+        back = substitute_start(criterion, there, zone, offset)
+    finally:
+        criterion.close()
+
+    assert there.value("amplifier-dead-zone.width_v") == pytest.approx(0.0611 / rig.K_A)
+    assert back.value("amplifier-offset.offset_a") == pytest.approx(-0.0611)
+
+
+@pytest.mark.slow
+def test_what_was_refused_beside_a_confounder_is_asked_again_beside_the_right_cause(tmp_path: Path) -> None:
+    """A lag of the sensor stands for one of the force, and beside it a drag explains a hundredth of what is left."""
+    hidden = {"eddy-current-lag": 3.7e-3, "quadratic-drag": 1.0, "periodic-disturbance": 5e-3}
+    make_campaign(tmp_path / "three", effects=hidden, seed=6, plant="emulator", quick=True)
+    campaign = load(tmp_path / "three")
+    records = read_campaign(campaign)
+    criterion = Criterion(gather(records, campaign.plant), campaign.plant, 2e-3, workers=1)
+    tried = tuple(BY_NAME[name] for name in (*hidden, "position-sensor-lag"))
+    try:
+        start = with_noise_bounds(start_theta(records, campaign.plant), criterion.evidence)
+        base = climb(criterion, start, (*BASE, *STOPS))
+        found = search.select(criterion, base, floor_of(criterion, base.theta), candidates=tried)
+    finally:
+        criterion.close()
+
+    assert [step.selected for step in found.rounds][:3] == ["position-sensor-lag", "periodic-disturbance", ""]
+    assert set(found.causes) == set(found.gains) == set(found.classes) == set(hidden)
+
+
+def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Prediction pays for a cause that explains little of what is left, but not for one that stops the ball."""
+    rig = strong("coulomb-friction", 1.5e-3)
+    criterion = criterion_of(narrow(rig))
+    try:
+        base = fitted(criterion, THETA)
+        rubs = fitted(criterion, rig, "coulomb-friction")
+        # Sensors ten times better than those of the rig: much is left that no cause explains.
+        floor = Floor(sigma_i_c_a=2e-4, sigma_x_m=5e-7, measured=True).under(criterion, base.theta)
+        trial = Trial(cause="coulomb-friction", fit=rubs, gain=rubs.loglik - base.loglik)
+        held = forward.decide(criterion, base, base, floor, [], [trial], settings.MIN_SHARE)
+        monkeypatch.setattr(forward, "HOLDS", frozenset())
+        other = forward.decide(criterion, base, base, floor, [], [trial], settings.MIN_SHARE)
+    finally:
+        criterion.close()
+
+    assert trial.gain > 100.0
+    assert held.selected == ""
+    assert held.refusal == "small share"
+    assert 0.0 < held.share < settings.MIN_SHARE
+    assert f"explains {100.0 * held.share:.0f} % of what is left" in round_sentence(held)
+    assert other.selected == "coulomb-friction"
+
+
+def test_dry_friction_is_climbed_to_from_a_wrong_model() -> None:
+    """A filter that takes a slow ball for held, or for free, has a likelihood that no climb gets up."""
+    rig = strong("coulomb-friction", 4e-3)
+    criterion = criterion_of(narrow(rig))
+    try:
+        base = fitted(criterion, THETA)
+        found = fitted(criterion, strong("coulomb-friction", 1e-3, base.theta), "coulomb-friction")
+    finally:
+        criterion.close()
+
+    at_rest = found.theta.value("coulomb-friction.force_n") * (1.0 + found.theta.value("coulomb-friction.extra"))
+    assert at_rest == pytest.approx(4e-3, rel=0.02)  # so narrow a motion leaves open how it changes with the speed
+    assert found.theta.process_a_m_s2 < 0.1 * base.theta.process_a_m_s2

@@ -1,0 +1,136 @@
+"""Names that should not stand: of a cause that explains nothing any more, of one that the screen alone would keep."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from protocol.campaign import load
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnosis.pipeline import diagnose
+from twin.diagnosis.search import stepwise
+from twin.diagnosis.search.candidate_starts import start_of
+from twin.diagnosis.search.equivalence import find_classes
+from twin.diagnosis.search.forward_step import Round
+from twin.diagnosis.search.score_test import screen
+from twin.diagnosis.search.state import Selection
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, STOPS, coordinates_of, reinitialised
+from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
+
+GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
+    "air-gap-offset",
+    "quadratic-drag",
+    "constant-force",
+    "coulomb-friction",
+    "residual-magnetism",
+)
+
+
+def selection(base: Fit, fit: Fit, *causes: str) -> Selection:
+    """As if these had been taken, the last one by the only round that is known."""
+    first = Round(scores=(), trials=(), selected=causes[0])
+    return Selection(base=base, fit=fit, causes=causes, gains=dict.fromkeys(causes, 100.0), rounds=(first,))
+
+
+def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
+    rig = strong(GAP, 5e-4)
+    criterion = criterion_of(narrow(rig))
+    try:
+        base = fitted(criterion, THETA)
+        found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
+        before = found.fit.loglik
+        found = find_classes(criterion, found, candidates=(BY_NAME[FORCE],), max_candidates=3)
+    finally:
+        criterion.close()
+
+    assert found.causes == (GAP,)
+    assert set(found.gains) == {GAP}
+    assert found.fit.free == (*BASE, *coordinates_of(GAP))
+    assert found.fit.loglik > before - settings.MIN_GAIN
+
+
+@pytest.mark.slow
+def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_knows() -> None:
+    """The friction comes out wrong without the magnetism, and there is no slope from there to the true numbers."""
+    rig = strong(MAGNETISM, 0.04, strong(FRICTION, 3e-3))
+    criterion = criterion_of(narrow(rig, seconds=8.0))
+    free = (*BASE, *STOPS, coordinates_of(FRICTION)[0])  # beside friction with its shapes no force is named
+    try:
+        base = climb(criterion, THETA, (*BASE, *STOPS))
+        true = climb(criterion, rig, (*free, *coordinates_of(MAGNETISM)))
+        rubs = climb(criterion, reinitialised(strong(FRICTION, 3e-3)), free)
+        scores = {score.cause: score for score in screen(criterion, rubs.theta, rubs.free)}
+        false = climb(criterion, start_of(criterion, rubs.theta, scores[FORCE]), (*free, *coordinates_of(FORCE)))
+        floor = floor_of(criterion, base.theta)
+        doubtful = floor.under(criterion, false.theta).material(false.loglik)
+        at_first = selection(base, false, FRICTION, FORCE)
+        spared = find_classes(criterion, at_first, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
+        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
+    finally:
+        criterion.close()
+
+    assert doubtful
+    assert true.loglik - rubs.loglik > 50.0 * scores[MAGNETISM].gain
+    assert MAGNETISM not in spared.causes
+    assert asked.causes == (FRICTION, MAGNETISM)
+    # The likelihood of dry friction has kinks, at which a climb may end.
+    assert asked.fit.loglik > true.loglik - 0.02 * (true.loglik - rubs.loglik)
+    place = asked.fit.free.index("residual-magnetism.i_r_a")
+    error = math.sqrt(asked.fit.covariance[place, place])
+    assert 0.0 < error < 0.01
+    assert asked.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, abs=error)
+
+
+def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it() -> None:
+    """Beside an offset of i_c that has taken up a dead zone, the dead zone begins where the offset gives it back."""
+    rig = strong("amplifier-dead-zone", 0.24, strong("current-sensor-offset", -0.065))
+    criterion = criterion_of(narrow(rig))
+    try:
+        at = fitted(criterion, strong("current-sensor-offset", -0.13), "current-sensor-offset")
+        scores = {score.cause: score for score in screen(criterion, at.theta, at.free)}
+        gains = [
+            criterion.value(start_of(criterion, at.theta, scores[cause])) - at.loglik
+            for cause in ("amplifier-dead-zone", "amplifier-offset")
+        ]
+    finally:
+        criterion.close()
+
+    assert at.theta.value("current-sensor-offset.offset_a") < -0.12
+    assert min(gains) > 0.0
+
+
+@pytest.mark.slow
+def test_quick_gives_the_first_of_two_causes_the_place_of_one_that_explains_more_beside_the_second(
+    tmp_path: Path,
+) -> None:
+    """Alone, a bent force law takes up some of the friction; beside the friction the plain gap is better."""
+    make_campaign(tmp_path, effects={FRICTION: 3e-3}, seed=41, plant="emulator", quick=True, x_max="travel")
+
+    found = diagnose(load(tmp_path), quick=True)
+
+    assert [cause.name for cause in found.causes] == [GAP, FRICTION]
+    friction = found.causes[1].parameters["force_n"]
+    assert friction.std is not None
+    assert abs(friction.value - 3e-3) < 3.0 * friction.std
+
+
+def test_a_time_constant_that_went_to_zero_beside_a_wrong_model_comes_back_with_the_right_one() -> None:
+    """Its logarithm has no slope there, and a lag of the field would be taken for it."""
+    rig = strong(GAP, 5e-4)
+    criterion = criterion_of(narrow(rig))
+    try:
+        lost = fitted(criterion, replace(rig, T_A=5e-7), GAP)
+        back = stepwise._revived(criterion, lost)
+    finally:
+        criterion.close()
+
+    assert lost.theta.T_A < 2e-6, "it finds no way back by itself"
+    assert back.theta.T_A == pytest.approx(rig.T_A, rel=0.1)
+    assert back.loglik > lost.loglik

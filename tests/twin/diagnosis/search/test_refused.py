@@ -1,0 +1,42 @@
+"""What would not be taken now is not kept: a cause that the later ones have left next to nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnosis.search import stepwise as select
+from twin.diagnosis.search.equivalence import find_classes
+from twin.diagnosis.search.forward_step import Round
+from twin.diagnosis.search.score_test import probed
+from twin.diagnosis.search.state import Selection
+from twin.inference.noise_floor import floor_of
+from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
+
+FIRST, LATER = "motional-emf", "actuation-delay"
+
+
+@pytest.mark.parametrize(("strength", "retained"), [(0.15, False), (1.0, True)])
+def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: float, retained: bool) -> None:
+    rig = probed(strong(LATER, 6e-4), BY_NAME[FIRST], strength)
+    criterion = criterion_of(narrow(rig, seconds=4.0))
+    try:
+        base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
+        alone = fitted(criterion, strong(LATER, 6e-4), LATER)
+        last = Round(scores=(), trials=(), selected=LATER)
+        gains = {FIRST: 1e3, LATER: 1e3}
+        at_first = Selection(base=base, fit=both, causes=(FIRST, LATER), gains=gains, rounds=(last,))
+
+        floor = floor_of(criterion, rig)
+        found = select.backward(criterion, at_first, floor, lambda line: None, settings.PASSES)
+        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME["quadratic-drag"],), max_candidates=3)
+    finally:
+        criterion.close()
+
+    loss, gained = both.loglik - alone.loglik, both.loglik - base.loglik
+    assert loss > settings.MIN_GAIN  # no question of chance
+    assert (loss > settings.MINOR_SHARE_AT_NOISE * gained) == retained
+    assert found.causes == ((FIRST, LATER) if retained else (LATER,))
+    assert (found.fit is both) == retained
+    assert asked.causes == found.causes, "nor is what an exchange has left next to nothing"

@@ -1,0 +1,226 @@
+"""The numbers under the diagnosis: the extended model, its filter, the score test, intervals of the gain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tests.harness.twin.independent_plant import Ball, wandering
+from twin.diagnosis.judge.prediction_gain import bootstrap
+from twin.diagnosis.search.candidate_starts import start_of
+from twin.diagnosis.search.score_test import screen
+from twin.estimation.record import FloatArray
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import climb
+from twin.inference.likelihood import Criterion
+from twin.inference.nominal_fit import Likelihood, Point
+from twin.inference.theta import BASE, Theta, coordinates_of
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
+from twin.model.causes.cause import PLACES, Cause
+from twin.model.extended import Base, advance
+
+BALL = Ball()
+TICK_S = BALL.tick
+BASE_NUMBERS = Base(
+    K_A=BALL.K_A,
+    T_A=BALL.T_A,
+    K_c=BALL.K_c,
+    b=BALL.b,
+    mass_kg=BALL.m,
+    gravity_m_s2=BALL.g,
+    x_max_m=BALL.x_max,
+    travel_m=BALL.travel,
+)
+TRUE = Theta(
+    K_A=BALL.K_A,
+    T_A=BALL.T_A,
+    K_c=BALL.K_c,
+    b=BALL.b,
+    sigma_i_c_a=BALL.sigma_i,
+    sigma_x_m=BALL.sigma_x,
+    process_i_c_a=1e-5,
+    process_a_m_s2=0.02,
+)
+
+
+def start(rng: np.random.Generator) -> FloatArray:
+    """A ball in flight, all six states those of a rig without causes."""
+    i, x = rng.uniform(0.2, 1.2), rng.uniform(0.5e-3, 4.5e-3)
+    return np.array([i, x, rng.uniform(-0.05, 0.05), i, x, i * i])
+
+
+def after_a_tick(c: FloatArray, y: FloatArray, u: float) -> FloatArray:
+    y = y.copy()
+    advance(tuple(BASE_NUMBERS), c, y, u, 0.3, TICK_S, True)
+    return y
+
+
+def criterion(*, ticks: int = 4000, flights: int = 2) -> Criterion:
+    plant = BALL.campaign.plant
+    records = [
+        BALL.closed_loop(wandering(n, ticks, span=1.2e-3), ticks, seed=n + 5, name=f"f{n}") for n in range(flights)
+    ]
+    return Criterion(gather(records, plant), plant, TICK_S, workers=1)
+
+
+@pytest.fixture(scope="module")
+def flown() -> Criterion:
+    return criterion()
+
+
+def test_every_parameter_has_a_place_of_its_own() -> None:
+    places = [parameter.index for cause in BY_NAME.values() for parameter in cause.parameters]
+
+    assert sorted(places) == list(range(PLACES))
+
+
+@pytest.mark.parametrize("cause", CATALOGUE, ids=lambda cause: cause.name)
+def test_a_cause_without_strength_is_absent_bit_by_bit(cause: Cause) -> None:
+    """Its other parameters, a time constant, a frequency, may be anything then."""
+    rng = np.random.default_rng(3)
+    shaped = neutral()
+    for parameter in cause.parameters[1:]:
+        shaped[parameter.index] = 0.5 * (parameter.low + parameter.high)
+
+    for _ in range(20):
+        y, u = start(rng), rng.uniform(0.0, 4.5)
+        one, other = after_a_tick(neutral(), y, u), after_a_tick(shaped, y, u)
+        assert one[:5].tolist() == other[:5].tolist()  # warmth has a time constant even where it does nothing
+
+
+@pytest.mark.parametrize(
+    "cause",
+    [c for c in CATALOGUE if c.name not in ("lost-samples", "actuation-delay", "sampling-delay")],
+    ids=lambda cause: cause.name,
+)
+def test_a_cause_with_strength_changes_the_tick_or_the_reading(cause: Cause) -> None:
+    """Delays act on the input, lost samples on nothing: they are elsewhere."""
+    from twin.model.extended import current_reading, position_reading
+
+    rng = np.random.default_rng(4)
+    c = neutral()
+    ends = [cause.strength.low, cause.strength.high]
+    # a limit shows at its lower end
+    far = (
+        ends[0] if math.isinf(cause.strength.neutral) else max(ends, key=lambda end: abs(end - cause.strength.neutral))
+    )
+    for parameter in cause.parameters[1:]:
+        c[parameter.index] = parameter.neutral if math.isfinite(parameter.neutral) else parameter.low
+    c[cause.strength.index] = far
+
+    changed = False
+    for _ in range(40):
+        y, u = start(rng), rng.uniform(0.0, 4.5)
+        one, other = after_a_tick(neutral(), y, u), after_a_tick(c, y, u)
+        changed |= not np.array_equal(one[:5], other[:5])
+        changed |= current_reading(c, y[0]) != current_reading(neutral(), y[0])
+        changed |= position_reading(BASE_NUMBERS, c, y[1], y[0]) != position_reading(
+            BASE_NUMBERS, neutral(), y[1], y[0]
+        )
+
+    assert changed
+
+
+def test_a_tick_of_the_paper_model_agrees_with_an_adaptive_solver() -> None:
+    """0.2 um, a seventh of a converter's count, with the pole this near to the stop (twin/README.md)."""
+    rng = np.random.default_rng(7)
+    p = BASE_NUMBERS
+
+    def right(_: float, z: Any, u: float) -> list[float]:
+        force = p.K_c * z[0] ** 2 / (p.x_max_m - z[1]) ** 2 - p.b * z[2]
+        return [(p.K_A * u - z[0]) / p.T_A, z[2], force / p.mass_kg - p.gravity_m_s2]
+
+    for _ in range(40):
+        y, u = start(rng), rng.uniform(0.5, 4.5)
+        reached = after_a_tick(neutral(), y, u)
+
+        exact = solve_ivp(right, (0.0, TICK_S), y[:3], args=(u,), method="LSODA", rtol=1e-12, atol=1e-14).y[:, -1]
+        assert reached[0] == pytest.approx(exact[0], rel=1e-9)
+        assert reached[1] == pytest.approx(exact[1], abs=2e-7)
+        assert reached[2] == pytest.approx(exact[2], abs=2.0 * 2e-7 / TICK_S)
+
+
+def test_without_causes_the_filter_is_that_of_the_identification(flown: Criterion) -> None:
+    """Two filters, two integrations of (1) and (6).
+
+    They differ by 0.2 um a tick at most (above), 3 % of the 6 um of sensor noise, far less mostly; i_c is exact.
+    """
+    point = Point(
+        K_A=TRUE.K_A,
+        T_A=TRUE.T_A,
+        K_c=TRUE.K_c,
+        b=TRUE.b,
+        sigma_i_c_a=TRUE.sigma_i_c_a,
+        sigma_x_m=TRUE.sigma_x_m,
+        process_i_c_a=TRUE.process_i_c_a,
+        process_a_m_s2=TRUE.process_a_m_s2,
+    )
+    other = Likelihood(flown.evidence.series, flown.plant, TICK_S)
+
+    _, white = flown.white(TRUE)
+    expected = other.white(point)
+
+    both = np.isfinite(white) & np.isfinite(expected)
+    assert both.sum() > 0.99 * max(np.isfinite(white).sum(), np.isfinite(expected).sum())
+    difference = (white - expected)[200:][both[200:]]
+    assert np.sqrt(np.mean(difference**2)) < 0.02
+
+
+def test_a_right_model_leaves_white_innovations(flown: Criterion) -> None:
+    _, white = flown.white(TRUE)
+
+    for column in range(2):
+        values = white[np.isfinite(white[:, column]), column]
+        assert values.var() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / len(values)))
+
+
+@pytest.mark.parametrize("name", ["constant-force", "current-sensor-offset", "position-sensor-offset"])
+def test_for_a_small_effect_the_score_test_says_what_a_fit_gains(name: str) -> None:
+    """Both are 0.5 z^2 up to terms of third order: a tenth of it, for effects of 5 to 15 standard errors."""
+    plant = BALL.campaign.plant
+    heavy = replace(BALL, g=1.02 * BALL.g) if name == "constant-force" else BALL
+    record = heavy.closed_loop(wandering(3, 6000, span=1.2e-3), 6000, seed=8)
+    if name == "current-sensor-offset":
+        record = replace(record, i_c=record.i_c + 1e-3)
+    if name == "position-sensor-offset":
+        record = replace(record, x=record.x + 15e-6)
+    here = Criterion(gather([record], plant), plant, TICK_S, workers=1)
+    coordinate = coordinates_of(name)[0]
+    try:
+        at = climb(here, TRUE, BASE)
+        (score,) = screen(here, at.theta, at.free, (BY_NAME[name],))
+        fit = climb(here, start_of(here, at.theta, score), (*at.free, coordinate))
+    finally:
+        here.close()
+
+    gain = fit.loglik - at.loglik
+    assert 8.0 < gain < 200.0
+    assert score.gain == pytest.approx(gain, rel=0.1)
+
+
+def test_the_bootstrap_interval_holds_the_true_ratio_as_often_as_it_says() -> None:
+    """95 %; 40 blocks make it 93 % (an interval of quantiles is narrow by 1 / 2 blocks); less three errors."""
+    rng = np.random.default_rng(11)
+    trials, n, truth = 200, 10_000, 0.5
+    kernel = np.ones(10) / math.sqrt(10.0)  # as predictions of 20 ms overlap
+    hits = 0
+    for seed in range(trials):
+        first, second = (np.convolve(rng.normal(size=n + 9), kernel, "valid") for _ in range(2))
+        low, high = bootstrap(first**2, (truth * second) ** 2, 250, seed)
+        hits += low <= truth <= high
+
+    assert hits / trials > 0.93 - 3.0 * math.sqrt(0.93 * 0.07 / trials)
+    assert hits < trials  # an interval that always holds the truth is too wide
+
+
+def test_the_bootstrap_is_the_same_for_a_seed() -> None:
+    rng = np.random.default_rng(2)
+    first, second = rng.normal(size=3000) ** 2, rng.normal(size=3000) ** 2
+
+    assert bootstrap(first, second, 250, 4) == bootstrap(first, second, 250, 4)
+    assert bootstrap(first, second, 250, 4) != bootstrap(first, second, 250, 5)

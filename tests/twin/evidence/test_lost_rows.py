@@ -1,0 +1,169 @@
+"""Single lost samples: nothing is made out of them, nothing is forgotten behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gateway.emulator.plant.rig import CE152
+from tests.harness.diagnose.simulated_rig import (
+    MIDDLE_M,
+    PLANT,
+    THETA,
+    TICK_S,
+    controller,
+    criterion_of,
+    fitted,
+    strong,
+)
+from tests.harness.twin.emulated_campaign import Lab
+from tests.harness.twin.true_model import true_model
+from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnosis.search.score_test import screen
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X
+from twin.estimation.record import BoolArray, Record
+from twin.estimation.rollout import SETTLE_S, predict_ahead
+from twin.evidence.gather import gather
+from twin.evidence.lost_rows import bridged
+from twin.inference.theta import Theta
+from twin.prediction import predict
+from twin.settings import diagnosis as settings
+
+NOISY = replace(THETA, T_A=9e-4, sigma_x_m=8e-6, sigma_i_c_a=1.6e-3)
+
+
+def flight(theta: Theta, *, seed: int, seconds: float = 20.0) -> Record:
+    t = np.arange(round(seconds / TICK_S)) * TICK_S
+    command = MIDDLE_M + 1.2e-3 * np.sin(2.0 * np.pi * 0.31 * t) + np.where(t % 2.0 < 1.0, 0.3e-3, -0.3e-3)
+    schedule = Schedule(name=f"flight {seed}", kind="closed-loop", command=command, closed_loop=True)
+    (record,) = simulate(theta, PLANT, controller(theta), schedule, seed=seed)
+    return record
+
+
+def less(record: Record, gone: BoolArray) -> Record:
+    """The recording without those samples."""
+    retained = {name: getattr(record, name)[~gone] for name in ("t", "u_c", "i_c", "x", "x_ref")}
+    return replace(record, **retained)
+
+
+def drawn(record: Record, share: float, seed: int) -> BoolArray:
+    gone = np.random.default_rng(seed).random(len(record.t)) < share
+    gone[[0, -1]] = False
+    return np.asarray(gone)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_lost_samples_are_no_reason_to_name_a_cause(seed: int) -> None:
+    """Forgetting at each gap made six standard errors of constant force and of negative lags."""
+    records = [flight(NOISY, seed=10 * seed + k) for k in range(2)]
+    criterion = criterion_of([less(record, drawn(record, 0.1, seed)) for record in records])
+    base = fitted(criterion, NOISY)
+
+    gains = {score.cause: 0.5 * score.z**2 for score in screen(criterion, base.theta, base.free)}
+
+    for cause in ("constant-force", "eddy-current-lag", "position-sensor-lag"):
+        assert gains[cause] < settings.MIN_GAIN
+    criterion.close()
+
+
+@pytest.mark.parametrize(
+    ("cause", "value", "share"),
+    [("constant-force", 1e-3, 0.1), ("actuation-delay", 0.7e-3, 0.1), ("actuation-delay", 2.6e-3, 0.03)],
+)
+def test_behind_a_lost_sample_x_surprises_the_right_model_no_more_than_elsewhere(
+    cause: str, value: float, share: float
+) -> None:
+    theta = strong(cause, value, NOISY)
+    record = flight(theta, seed=5)
+    criterion = criterion_of([less(record, drawn(record, share, 5))])
+
+    _, white = criterion.white(theta)
+
+    flags = criterion.evidence.series.flags
+    lost = np.flatnonzero(flags & LOST != 0)
+    assert len(lost) > 200
+    behind = np.concatenate([white[lost + k, 1] for k in (1, 2, 3) if (lost + k < len(flags)).all()])
+    behind = behind[np.isfinite(behind)]
+    assert np.mean(behind**2) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / len(behind)))
+    # The two currents behind a lost input tell it: they are no predictions.
+    assert np.isnan(white[lost + 1, 0]).all()
+    criterion.close()
+
+
+def test_a_single_lost_sample_gets_a_row_and_more_in_a_row_stay_a_gap() -> None:
+    record = flight(NOISY, seed=7, seconds=2.0)
+    gone = np.zeros(len(record.t), np.bool_)
+    gone[[300, 500, 501, 700]] = True
+
+    whole, lost = bridged(less(record, gone))
+
+    assert np.flatnonzero(lost).tolist() == [300, 698]
+    assert np.delete(whole.t, np.flatnonzero(lost)).tolist() == less(record, gone).t.tolist()
+    assert whole.t[300] == pytest.approx(record.t[300])
+    assert np.isnan(whole.x[lost]).all()
+    assert np.isnan(whole.i_c[lost]).all()
+    series = gather([less(record, gone)], PLANT).series
+    assert np.flatnonzero(series.flags & LOST != 0).tolist() == [300, 698]
+    assert (series.flags[[300, 301]] & FOLLOWS != 0).all()
+    assert series.flags[300] & (USE_I | USE_X) == 0
+    assert series.flags[500] & FOLLOWS == 0  # behind the two
+
+
+def test_what_is_sampled_at_varying_times_has_lost_nothing() -> None:
+    record = flight(NOISY, seed=7, seconds=1.0)
+    uneven = replace(record, t=np.cumsum(np.tile([1.6e-3, 2e-3, 2e-3, 4e-3, 2.4e-3], len(record.t) // 5)))
+
+    whole, lost = bridged(uneven)
+
+    assert whole is uneven
+    assert not lost.any()
+
+
+def test_a_sample_lost_at_rest_is_a_gap() -> None:
+    record = flight(NOISY, seed=7, seconds=2.0)
+    n = len(record.t)
+    rests = replace(record, kind="free", x=np.full(n, 1e-6) * (np.arange(n) % 2), x_ref=np.full(n, np.nan))
+    gone = np.zeros(n, np.bool_)
+    gone[400] = True
+
+    flags = gather([less(rests, gone)], PLANT).series.flags
+
+    assert (flags & LOST == 0).all()
+    assert flags[400] == 0
+    assert flags[401] & FOLLOWS == 0
+
+
+def test_nothing_is_predicted_across_a_lost_input() -> None:
+    record = flight(NOISY, seed=7, seconds=2.0)
+    gone = np.zeros(len(record.t), np.bool_)
+    gone[500] = True
+    evidence = gather([less(record, gone)], PLANT)
+    s, ahead = evidence.series, 10
+
+    x_hat = predict_ahead(NOISY.system(PLANT, TICK_S), evidence.samples, ahead)
+
+    there = np.isfinite(x_hat)
+    begins = np.flatnonzero(s.flags & FLIES != 0)[0] + ahead + round(SETTLE_S / TICK_S)
+    assert there[begins + 1 : 500].all()
+    assert not there[500 : 500 + ahead + 3].any()
+    assert there[500 + ahead + 4 :].all()  # without the tenth of a second that a new flight would take
+    assert np.std((x_hat - s.x)[there]) < 5.0 * NOISY.sigma_x_m
+
+
+def test_predict_speaks_of_the_samples_that_there_are() -> None:
+    lab = Lab(CE152, effects={}, seed=4)
+    lab.fly()
+    lab.run(300)
+    record = lab.record("flight", "closed-loop", 2000)
+    shorter = less(record, drawn(record, 0.02, 1))
+
+    whole, found = (predict(true_model(), one, 5) for one in (record, shorter))
+
+    assert np.isin(found.t, shorter.t).all()
+    assert len(found.x_hat) + sum(count for _, count in found.left_out) == len(shorter.t)
+    assert len(found.x_hat) > 0.6 * len(shorter.t)
+    assert whole.rmse_m is not None
+    assert found.rmse_m is not None
+    assert found.rmse_m < 1.2 * whole.rmse_m

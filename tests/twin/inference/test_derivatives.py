@@ -1,0 +1,119 @@
+"""Derivatives of the likelihood for less work: how near they are to those of the filter itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
+from tests.twin.evidence.test_lost_rows import drawn, less
+from twin.diagnosis.search.score_test import screen
+from twin.estimation.pace import Reuse
+from twin.estimation.record import FloatArray
+from twin.estimation.structures import Results
+from twin.evidence.gather import gather
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
+from twin.settings import diagnosis as settings
+
+CASES = [
+    THETA,
+    strong("eddy-current-lag", 1e-3),
+    strong("position-sensor-lag", 5e-4),
+    strong("amplifier-gain-drift", 0.05),
+    strong("actuation-delay", 7e-4),
+    strong("coulomb-friction", 1e-3),
+]
+
+
+def score_of(criterion: Criterion, theta: Theta, *, rough: bool | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """(score over the root of its information, that information, names); `rough` None: of the filter itself."""
+    free = [
+        *BASE,
+        *STOPS,
+        *(name for cause in {n.partition(".")[0] for n, _ in theta.causes} for name in coordinates_of(cause)),
+    ]
+    run = None if rough is None else criterion.run(theta)
+    base, change = criterion.derivatives(theta, free, run, rough=bool(rough))
+    _, score, fisher = criterion.slopes(theta, free, base, change)
+    spread = np.sqrt(np.maximum(np.diag(fisher), 1e-12))
+    return score / spread, spread, free
+
+
+@pytest.mark.parametrize("theta", CASES)
+def test_a_run_is_the_filter_bit_by_bit(theta: Theta) -> None:
+    criterion = criterion_of(narrow(theta, seconds=2.0))
+
+    assert np.array_equal(criterion.run(theta).innovations, criterion.outputs(theta), equal_nan=True)
+    criterion.close()
+
+
+@pytest.mark.parametrize("theta", CASES)
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_the_noise_along_a_run_has_the_derivatives_of_the_filter(theta: Theta, share: float) -> None:
+    records = narrow(theta, seconds=2.0)
+    criterion = criterion_of([less(one, drawn(one, share, 1)) if len(one.t) else one for one in records])
+    # Not at the maximum, where every score is small, and with process noise of a size that the data tell.
+    off = replace(
+        theta, K_c=1.001 * theta.K_c, sigma_x_m=0.9 * theta.sigma_x_m, process_i_c_a=1e-3, process_a_m_s2=0.02
+    )
+
+    exact, spread, names = score_of(criterion, off, rough=None)
+    along, spread_along, _ = score_of(criterion, off, rough=False)
+
+    noise = [names.index(name) for name in NOISES]
+    assert along[noise] == pytest.approx(exact[noise], rel=2e-3)
+    assert spread_along[noise] == pytest.approx(spread[noise], rel=2e-3)
+    others = [place for place in range(len(names)) if place not in noise]
+    assert along[others] == pytest.approx(exact[others], rel=1e-9, abs=1e-9)
+    criterion.close()
+
+
+@pytest.mark.parametrize("theta", CASES)
+def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> None:
+    """The slope by b is off by two standard errors there: why the end of a climb takes the exact ones."""
+    criterion = criterion_of(narrow(theta, seconds=2.0))
+    off = replace(theta, K_c=1.02 * theta.K_c, process_a_m_s2=0.4)  # which makes the misfit no surprise
+    assert criterion.mean_square(criterion.outputs(off)) < settings.EXACT_SLOPES_SQUARE
+
+    values = []
+    for rough in (None, True):
+        score, spread, names = score_of(criterion, off, rough=rough)
+        places = [names.index(name) for name in ("K_A", "T_A", "K_c")]
+        moves = {names[place]: score[place] / spread[place] for place in places}
+        there = off
+        for name, by in moves.items():
+            there = moved(there, name, by, PLANT)
+        values.append(criterion.value(there) - criterion.value(off))
+
+    assert values[0] > 20.0  # there is something to climb
+    assert values[1] > 0.9 * values[0]
+    criterion.close()
+
+
+class Exact(Criterion):
+    """The filter itself wherever the slopes of another run would do."""
+
+    def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
+        return self.several(thetas)
+
+
+@pytest.mark.parametrize(
+    "hidden", [strong("air-gap-offset", 3e-4), strong("motional-emf", 0.3), strong("coulomb-friction", 1e-3)]
+)
+def test_the_screen_with_the_slopes_at_hand_ranks_as_the_filter_itself(hidden: Theta) -> None:
+    """Within a fifth: a likelihood that is no parabola is farther off."""
+    evidence = gather(narrow(hidden, seconds=6.0), PLANT)
+    quick, exact = Criterion(evidence, PLANT, TICK_S, workers=1), Exact(evidence, PLANT, TICK_S, workers=1)
+    base = fitted(exact, THETA)
+
+    swift, whole = ({one.cause: one for one in screen(c, base.theta, base.free)} for c in (quick, exact))
+
+    for cause, score in whole.items():
+        assert swift[cause].gain == pytest.approx(score.gain, rel=0.2, abs=2.0), cause
+        assert swift[cause].testable == score.testable
+    quick.close()
+    exact.close()

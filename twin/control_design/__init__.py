@@ -1,0 +1,1 @@
+"""Controller design from a model: gains, analysis of the loop, robustness."""

@@ -1,0 +1,264 @@
+"""Design of a controller from a model and weights, and analysis of its loop.
+
+Rule: the analysis is of the gains after rounding to the board's format.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import DataError
+from twin.control import linearise
+from twin.control_design.board import Converters, QuantisedGain, from_order_of, quantise
+from twin.control_design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
+from twin.control_design.loop import (
+    Controller,
+    Gains,
+    Noise,
+    backward,
+    closed_loop,
+    ideal,
+    kalman_gain,
+    noise_rms,
+    observer,
+    radius,
+)
+from twin.control_design.margins import Margins, margins
+from twin.control_design.robust import Robustness, over_intervals, plant_at, stable_range_m
+from twin.model.assumed import assumption_warning
+from twin.model.causes.catalogue import with_trait
+from twin.model.equilibrium import equilibrium
+from twin.model.extension import sentences
+from twin.model.linear import delay_s
+from twin.model.parameters import Model
+from twin.model.simulate import left_out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopAnalysis:
+    """Analysis of one controller on the model."""
+
+    name: str
+    poles: NDArray[np.complex128]  # of z, largest first
+    margins: Margins | None  # None: unstable
+    x_rms_m: float  # under sensor, process and quantisation noise
+    u_rms_v: float
+    x_rms_analog_m: float  # the same without quantisation
+    u_rms_analog_v: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole is inside the unit circle."""
+        return bool(abs(self.poles[0]) < 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """A controller with its analysis."""
+
+    law: Law
+    sample_time_s: float
+    point: OperatingPoint
+    weights: Weights
+    gains: tuple[float, float, float, float]  # as designed, in the order of the law (rule 9)
+    quantised: tuple[QuantisedGain, ...]
+    converters: Converters
+    loops: tuple[LoopAnalysis, ...]  # ideal, the board's law, the board's law with rounded gains, observer if requested
+    observer_gain: NDArray[np.float64] | None  # L, shape (3, 2)
+    robustness: Robustness  # of the board's loop
+    observer_robustness: Robustness | None
+    stable_range_m: tuple[float, float]
+    warnings: tuple[str, ...]
+    causes: tuple[str, ...] = ()  # sentences on the model's causes and their effect on the design
+
+    @property
+    def board(self) -> LoopAnalysis:
+        """The loop that the board runs."""
+        return self.loops[2]
+
+
+def design(
+    model: Model,
+    *,
+    x_m: float | None = None,
+    sample_time_s: float = 2e-3,
+    law: Law = "lqi",
+    weights: Weights | None = None,
+    settling_time_s: float | None = None,
+    converters: Converters | None = None,
+    u_max_v: float = 5.0,
+    with_observer: bool = False,
+    seed: int = 1,
+) -> Design:
+    """Design a controller and analyse its loop, as `twin.design` does (results: `README.md`).
+
+    Raises:
+        DataError: K_A or K_c of the model is a placeholder.
+        UsageError: the operating point is not possible, the weights have no solution, or a gain exceeds the format.
+    """
+    require_known(model)
+    converters = Converters() if converters is None else converters
+    point = operating_point(model, x_m, u_max_v=u_max_v)
+    weights = bryson(model, point, settling_time_s=settling_time_s) if weights is None else weights
+    K = design_gains(model, point, weights, sample_time_s=sample_time_s, law=law)
+    gains = in_order_of(law, K)
+    quantised = quantise(gains, law, converters, sample_time_s)
+    K_board = from_order_of(law, tuple(gain.value for gain in quantised))
+    plant = plant_at(model, point.x_m, sample_time_s)
+    noise = _noise(model, sample_time_s, converters)
+    on_board = backward(K_board, sample_time_s)
+    candidates = [
+        ("ideal state feedback", ideal(K, sample_time_s)),
+        ("backward difference", backward(K, sample_time_s)),
+        ("the same, gains rounded", on_board),
+    ]
+    filter_gain = kalman_gain(plant, noise) if with_observer else None
+    if filter_gain is not None:
+        candidates.append(("Kalman filter", observer(K, plant, filter_gain, sample_time_s)))
+    loops = tuple(_judge(model, point, name, controller, noise, sample_time_s) for name, controller in candidates)
+
+    def robustness(controller: Controller) -> Robustness:
+        return over_intervals(model, controller, point.x_m, sample_time_s, seed=seed)
+
+    box = robustness(on_board)
+    return Design(
+        law=law,
+        sample_time_s=sample_time_s,
+        point=point,
+        weights=weights,
+        gains=gains,
+        quantised=quantised,
+        converters=converters,
+        loops=loops,
+        observer_gain=filter_gain,
+        robustness=box,
+        observer_robustness=None if filter_gain is None else robustness(candidates[-1][1]),
+        stable_range_m=stable_range_m(model, on_board, point.x_m, sample_time_s),
+        warnings=_unsure(model) + _warnings(loops[2], box, point, u_max_v),
+        causes=_changes(model, point, weights, K, sample_time_s, law),
+    )
+
+
+def _changes(
+    model: Model, point: OperatingPoint, weights: Weights, K: Gains, sample_time_s: float, law: Law
+) -> tuple[str, ...]:
+    """Sentences on the causes of the model, and on the design without them."""
+    if not model.causes:
+        return ()
+    plain = dataclasses.replace(model, causes=())
+    i, u = equilibrium(plain, point.x_m)
+    without = design_gains(
+        plain, OperatingPoint(i_a=i, x_m=point.x_m, u_v=u), weights, sample_time_s=sample_time_s, law=law
+    )
+    plant = plant_at(model, point.x_m, sample_time_s)
+    messages = sentences(model) + left_out(model)
+    messages.append(f"without them: i_c = {i:.4f} A and u_c = {u:.4f} V would hold the ball there")
+    messages.append(
+        "gains without them: "
+        + ", ".join(f"{gain:.6g}" for gain in in_order_of(law, without))
+        + f"; on this model their largest |pole| is {radius(plant, backward(without, sample_time_s)):.4f},"
+        + f" that of the design {radius(plant, backward(K, sample_time_s)):.4f}"
+    )
+    if any(cause.name in with_trait("sticks") for cause in model.causes):
+        messages.append("dry friction is left out of the linear design: at rest it holds the ball, in motion it brakes")
+    return tuple(messages)
+
+
+def require_known(model: Model) -> None:
+    """Check that K_A and K_c of a model are not placeholders.
+
+    Raises:
+        DataError: one is; the message names the parameter and why it is not known.
+    """
+    for name in ("K_A", "K_c"):
+        parameter = model.parameters[name]
+        if parameter.verdict == "not-identifiable":
+            raise DataError(
+                f"{name} = {parameter.value:.4g} {parameter.unit} is not identifiable ({parameter.method})",
+                remedy="Record what is missing and identify again: gains for a guessed plant would drop the ball",
+            )
+
+
+def _noise(model: Model, sample_time_s: float, converters: Converters | None) -> Noise:
+    rounding = (0.0, 0.0, 0.0)
+    if converters is not None:
+        rounding = (converters.i_lsb_a**2 / 12, converters.x_lsb_m**2 / 12, converters.u_lsb_v**2 / 12)
+    n = model.noise
+    return Noise(
+        i=n.sigma_i_c_a**2 + rounding[0],
+        x=n.sigma_x_m**2 + rounding[1],
+        u=rounding[2],
+        process_i=n.process_i_c_a**2,
+        process_v=(n.process_a_m_s2 * sample_time_s) ** 2,
+    )
+
+
+def _judge(
+    model: Model, point: OperatingPoint, name: str, controller: Controller, noise: Noise, sample_time_s: float
+) -> LoopAnalysis:
+    plant = plant_at(model, point.x_m, sample_time_s)
+    poles = np.linalg.eigvals(closed_loop(plant, controller)).astype(np.complex128)
+    model_delay_s = delay_s(model) if model.causes else 0.0
+    x, u = noise_rms(plant, controller, noise)
+    x_analog, u_analog = noise_rms(plant, controller, _noise(model, sample_time_s, None))
+    return LoopAnalysis(
+        name=name,
+        poles=poles[np.argsort(-np.abs(poles), kind="stable")],
+        margins=margins(*linearise(model, point.x_m), controller, sample_time_s, model_delay_s=model_delay_s),
+        x_rms_m=x,
+        u_rms_v=u,
+        x_rms_analog_m=x_analog,
+        u_rms_analog_v=u_analog,
+    )
+
+
+def _unsure(model: Model) -> tuple[str, ...]:
+    messages = [assumption_warning(model.plant)] if model.plant.assumed else []
+    messages += [
+        f"{name} = {p.value:.4g} {p.unit} is {p.verdict}: {p.method}"
+        for name, p in model.parameters.items()
+        if p.verdict in ("weak", "not-identifiable")
+    ]
+    delays = [
+        int(usage.get("input_delay", 0))
+        for usage in model.provenance.get("recordings", [])
+        if isinstance(usage, dict) and usage.get("input_delay")
+    ]
+    if delays:
+        messages.append(
+            f"in {len(delays)} recordings u_c acted {max(delays)} sample(s) late; the design has no delay: "
+            "compare it with the delay margin"
+        )
+    return tuple(messages)
+
+
+def _warnings(board: LoopAnalysis, box: Robustness, point: OperatingPoint, u_max_v: float) -> tuple[str, ...]:
+    messages = []
+    if not board.stable:
+        messages.append(
+            f"the loop on the board is UNSTABLE, largest pole {abs(board.poles[0]):.4f}; increase R, or --settling-time"
+        )
+    elif box.unstable_share > 0.0:
+        where = ", ".join(f"{name} = {value:.4g}" for name, value in box.worst_at.items())
+        messages.append(
+            f"the model's uncertainty could destabilise the loop: {100 * box.unstable_share:.1f} % of {box.loops} "
+            f"loops within the 95 % intervals are unstable, worst pole {box.worst_pole:.4f} at {where}"
+        )
+    if not box.varied:
+        messages.append(
+            "no parameter of this model has an interval: robustness was not checked. Identify the rig first"
+        )
+    elif box.fixed:
+        messages.append(f"without an interval, hence not varied: {', '.join(box.fixed)}")
+    if board.margins is not None and board.margins.delay_s < 0.5e-3:
+        messages.append(f"only {board.margins.delay_s * 1e3:.2f} ms of additional delay make it unstable")
+    room = min(point.u_v, u_max_v - point.u_v)
+    if board.stable and 3.0 * board.u_rms_v > room:
+        messages.append(
+            f"noise alone moves u_c by {board.u_rms_v:.2g} V rms, and only {room:.2g} V are left to its limit"
+        )
+    return tuple(messages)

@@ -1,0 +1,375 @@
+"""From a finished search to the diagnosis: findings, next experiments, prediction improvement, verdict, sentence."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+
+from protocol.campaign import Campaign, Plant
+from twin.diagnosis.checks.change_point import Change
+from twin.diagnosis.checks.confidence import confidence_of
+from twin.diagnosis.checks.consistency import beginnings, contradictions
+from twin.diagnosis.experiments.design import propose
+from twin.diagnosis.judge import judgement
+from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_floor
+from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
+from twin.diagnosis.judge.prediction_gain import Gain
+from twin.diagnosis.judge.worth import Bench
+from twin.diagnosis.remainder.remainder import Remainder, remainder_of
+from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model
+from twin.diagnosis.report.model_file import model_of
+from twin.diagnosis.report.other_causes import minor_effects_of, missing_channels, not_testable, ruled_out
+from twin.diagnosis.report.page_remainder import answer_with
+from twin.diagnosis.report.sentences import (
+    answer_sentence,
+    beginning_sentence,
+    beyond_sentence,
+    contradiction_sentence,
+    finding_sentence,
+    form_of,
+)
+from twin.diagnosis.result import (
+    Diagnosis,
+    Finding,
+    Member,
+    Proposal,
+    fit_parameters,
+)
+from twin.diagnosis.search.candidate_fits import Trial
+from twin.diagnosis.search.state import Selection
+from twin.estimation.record import Record
+from twin.evidence import sample_loss
+from twin.evidence.gather import Evidence
+from twin.evidence.sample_loss import Lost, lost_samples
+from twin.inference.adequacy import where_left
+from twin.inference.budget import Budget, Spent
+from twin.inference.fisher_scoring import Fit, spreads
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta
+from twin.model.assumed import assumption, rests_on_plant
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.model.parameters import Model, Parameter
+from twin.settings import diagnosis as settings
+
+Progress = Callable[[str], None]
+
+
+@dataclass(kw_only=True)
+class SearchResult:
+    """Result of the search; with a change point, criterion and selection are those of the change."""
+
+    criterion: Criterion
+    base: Fit
+    floor: Floor
+    selection: Selection
+    is_adequate: bool  # whether only noise is left
+    why_not: str
+    change: Change | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """The options of the user."""
+
+    model: Model | None
+    quick: bool
+    share: float
+    experiments: bool  # whether to find experiments that split equivalence classes
+    free_form: bool | None  # whether to model what is left; None: if more than noise is, and not with `quick`
+    seed: int
+    workers: int
+    budget: Budget
+    say: Progress
+
+
+@contextmanager
+def timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    """Add the duration of the block to the stage `name`, s."""
+    began = time.perf_counter()
+    yield
+    stages[name] = stages.get(name, 0.0) + time.perf_counter() - began
+
+
+def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
+    """The causes whose channels are in the recordings, without those that are not found by fitting."""
+    return tuple(
+        cause
+        for cause in CATALOGUE
+        if not cause.not_testable and cause.detector != "gaps" and not missing_channels(cause, records)
+    )
+
+
+def assemble(
+    campaign: Campaign,
+    search: SearchResult,
+    records: Sequence[Record],
+    judges: Sequence[Record],
+    evidence: Evidence,
+    judge: Evidence | None,
+    warnings: list[str],
+    options: Options,
+    stages: dict[str, float],
+) -> Diagnosis:
+    """Assemble the diagnosis.
+
+    Args:
+        campaign: plant and controller.
+        search: result of the search.
+        records: recordings for fitting.
+        judges: recordings for judging.
+        evidence: prepared recordings for fitting.
+        judge: prepared recordings for judging; None: there are none.
+        warnings: receives further warnings.
+        options: of the user.
+        stages: receives the duration of each stage, s.
+    """
+    criterion, selection, floor = search.criterion, search.selection, search.floor
+    finished = not options.budget.unanswered  # questions left open from here on do not change the verdict
+    options.budget.reopen()
+    with timed(stages, "what is left"):
+        under = floor.under(criterion, selection.fit.theta)
+        account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate)
+        where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
+        spread = spreads(criterion, selection.fit)
+        warnings += _inconsistent(search)
+    with timed(stages, "next experiments"):
+        proposals = _proposals(criterion, selection, campaign, options) if options.experiments else {}
+    with timed(stages, "gain"):
+        lost = lost_samples([*records, *judges])
+        bench = _bench(search, judge, campaign.plant, options)
+        outcome = judgement.judge(
+            selection,
+            options.model,
+            bench,
+            account,
+            is_adequate=search.is_adequate,
+            finished=finished,
+            counted=lost is not None,
+        )
+        verdict, choice, whole = outcome.verdict, outcome.choice, outcome.whole
+        warnings += [outcome.off] if outcome.off else []
+    with timed(stages, "remainder"):
+        remainder = _remainder(search, records, judge, whole, choice, options)
+        if not _harmless(bench, outcome.before, choice, remainder):
+            warnings.append("a curve of what is left was tried and refused: with it the judge recordings get worse")
+            remainder = None
+    final = choice.fit if remainder is None else remainder.fit
+    final_spread = spread if final is selection.fit else {} if final is None else spreads(criterion, final)
+    if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
+        verdict = "unknown-cause"
+    findings = _findings(selection, account, spread, proposals, verdict, lost, campaign.plant)
+    if search.change is not None:
+        findings = [_with_change(finding, search.change) for finding in findings]
+    if search.is_adequate and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
+        where = harm_sentence(choice.refused[0])
+    elif search.is_adequate and whole is not None and exceeds_floor(whole):
+        where = beyond_sentence(whole)
+    warnings += [f"not all is explained {where}"] * bool(where) if search.is_adequate else [search.why_not]
+    minor_effects = (
+        tuple(minor_effects_of(criterion, selection)) if search.is_adequate and search.change is None else ()
+    )
+    lacked = under.excess(search.base.loglik)
+    paper = model_of(campaign, search.base, {}, records, lacked, "the paper's model at its best")
+    baseline = options.model or paper
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentence="",
+        causes=tuple(findings),
+        not_testable=tuple(not_testable(selection, records)),
+        minor_effects=minor_effects,
+        ruled_out=tuple(ruled_out(selection, {*_names(findings), *(effect.name for effect in minor_effects)}))
+        if finished
+        else (),
+        account=account,
+        unexplained_where=where,
+        gains=choice.gains,
+        gain=at_20_ms(choice.gains),
+        baseline=baseline,
+        extended=written_model(
+            choice,
+            baseline
+            if final is None
+            else model_of(campaign, final, final_spread, records, under.excess(final.loglik), ""),
+        ),
+        choice=choice,
+        warnings=tuple(dict.fromkeys(warnings)),
+        quick=options.quick or options.share < settings.MIN_SHARE,
+        stages_s=stages,
+        selection=selection,
+        floor=floor,
+        fit_evidence=evidence,
+        judge_evidence=judge,
+        before=outcome.before,
+        after=outcome.before if choice.fit is None else choice.fit.theta,
+        tick_s=criterion.tick_s,
+        remainder=remainder,
+        budget=options.budget,
+    )
+    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
+    return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
+
+
+def _inconsistent(search: SearchResult) -> list[str]:
+    """Warnings about effects that are not the same in all recordings, or begin in the middle of one."""
+    criterion, fit = search.criterion, search.selection.fit
+    always = [
+        name for name in search.selection.causes if BY_NAME[name].detector != "spectral-line" and search.change is None
+    ]
+    return [contradiction_sentence(contradiction) for contradiction in contradictions(criterion, fit)] + [
+        beginning_sentence(beginning) for beginning in beginnings(criterion, fit, always)
+    ]
+
+
+def _remainder(
+    search: SearchResult,
+    records: Sequence[Record],
+    judge: Evidence | None,
+    whole: Gain | None,
+    choice: Choice,
+    options: Options,
+) -> Remainder | None:
+    """What is left, modelled; None where nothing is, nobody asked, or there is nothing to choose by."""
+    has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
+    is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form
+    if not is_requested or judge is None or whole is None or choice.fit is None or search.change is not None:
+        return None
+    options.say("what is left, as a curve?")
+    question = options.budget.question("what is left, as a curve")
+    with suppress(Spent), question, search.criterion.charging(options.budget):
+        candidates = testable_causes(records)
+        paper = search.base if has_remainder else None
+        return remainder_of(search.criterion, choice.fit, paper, judge, search.floor, candidates, seed=options.seed)
+    return None
+
+
+def _bench(search: SearchResult, judge: Evidence | None, plant: Plant, options: Options) -> Bench | None:
+    if judge is None or not len(judge.series):
+        return None
+    return Bench(
+        judge=judge,
+        floor=search.floor,
+        plant=plant,
+        tick_s=search.criterion.tick_s,
+        seed=options.seed,
+        workers=options.workers,
+        budget=options.budget,
+    )
+
+
+def _harmless(bench: Bench | None, before: Theta, choice: Choice, left: Remainder | None) -> bool:
+    """Whether the model with what is left as a curve is no worse than the reference on all of the judge recordings."""
+    return left is None or bench is None or left.fit is choice.fit or not worse(bench.gains(before, left.fit.theta))
+
+
+def _findings(
+    selection: Selection,
+    account: Account,
+    spread: dict[str, float],
+    proposals: dict[str, Proposal],
+    verdict: Verdict,
+    lost: Lost | None,
+    plant: Plant,
+) -> list[Finding]:
+    findings = []
+    for cause in selection.causes:
+        members = selection.classes.get(cause, ())
+        parameters = fit_parameters(selection.fit, cause, spread)
+        findings.append(
+            Finding(
+                name=cause,
+                sentence=finding_sentence(cause, parameters) + _assumption_clause(cause, plant),
+                form=form_of(BY_NAME[cause], parameters),
+                parameters=parameters,
+                confidence=confidence_of(
+                    selection,
+                    cause,
+                    verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
+                ),
+                indistinguishable_from=tuple(_member(trial) for trial in members),
+                share_of_excess_explained=account.cause_shares[cause],
+                loglik_gain=account.gains[cause],
+                next_experiment=proposals.get(cause),
+            )
+        )
+    if lost is not None:
+        value = Parameter(value=lost.probability, unit="", ci95=lost.ci95, verdict="identified", method="gaps counted")
+        findings.append(
+            Finding(
+                name=sample_loss.CAUSE.name,
+                sentence=f"{100 * lost.probability:.2g} % of the samples are missing, most in {lost.worst}",
+                parameters={sample_loss.CAUSE.strength.name: value},
+                confidence=0.99,
+                indistinguishable_from=(),
+                share_of_excess_explained=0.0,
+                loglik_gain=0.0,
+            )
+        )
+    return findings
+
+
+def _assumption_clause(cause: str, plant: Plant) -> str:
+    """For which assumed plant the size of a cause holds; empty if it does not rest on one."""
+    return f", {assumption(plant)}" if plant.assumed and rests_on_plant(BY_NAME[cause]) else ""
+
+
+def _with_change(finding: Finding, change: Change) -> Finding:
+    """The finding with the recording in which it begins or after which it ends."""
+    if finding.name not in change.selection.causes:
+        return finding
+    if change.begins:
+        return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
+    return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
+
+
+def _names(findings: Sequence[Finding]) -> set[str]:
+    """Names of the causes and of the other members of their equivalence classes."""
+    return {finding.name for finding in findings} | {
+        member.name for finding in findings for member in finding.indistinguishable_from
+    }
+
+
+def _proposals(criterion: Criterion, selection: Selection, campaign: Campaign, options: Options) -> dict[str, Proposal]:
+    """For each cause with an equivalence class, the experiment that splits it best, or a measurement if none does."""
+    result = {}
+    for cause in selection.causes:
+        members = selection.classes.get(cause, ())
+        if not members:
+            continue
+        question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in members)}"
+        options.say(f"{question}?")
+        ranked = []
+        with suppress(Spent), options.budget.question(question):
+            ranked = propose(criterion, selection.fit, cause, members, campaign.controller, options.budget)
+        if not ranked:
+            continue
+        best = ranked[0]
+        outside = tuple(
+            f"{pair.cause} and {pair.confounder}: no experiment on this rig tells them apart; {pair.measurement}"
+            for pair in best.pairs
+            if not pair.separable
+        )
+        result[cause] = Proposal(
+            what=best.what if best.separable else " ".join(outside) or best.what,
+            separation_z=best.separation_z,
+            command=best.command if best.separable else "",
+            outside=outside,
+            next_best=tuple((proposal.name, proposal.separation_z) for proposal in ranked[1:4]),
+            now_z={pair.confounder: pair.now_z for pair in best.pairs},
+            experiments=tuple(
+                (proposal.name, {pair.confounder: pair.separation_z for pair in proposal.pairs}) for proposal in ranked
+            ),
+        )
+    return result
+
+
+def _member(trial: Trial) -> Member:
+    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _unknown_spread(trial.fit)))
+
+
+def _unknown_spread(fit: Fit) -> dict[str, float]:
+    return {name: math.nan for name in fit.free}

@@ -1,0 +1,393 @@
+"""The diagnosis of a campaign that has points of rest alone: verdict, class, what would split it, diagnosis.json.
+
+Rule 1: causes whose best fits leave as much as the best one, within what chance does to so few points, are one class.
+Rule 2: members of a class are told apart by what else they say of the rig: the unstable pole at mid-travel, which any
+        closed-loop flight shows.  Members of equal pole need an instrument beside the board.
+Rule 3: there is no motion, so no prediction of 20 ms: the gain is of each point predicted from the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.stats import f as f_distribution
+from scipy.stats import t as t_distribution
+
+from protocol.campaign import Campaign, Plant
+from protocol.errors import DataError
+from twin.diagnosis.equilibria.points import (
+    Points,
+    StaticFit,
+    computed_current,
+    f_test,
+    fit_static,
+    holding_currents,
+    interval,
+    is_absorbed,
+    left_out,
+    points_of,
+    rounding,
+    standard_error,
+)
+from twin.diagnosis.experiments.external_measurements import measurement_for
+from twin.estimation.record import FloatArray, Record
+from twin.inference.theta import Theta
+from twin.model import parameters as file
+from twin.model.assumed import assumption_warning, mark
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.linear import linearised
+from twin.model.nominal import nominal
+from twin.settings import diagnosis as settings
+
+_METHOD = "least squares in i_c over the points of rest"
+Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explanation:
+    """One cause that puts the balance right."""
+
+    name: str
+    fit: StaticFit
+    low: float  # 95 %
+    high: float
+    F: float
+    p: float
+    left_out_a: FloatArray
+    pole_per_s: float  # unstable pole at mid-travel, as this cause has it
+    pole_std_per_s: float
+
+    @property
+    def value(self) -> float:
+        """Its strength."""
+        return self.fit.theta.value(f"{self.name}.{BY_NAME[self.name].strength.name}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StaticDiagnosis:
+    """Everything found from points of rest."""
+
+    plant: Plant
+    points: Points
+    base: StaticFit
+    base_left_out_a: FloatArray
+    base_off_m: FloatArray  # by how much (3) holds the ball elsewhere with the measured i_c, m
+    reference_off_a: FloatArray | None  # what the model file that was given gets wrong, A
+    members: tuple[Explanation, ...]  # of the class, best first; empty where nothing is named
+    rejected: tuple[Explanation, ...]  # tested, and worse
+    absorbed: tuple[str, ...]  # K_c does what they do
+    verdict: Verdict
+    confidence: float
+    rounding_a: float  # standard deviation that rounding alone gives i_c
+    computed_a_v: float | None  # i_c is this times u_c
+    judge: tuple[FloatArray, FloatArray] | None  # i_c measured - predicted on judge points, before and after, A
+    extended: file.Model
+    warnings: tuple[str, ...]
+
+
+def diagnose_points(
+    campaign: Campaign,
+    records: Sequence[Record],
+    judges: Sequence[Record],
+    *,
+    model: file.Model | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> StaticDiagnosis:
+    """Diagnose points of rest.
+
+    Args:
+        campaign: whose plant it is.
+        records: for fitting, all of kind `equilibria`.
+        judges: left out; only those of kind `equilibria` are used.
+        model: the simulation to be judged beside (3) at its best.
+        say: takes lines of progress.
+
+    Raises:
+        DataError: too few points, or points that this plant cannot have.
+    """
+    plant, points = campaign.plant, points_of(records, campaign.plant)
+    warnings = [assumption_warning(plant)] if plant.assumed else []
+    warnings += [note for record in records for note in record.notes]
+    base = fit_static(points, plant)
+    say(f"{len(points)} points of rest; (3) alone is off by {1e3 * base.std_a:.3g} mA")
+    computed = computed_current(points)
+    tested = ("balance",) if computed is None else ("balance", "amplifier")
+    names = [cause.name for kind in tested for cause in CATALOGUE if cause.at_rest == kind]
+    explained, absorbed = [], []
+    for name in names:
+        say(f"trying {name}")
+        fit = fit_static(points, plant, name)
+        if base.rss_a2 - fit.rss_a2 < settings.STATIC_ABSORBED * base.rss_a2 and is_absorbed(points, plant, base, name):
+            absorbed.append(name)
+            continue
+        explained.append(_explanation(points, plant, base, fit))
+    explained.sort(key=lambda explanation: explanation.fit.rss_a2)
+    possible = [explanation for explanation in explained if not explanation.fit.at_bound]
+    round_a = rounding_of(points, computed)
+    tests = max(len(explained), 1)
+    members, verdict, confidence = _verdict(possible, base, round_a, tests)
+    rejected = tuple(explanation for explanation in explained if explanation not in members)
+    warnings += _remarks(points, computed, members)
+    judge_points = _judge_points(judges, plant, warnings)
+    after = members[0].fit if members else base
+    judge = None
+    if judge_points is not None:
+        judge = (_off(base.theta, plant, judge_points), _off(after.theta, plant, judge_points))
+    slope = (
+        holding_currents(base.theta, plant, points.x_m + 1e-7) - holding_currents(base.theta, plant, points.x_m)
+    ) / 1e-7
+    reference_off_a = None if model is None else _off(_theta_of(model, base.theta), plant, points)
+    better = bool(members) and _predicts_better(members[0], judge, points, plant, base)
+    if members and not better:
+        warnings.append(
+            f"extended_model.json is (3) alone: {members[0].name} predicts points that were left out no better"
+        )
+    extended, assumed = _extended(
+        campaign, after if better else base, members if better else (), points, model, computed, base
+    )
+    warnings += assumed
+    return StaticDiagnosis(
+        plant=plant,
+        points=points,
+        base=base,
+        base_left_out_a=left_out(points, plant, base),
+        base_off_m=base.residual_a / slope,
+        reference_off_a=reference_off_a,
+        members=tuple(members),
+        rejected=rejected,
+        absorbed=tuple(absorbed),
+        verdict=verdict,
+        confidence=confidence,
+        rounding_a=round_a,
+        computed_a_v=computed,
+        judge=judge,
+        extended=extended,
+        warnings=tuple(dict.fromkeys(warnings)),
+    )
+
+
+def pole(theta: Theta, plant: Plant, reading_m: float) -> float:
+    """The unstable pole (14) of the ball where x is read, at constant current, 1/s; NaN if it is stable or none rests.
+
+    With the current held, the matrix of (14) has the rows and columns of x and its speed alone.
+    """
+    mechanics = linearised(theta.base(plant), theta.vector(), reading_m)[0][1:3, 1:3]
+    fastest = float(np.linalg.eigvals(mechanics).real.max()) if np.isfinite(mechanics).all() else math.nan
+    return fastest if fastest > 0.0 else math.nan
+
+
+def rounding_of(points: Points, computed_a_v: float | None) -> float:
+    """Standard deviation of i_c by the digits that it, or the u_c behind it, was written with, A."""
+    if computed_a_v is not None and points.u_c_v is not None:
+        return computed_a_v * rounding(points.u_c_v) / math.sqrt(12.0)
+    return rounding(points.i_c_a) / math.sqrt(12.0)
+
+
+def separation(first: Explanation, second: Explanation) -> float:
+    """Standard errors by which a measured pole would tell the two apart."""
+    spread = math.hypot(first.pole_std_per_s, second.pole_std_per_s, 0.01 * first.pole_per_s)
+    return abs(first.pole_per_s - second.pole_per_s) / spread
+
+
+def proposal_for(first: Explanation, second: Explanation) -> tuple[str, float, str]:
+    """(what to measure, separation in standard errors, command) to tell two members apart."""
+    z = separation(first, second)
+    if z >= settings.STATIC_Z:
+        what = (
+            f"fly wide steps in closed loop: the unstable pole at mid-travel is {first.pole_per_s:.1f} 1/s with"
+            f" {first.name} and {second.pole_per_s:.1f} 1/s with {second.name}"
+        )
+        return what, z, "board51 campaign run FOLDER --experiment wide-steps"
+    return measurement_for(first.name, second.name), z, ""
+
+
+def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) -> Explanation:
+    F, p = f_test(base, fit)
+    if p > settings.STATIC_LEVEL or fit.at_bound:
+        # It will not be named: nobody asks how large it is.
+        nan = math.nan
+        no_errors = np.full(len(points), nan)
+        return Explanation(
+            name=fit.cause,
+            fit=fit,
+            low=nan,
+            high=nan,
+            F=F,
+            p=p,
+            left_out_a=no_errors,
+            pole_per_s=nan,
+            pole_std_per_s=nan,
+        )
+    low, high = interval(points, plant, fit)
+    middle = 0.5 * plant.travel_m
+    coordinate = f"{fit.cause}.{BY_NAME[fit.cause].strength.name}"
+    std = standard_error(points, plant, fit)
+    pole_per_s = pole(fit.theta, plant, middle)
+    moved_pole_per_s = pole(fit.theta.having(coordinate, fit.theta.value(coordinate) + 0.1 * std), plant, middle)
+    return Explanation(
+        name=fit.cause,
+        fit=fit,
+        low=low,
+        high=high,
+        F=F,
+        p=p,
+        left_out_a=left_out(points, plant, fit),
+        pole_per_s=pole_per_s,
+        pole_std_per_s=abs(moved_pole_per_s - pole_per_s) * 10.0
+        if math.isfinite(moved_pole_per_s - pole_per_s)
+        else 0.0,
+    )
+
+
+def _verdict(
+    possible: Sequence[Explanation], base: StaticFit, round_a: float, tests: int
+) -> tuple[list[Explanation], Verdict, float]:
+    """(members of the class, verdict, confidence that it is one of them)."""
+    if not possible or possible[0].p * tests > settings.STATIC_LEVEL:
+        # Nothing earns a name.  (3) is only known to be wrong where it is off by more than rounding.
+        rough = base.std_a > 3.0 * round_a > 0.0 and base.freedom > 0
+        return [], "unknown-cause" if rough else "model-adequate", 0.0
+    best = possible[0]
+    limit = float(f_distribution.ppf(1.0 - settings.STATIC_LEVEL, best.fit.freedom, best.fit.freedom))
+    members = [
+        explanation
+        for explanation in possible
+        if explanation.fit.rss_a2 <= limit * best.fit.rss_a2 and explanation.p * tests <= settings.STATIC_LEVEL
+    ]
+    order = {cause.name: index for index, cause in enumerate(CATALOGUE)}
+    families = {"force": 0, "motion": 1, "sensing": 2, "amplifier": 3, "timing": 4}
+    tied = [explanation for explanation in members if explanation.fit.rss_a2 <= settings.STATIC_TIE * best.fit.rss_a2]
+    tied.sort(key=lambda explanation: (families[BY_NAME[explanation.name].family], order[explanation.name]))
+    rest = [explanation for explanation in members if explanation not in tied]
+    return [*tied, *rest], "causes-found", min(settings.STATIC_CONFIDENCE, 1.0 - min(best.p * tests, 1.0))
+
+
+def _remarks(points: Points, computed: float | None, members: Sequence[Explanation]) -> list[str]:
+    remarks = ['no recording has use = "judge" and motion: the gain is of each point predicted from the others']
+    if computed is not None:
+        remarks.append(
+            f"i_c is u_c times {computed:.4g} A/V in every row: it was computed, so an error of the amplifier"
+            " looks like one of the current sensor"
+        )
+    if len(points) - 2 < 5:
+        remarks.append(
+            f"{len(points)} points leave {len(points) - 2} degrees of freedom beside K_c and one cause: too few for a"
+            " second"
+        )
+    return remarks
+
+
+def _judge_points(judges: Sequence[Record], plant: Plant, warnings: list[str]) -> Points | None:
+    static = [record for record in judges if record.kind == "equilibria"]
+    if len(static) < len(judges):
+        warnings.append("judge recordings with motion are not used: points of rest do not show T_A and b")
+    if not static:
+        return None
+    try:
+        return points_of(static, plant, min_points=1)
+    except DataError as error:
+        warnings.append(f"judge points are not used: {error}")
+        return None
+
+
+def _predicts_better(
+    first: Explanation,
+    judge: tuple[FloatArray, FloatArray] | None,
+    points: Points,
+    plant: Plant,
+    base: StaticFit,
+) -> bool:
+    """Whether a cause makes the error of points that were not used smaller: of the judges, else of each left out."""
+    before, after = judge or (left_out(points, plant, base), first.left_out_a)
+    return float(np.sum(after**2)) < float(np.sum(before**2))
+
+
+def _off(theta: Theta, plant: Plant, points: Points) -> FloatArray:
+    return points.i_c_a - holding_currents(theta, plant, points.x_m)
+
+
+def _theta_of(model: file.Model, like: Theta) -> Theta:
+    theta = replace(like, K_A=model.K_A, T_A=model.T_A, K_c=model.K_c, b=model.b)
+    for cause in model.causes:
+        for name, parameter in cause.parameters.items():
+            theta = theta.having(f"{cause.name}.{name}", parameter.value)
+    return theta
+
+
+def _extended(
+    campaign: Campaign,
+    fit: StaticFit,
+    members: Sequence[Explanation],
+    points: Points,
+    model: file.Model | None,
+    computed: float | None,
+    base: StaticFit,
+) -> tuple[file.Model, list[str]]:
+    """(the model with the first member, what in it was not measured)."""
+    plant = campaign.plant
+    like = model or nominal()
+    origin = "of the model that was given" if model else "of the shipped CE 152"
+    assumed = [f"K_A, T_A, b and the noise in extended_model.json are {origin}: points of rest do not hold them"]
+    parameters = {
+        name: replace(entry, std=None, ci95=None, verdict="assumed", method=f"{origin}; not in these data")
+        for name, entry in like.parameters.items()
+    }
+    t = float(t_distribution.ppf(1.0 - settings.STATIC_LEVEL / 2.0, max(fit.freedom, 1)))
+    std = standard_error(points, plant, fit, of_gain=True) * fit.theta.K_c
+    parameters["K_c"] = file.Parameter(
+        value=fit.theta.K_c,
+        unit="N m^2/A^2",
+        std=std,
+        ci95=(max(fit.theta.K_c - t * std, 1e-9), fit.theta.K_c + t * std),
+        verdict="identified"
+        if t * std < 0.25 * fit.theta.K_c
+        else "weak"
+        if t * std < fit.theta.K_c
+        else "not-identifiable",
+        method=f"{_METHOD}, Student t with {fit.freedom} degrees of freedom",
+        equation="(3)",
+    )
+    if computed is not None:
+        parameters["K_A"] = file.Parameter(
+            value=computed, unit="A/V", verdict="assumed", method="i_c of the points is u_c times this", equation="(1)"
+        )
+    causes: tuple[file.ModelCause, ...] = ()
+    if members:
+        causes = (file.ModelCause(name=members[0].name, parameters=parameters_of(members[0])),)
+    return file.Model(
+        plant=plant,
+        parameters=mark(parameters, plant),
+        noise=like.noise,
+        causes=causes,
+        provenance={
+            "tool": "board51 diagnose",
+            "about": "points of rest alone",
+            "extends": "all-causes" if members else "reference",
+            "judged": True,
+            "recordings": sorted(set(points.names)),
+            "rms_a": {"paper": math.sqrt(base.rss_a2 / len(points)), "extended": math.sqrt(fit.rss_a2 / len(points))},
+        },
+    ), assumed
+
+
+def parameters_of(explanation: Explanation) -> dict[str, file.Parameter]:
+    """Of its cause: the strength as fitted, others at their usual values."""
+    parameters = {}
+    for n, entry in enumerate(BY_NAME[explanation.name].parameters):
+        if n:
+            parameters[entry.name] = file.Parameter(value=entry.neutral, unit=entry.unit, method="not in these data")
+            continue
+        half = 0.5 * abs(explanation.high - explanation.low)
+        parameters[entry.name] = file.Parameter(
+            value=explanation.value,
+            unit=entry.unit,
+            ci95=(explanation.low, explanation.high),
+            verdict="identified" if half < 0.25 * abs(explanation.value) else "weak",
+            method=f"{_METHOD}; interval by profile, F(1, {explanation.fit.freedom})",
+            equation=BY_NAME[explanation.name].equation,
+        )
+    return parameters

@@ -1,0 +1,230 @@
+"""Simulation of the extended model tick by tick under the board's law or a given input, with converters.
+
+Rule 1: sensor and process noise are those of theta.  The sigmas of theta include quantisation, which is subtracted
+        before the converters add it.
+Rule 2: the delays of actuation and of sampling add to one delay between u_c and the readings, as in
+        `twin/estimation/propagate.py`.
+Rule 3: the stops are inelastic, at the positions of theta.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.campaign import Plant
+from twin.compiled import Packed, kernel
+from twin.control import LawNumbers, law
+from twin.estimation.propagate import propagate, see_delays
+from twin.estimation.record import FloatArray, Record
+from twin.inference.theta import Theta
+from twin.model.equilibrium import holding_current
+from twin.model.extended import (
+    I_C,
+    RATE,
+    SENSOR,
+    Base,
+    V,
+    X,
+    current_reading,
+    lagging_reading,
+    position_reading,
+    sensor_lag_s,
+)
+
+_NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Converters:
+    """Resolution of the board's converters; 0: no rounding."""
+
+    i_lsb_a: float = 0.0
+    x_lsb_m: float = 0.0
+    u_lsb_v: float = 0.0
+    i_from_zero: bool = True  # whether i_c below 0 A reads 0
+
+
+def run(
+    theta: Theta,
+    plant: Plant,
+    numbers: LawNumbers | None,
+    steps: Converters,
+    t: FloatArray,
+    command: FloatArray,
+    y: NDArray[np.float64],
+    s: float,
+    speed: float,
+    tick_s: float,
+    rng: np.random.Generator,
+    out: FloatArray,
+    *,
+    clamped: bool = False,
+    floor_m: float | None = None,
+    captured: bool = False,
+) -> None:
+    """`play` with the noise of theta; out, shape (n, 4), receives u_c, the readings of i_c and x, and the true x.
+
+    Args:
+        theta: the rig.
+        plant: mass, travel, x_max, gravity.
+        numbers: the law; None: open loop.
+        steps: of the converters.
+        t: times, s, shape (n,).
+        command: x_ref in m under a law, otherwise u_c in V, shape (n,).
+        y: the state at the first sample, shape (7,), changed in place.
+        s: the integral of the law at the first sample, m s.
+        speed: of the reading at the first sample, m/s.
+        tick_s: interval of the process noise, s.
+        rng: random generator of 4 n normal numbers.
+        out: receives the result.
+        clamped: whether the ball is held at its position.
+        floor_m: position of a support above the lower stop, m; None: the ball rests on the stop.
+        captured: whether it is a capture.
+    """
+    c = theta.vector()
+    see_delays(c, c, captured)
+    step = np.diff(t, prepend=t[0])
+    scale = np.empty((4, len(t)))
+    scale[0], scale[1] = _without_step(theta.sigma_i_c_a, steps.i_lsb_a), _without_step(theta.sigma_x_m, steps.x_lsb_m)
+    scale[2], scale[3] = theta.process_i_c_a * np.sqrt(step / tick_s), theta.process_a_m_s2
+    play(
+        tuple(theta.base(plant)),
+        c,
+        _NO_LAW if numbers is None else tuple(numbers),
+        numbers is not None,
+        clamped,
+        (theta.stop_low_m if floor_m is None else floor_m, plant.travel_m + theta.stop_high_m),
+        (steps.i_lsb_a, steps.x_lsb_m, steps.u_lsb_v, 0.0 if steps.i_from_zero else -math.inf),
+        t,
+        step,
+        command,
+        scale * rng.standard_normal((4, len(t))),
+        y,
+        s,
+        speed,
+        out,
+    )
+
+
+def _without_step(sigma: float, lsb: float) -> float:
+    return math.sqrt(max(sigma * sigma - lsb * lsb / 12.0, 0.0))
+
+
+@kernel
+def play(
+    base: Packed,
+    c: NDArray[np.float64],
+    law_: Packed,
+    closed_loop: bool,
+    clamped: bool,
+    stops_m: tuple[float, float],
+    lsb: tuple[float, float, float, float],
+    t: NDArray[np.float64],
+    step: NDArray[np.float64],
+    command: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    y: NDArray[np.float64],
+    s: float,
+    speed: float,
+    out: NDArray[np.float64],
+) -> None:
+    """Fill out, shape (n, 4), with u_c, the readings of i_c and x, and the true x.
+
+    Args:
+        base: tuple(Base).
+        c: the causes' parameters, shape (PLACES,).
+        law_: tuple(LawNumbers); not used in open loop.
+        closed_loop: whether `command` is x_ref.
+        clamped: whether the ball is held at its position.
+        stops_m: positions of the ball at the lower and the upper stop, m.
+        lsb: steps of i_c, x and u_c, and the lowest reading of i_c; A, m, V, A.
+        t: times, s, shape (n,).
+        step: time since the previous sample, s, shape (n,).
+        command: of each sample, in force until the next, shape (n,).
+        noise: added at each sample to the readings of i_c and x and to i_c, and an acceleration during the previous
+            interval; A, m, A, m/s^2, shape (4, n).
+        y: the state at the first sample, shape (7,), changed in place.
+        s: the integral of the law at the first sample, m s.
+        speed: of the reading at the first sample, m/s.
+        out: receives the result.
+    """
+    p = Base(*base)
+    numbers = LawNumbers(*law_)
+    lag_s = sensor_lag_s(c)
+    u = out[:, 0]
+    x_prev = 0.0
+    for n in range(len(t)):
+        if n > 0:
+            held_x, sensed, rate = y[X], y[SENSOR], y[RATE]
+            propagate(base, c, y, u, n, 0, t[n - 1], step[n], True)
+            if clamped:
+                y[X], y[V] = held_x, 0.0
+            else:
+                a, T_s = noise[3, n], step[n]
+                touches = True
+                if y[X] <= max(stops_m[0], 0.0) and y[V] <= 0.0:
+                    y[X], y[V] = stops_m[0], 0.0
+                elif y[X] >= min(stops_m[1], p.travel_m) and y[V] >= 0.0:
+                    y[X], y[V] = stops_m[1], 0.0
+                else:
+                    touches = False
+                    y[X] += 0.5 * a * T_s * T_s
+                    y[V] += a * T_s
+                if touches and lag_s > 0.0:
+                    steady_reading = position_reading(p, c, y[X], y[I_C])
+                    y[SENSOR], y[RATE] = lagging_reading(c, sensed, rate, steady_reading, T_s)
+            y[I_C] += noise[2, n]
+        if lag_s <= 0.0:
+            y[SENSOR] = position_reading(p, c, y[X], y[I_C])
+        i, x = current_reading(c, y[I_C]) + noise[0, n], y[SENSOR] + noise[1, n]
+        if lsb[0] > 0.0:
+            i = math.floor(i / lsb[0] + 0.5) * lsb[0]
+        if lsb[1] > 0.0:
+            x = math.floor(x / lsb[1] + 0.5) * lsb[1]
+        i = max(i, lsb[3])
+        if n == 0:
+            x_prev = x - speed * numbers.sample_time_s
+        v = command[n]
+        if closed_loop:
+            v, s = law(numbers, i, x, x_prev, s, command[n])
+            if lsb[2] > 0.0:
+                v = math.floor(v / lsb[2] + 0.5) * lsb[2]
+        x_prev = x
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = v, i, x, y[X]
+
+
+def twelve_bits(theta: Theta, plant: Plant) -> Converters:
+    """12-bit converters for the rig: x over 1.25 times the travel, i_c and u_c over 1.25 times those of lift-off."""
+    i = holding_current(theta.base(plant), theta.vector(), 0.0)
+    i = i if math.isfinite(i) else 1.0
+    return Converters(
+        i_lsb_a=1.25 * i / 4096, x_lsb_m=1.25 * plant.travel_m / 4096, u_lsb_v=1.25 * i / theta.K_A / 4096
+    )
+
+
+def converters_of(records: Sequence[Record]) -> Converters:
+    """The converters' steps, from the log or as the smallest differences of readings."""
+
+    def smallest(channel: str) -> float:
+        steps = []
+        for record in records:
+            values = getattr(record, channel)
+            distinct = np.unique(values[np.isfinite(values)])
+            if len(distinct) > 2 and record.kind != "equilibria":
+                gaps = np.diff(distinct)
+                gaps = gaps[gaps > 1e-6 * (distinct[-1] - distinct[0])]
+                steps.append(float(np.min(gaps)))
+        return min(steps, default=0.0)
+
+    logged = [record.lsb for record in records if record.lsb != (0.0, 0.0)]
+    i_lsb, x_lsb = logged[0] if logged else (smallest("i_c"), smallest("x"))
+    lowest = [np.nanmin(r.i_c) for r in records if r.has("i_c") and r.kind != "equilibria"]
+    lowest += [np.min(capture.i_c_a) for r in records for capture in r.captures]
+    return Converters(
+        i_lsb_a=i_lsb, x_lsb_m=x_lsb, u_lsb_v=smallest("u_c"), i_from_zero=bool(min(lowest, default=0.0) >= 0.0)
+    )

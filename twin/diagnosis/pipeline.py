@@ -1,0 +1,345 @@
+"""Diagnosis of a campaign: the steps in order.
+
+    recordings -> evidence -> fit of the paper's model -> deviance above the noise floor
+               -> causes by stepwise selection, equivalence classes -> adequacy, change point
+               -> prediction improvement on the judge recordings
+
+Rule 1: only the campaign, its recordings and the given model are read.
+Rule 2: causes are selected on the recordings for fitting, and the improvement is measured on the judge recordings.
+Rule 3: the same seed gives the same diagnosis for any number of workers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from protocol.campaign import Campaign, Plant
+from protocol.errors import DataError
+from twin.diagnosis.assemble import Options, Progress, SearchResult, assemble, testable_causes, timed
+from twin.diagnosis.checks.change_point import find_change
+from twin.diagnosis.checks.outlier_recording import Outlier, find_outlier
+from twin.diagnosis.judge.reference_model import check_plant
+from twin.diagnosis.report.sentences import change_sentence, outlier_sentence
+from twin.diagnosis.result import Diagnosis
+from twin.diagnosis.search.stepwise import select
+from twin.estimation.innovations import FLIES, FOLLOWS
+from twin.estimation.record import Record
+from twin.evidence.checks.dead_channels import without_dead
+from twin.evidence.checks.plausibility import inspect
+from twin.evidence.gather import Evidence, gather
+from twin.evidence.instruments import instruments, with_noise
+from twin.evidence.noise_levels import Noise
+from twin.evidence.outliers import without_outliers
+from twin.evidence.shorten import shortened
+from twin.inference.adequacy import adequate
+from twin.inference.budget import FULL, QUICK, RESERVED, Budget, Spent, millions
+from twin.inference.fisher_scoring import climb
+from twin.inference.initial_guess import start_theta, with_noise_bounds
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, STOPS, Theta, parameter_of
+from twin.model.assumed import assumption_warning
+from twin.model.parameters import Model
+from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
+
+UNASKED = "--quick: not asked whether an effect begins or ends in the middle of the campaign"
+MIN_FLIGHT_S = 2.0  # 120 time constants of the unstable pole
+
+
+def diagnose(
+    campaign: Campaign,
+    *,
+    data: Path | None = None,
+    model: Model | None = None,
+    quick: bool = False,
+    share: float = settings.MIN_SHARE,
+    experiments: bool | None = None,
+    free_form: bool | None = None,
+    seed: int = 0,
+    workers: int = 2,
+    budget: float | None = None,
+    say: Progress = lambda line: None,
+) -> Diagnosis:
+    """Diagnose a campaign.
+
+    Args:
+        campaign: of `Campaign.load`.
+        data: folder of the recordings, if it is not that of the campaign.
+        model: the reference model to diagnose; None: the paper's model, fitted to the campaign.
+        quick: fit fewer candidates to shorter flights, with few confounders of several causes and without a change
+            point; confidence is then not calibrated.
+        share: smallest part of the deviance above the noise floor that a cause must explain; below the default,
+            confidence is not calibrated.
+        experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
+            `quick`.
+        free_form: whether to model what is left by curves; None: where more than noise is, if not `quick`.
+        seed: of the bootstrap.
+        workers: threads.
+        budget: filter steps (`twin/inference/budget.py`); None: QUICK or FULL.
+        say: is called with lines of progress, each with the used share of the budget.
+
+    Raises:
+        DataError: there is no recording for fitting or too little data, a recording is implausible, the model is of
+            another plant, or the budget is too small to fit the paper's model.
+    """
+    records = read_campaign(campaign, data=data)
+    judges = read_campaign(campaign, use="judge", data=data)
+    if not records:
+        raise DataError(
+            f'{campaign.where}: no recording has use = "fit"',
+            remedy='Give at least one [[recording]] with use = "fit"; judge recordings cannot also choose the model',
+        )
+    return diagnose_records(
+        campaign,
+        records,
+        judges,
+        model=model,
+        quick=quick,
+        share=share,
+        experiments=experiments,
+        free_form=free_form,
+        seed=seed,
+        workers=workers,
+        budget=Budget(budget or (QUICK if quick else FULL), RESERVED),
+        say=say,
+    )
+
+
+def diagnose_records(
+    campaign: Campaign,
+    records: Sequence[Record],
+    judges: Sequence[Record],
+    *,
+    model: Model | None = None,
+    quick: bool = False,
+    share: float = settings.MIN_SHARE,
+    experiments: bool | None = None,
+    free_form: bool | None = None,
+    seed: int = 0,
+    workers: int = 2,
+    budget: Budget | None = None,
+    look_for_outlier: bool = True,
+    say: Progress = lambda line: None,
+) -> Diagnosis:
+    """`diagnose` with recordings in memory.
+
+    With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
+    """
+    budget = budget or Budget()
+    options = Options(
+        model=model,
+        quick=quick,
+        share=share,
+        experiments=not quick if experiments is None else experiments,
+        free_form=free_form,
+        seed=seed,
+        workers=workers,
+        budget=budget,
+        say=_with_share(say, budget),
+    )
+    return _diagnosed(campaign, records, judges, options, look_for_outlier=look_for_outlier)
+
+
+def _diagnosed(
+    campaign: Campaign,
+    everything: Sequence[Record],
+    judges: Sequence[Record],
+    options: Options,
+    *,
+    look_for_outlier: bool,
+) -> Diagnosis:
+    plant, budget = campaign.plant, options.budget
+    if options.model is not None:
+        check_plant(options.model, plant)
+    records, warnings = _prepared(campaign, everything, options.quick)
+    stages: dict[str, float] = {}
+    with timed(stages, "evidence"):
+        evidence, judge, noise = _evidence(records, judges, plant)
+        warnings += evidence.notes
+    warnings += _missing(records, judges)
+    start = with_noise_bounds(start_theta(records, plant), evidence)
+    check_flight_time(evidence)
+    criterion = Criterion(evidence, plant, tick_of(records), workers=options.workers, budget=budget)
+    with ExitStack() as closing:
+        closing.callback(criterion.close)
+        search = _search(criterion, start, records, options, stages)
+        if not search.is_adequate and options.quick:
+            warnings.append(UNASKED)
+        # An offset that wanders from recording to recording also explains one of another rig.
+        wanders = _wanders(search.selection.fit.theta)
+        outlier = _outlier(criterion, search) if look_for_outlier and (wanders or not search.is_adequate) else None
+        if outlier is not None:
+            options.say(f"{outlier.name} contradicts the others: once more without it")
+            (remaining_budget,) = budget.shares(1)
+            rest = _diagnosed(
+                campaign,
+                [record for index, record in enumerate(everything) if index != outlier.recording],
+                judges,
+                replace(options, budget=remaining_budget, say=_with_share(options.say, remaining_budget)),
+                look_for_outlier=False,
+            )
+            budget.settle([remaining_budget])
+            if rest.verdict == "unfinished":
+                budget.unanswered.append(f"whether the others agree without {outlier.name}")
+            elif rest.verdict != "unknown-cause" and not _wanders(rest.after):
+                return without_outlier(replace(rest, budget=budget), outlier)
+        if (change := search.change) is not None:
+            closing.callback(search.criterion.close)
+            warnings.append(change_sentence(change))
+            stops = evidence.low_m, evidence.high_m
+            evidence = with_noise(
+                gather([record for record in records if record.name in change.recordings], plant, stops), noise
+            )
+            if judge is not None and (later := change.of(judges)):
+                judge = with_noise(without_outliers(gather(later, plant, stops)), noise)
+        with criterion.free(), search.criterion.free():
+            return assemble(campaign, search, records, judges, evidence, judge, warnings, options, stages)
+
+
+def _evidence(
+    records: Sequence[Record], judges: Sequence[Record], plant: Plant
+) -> tuple[Evidence, Evidence | None, Noise]:
+    """(evidence for fitting, evidence for judging, noise of the instruments), without outliers."""
+    evidence = gather(records, plant)
+    judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
+    evidence, judge = without_outliers(evidence), judge and without_outliers(judge)
+    noise = instruments([evidence, *([judge] if judge else [])])
+    return with_noise(evidence, noise), judge and with_noise(judge, noise), noise
+
+
+def _missing(records: Sequence[Record], judges: Sequence[Record]) -> list[str]:
+    """Warnings about missing recordings."""
+    warnings = []
+    if not judges:
+        warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
+    if not any(record.has("x") for record in records):
+        warnings.append("no recording has x: only the amplifier was judged; K_c and b of the model files are guesses")
+    return warnings
+
+
+def _with_share(say: Progress, budget: Budget) -> Progress:
+    return lambda line: say(f"{100.0 * budget.used:3.0f} %  {line}")
+
+
+def _outlier(criterion: Criterion, search: SearchResult) -> Outlier | None:
+    with suppress(Spent), criterion.budget.question("whether one recording contradicts all others"):
+        return find_outlier(criterion, search.base, search.floor)
+    return None
+
+
+def _wanders(theta: Theta) -> bool:
+    return any(parameter_of(name).walks and value > 0.0 for name, value in theta.causes)
+
+
+def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tuple[list[Record], list[str]]:
+    """(recordings without dead channels, shortened for `quick`; warnings)."""
+    warnings = [assumption_warning(campaign.plant)] if campaign.plant.assumed else []
+    warnings += [note for record in records for note in record.notes]
+    warnings += inspect(list(records), campaign.plant, campaign.controller)
+    retained: list[Record] = []
+    for record in records:
+        # In other kinds the ball may be at rest, or beyond the range of its sensor.
+        flight = [record] if record.kind in ("closed-loop", "prbs") else []
+        alive, dead = without_dead(flight, campaign.plant)
+        retained += alive or [record]
+        warnings += dead
+    if quick:
+        retained, note = shortened(retained)
+        warnings += [note] if note else []
+    return retained, warnings
+
+
+def _search(
+    criterion: Criterion, start: Theta, records: Sequence[Record], options: Options, stages: dict[str, float]
+) -> SearchResult:
+    """Fit the paper's model, select causes, and if more than noise is left, look for a change point."""
+    say, max_fits = options.say, 3 if options.quick else 6
+    with timed(stages, "base fit"):
+        say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; the paper's model first")
+        try:
+            base = climb(criterion, start, (*BASE, *start.colours, *STOPS))
+            floor = floor_of(criterion, base.theta)
+        except Spent:
+            raise DataError(
+                f"the budget of {millions(options.budget.limit)} does not fit even the paper's model to "
+                f"{len(criterion.evidence.series)} samples",
+                remedy="Give fewer or shorter recordings, or more with --budget",
+            ) from None
+        say(f"lacks {max(floor.excess(base.loglik), 0.0):.0f} of log-likelihood against sensor noise alone")
+    candidates = testable_causes(records)
+    with timed(stages, "search"):
+        selection = select(
+            criterion,
+            base,
+            floor,
+            candidates=candidates,
+            max_candidates=max_fits,
+            quick=options.quick,
+            share=options.share,
+            report=say,
+        )
+    with timed(stages, "what is left"):
+        with criterion.free():
+            is_adequate, why_not = adequate(criterion, selection.fit, floor.under(criterion, selection.fit.theta))
+    change = None
+    if not is_adequate and not options.quick:
+        question = "whether an effect begins or ends in the middle of the campaign"
+        with timed(stages, "change"), suppress(Spent), options.budget.question(question):
+            change = find_change(
+                criterion,
+                selection,
+                floor,
+                candidates=candidates,
+                max_candidates=max_fits,
+                workers=options.workers,
+                report=say,
+            )
+    if change is not None:
+        criterion, selection, is_adequate, why_not = change.criterion, change.selection, True, ""
+    return SearchResult(
+        criterion=criterion,
+        base=base,
+        floor=floor,
+        selection=selection,
+        is_adequate=is_adequate,
+        why_not=why_not,
+        change=change,
+    )
+
+
+def without_outlier(rest: Diagnosis, outlier: Outlier) -> Diagnosis:
+    """The diagnosis of the other recordings, with a sentence on the outlier."""
+    text = outlier_sentence(outlier)
+    return replace(rest, sentence=f"{rest.sentence} But {text}.", warnings=(text, *rest.warnings))
+
+
+def tick_of(records: Sequence[Record]) -> float:
+    """The sampling interval of the flights, s; 2 ms if it is unknown."""
+    for kinds in (("closed-loop", "prbs", "free"), ("sawtooth",)):
+        steps = [r.interval_s for r in records if r.kind in kinds and len(r.t) > 1]
+        good = [step for step in steps if math.isfinite(step)]
+        if good:
+            return float(np.median(good))
+    return 2e-3
+
+
+def check_flight_time(evidence: Evidence) -> None:
+    """Check that the flights are long enough to distinguish causes.
+
+    Raises:
+        DataError: they are too short; the message gives their length and the required one.
+    """
+    series = evidence.series
+    flown_s = float(series.step[series.flags & (FLIES | FOLLOWS) == FLIES | FOLLOWS].sum())
+    if any(record.has("x") for record in evidence.records) and flown_s < MIN_FLIGHT_S:
+        raise DataError(
+            f"the recordings for fitting hold {flown_s:.2g} s of flight: too little to tell one cause from another",
+            remedy=f"Record at least {MIN_FLIGHT_S:g} s with the ball in flight, better a minute with steps of x_ref",
+        )

@@ -1,0 +1,294 @@
+"""The remainder: curves through what is left, a cause that has their form, and what they are worth.
+
+Rule 1: a curve is fitted to the recordings for fitting; which one is taken is decided by the error of x 20 ms ahead on
+        the first half of each judge recording, and what it is worth is measured on the second.
+Rule 2: a curve is taken only if that error surely falls by more than 5 %, so that noise gets none.
+Rule 3: a cause of the catalogue with the curve's form takes its place where it predicts as well: it has fewer numbers
+        and holds outside the range.  It is a candidate all the same: the search did not find enough for a name.
+Rule 4: names beside a rest may only imitate an unknown cause.  So a curve is also tried beside the paper's model alone:
+        where that predicts as well, and is at least as likely as the names are without a curve, the names are left out
+        of the extended model, and none of them holds.
+Rule 5: no other verdict and no confidence follows from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from twin.diagnosis.judge.flexible import flexible_errors
+from twin.diagnosis.judge.prediction_gain import bootstrap, predictions
+from twin.diagnosis.remainder.curve_fits import CurveScore, band, fully_fitted, roughly_fitted, scores, visited
+from twin.diagnosis.remainder.likeness import Substitute, substitutes
+from twin.estimation.pace import pace_of
+from twin.estimation.prediction_floor import floor_rmse
+from twin.estimation.record import BoolArray, FloatArray
+from twin.evidence.gather import Evidence
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import Theta
+from twin.model.causes.cause import Cause
+from twin.model.causes.curve import CURVES
+from twin.settings import diagnosis as settings
+
+POINTS = 41
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """A curve, over the range that was visited: about its mean there, with the ends of its 95 % band."""
+
+    curve: Cause
+    at: FloatArray  # in the unit of what it is a function of, shape (POINTS,)
+    share: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attempt:
+    """A curve, or a cause in its place, beside what was there: error 20 ms ahead where the choice was made."""
+
+    name: str
+    extends: Literal["causes", "paper"]
+    loglik_gain: float
+    rmse_m: float
+    absorbed: float = math.nan  # of a cause: share of the information about it that the curve takes up
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Improvement:
+    """Errors of x on the judge samples that chose nothing."""
+
+    horizon_s: float
+    causes_rmse_m: float  # of the model with its causes alone
+    extended_rmse_m: float  # with the remainder
+    ci95_ratio: tuple[float, float]  # of these two
+    floor_m: float
+    flexible_rmse_m: float  # of a regression without physics; NaN where there is none
+    count: int
+
+    @property
+    def removed(self) -> float:
+        """Share of the mean square error above the floor that the remainder removes; NaN if there was none."""
+        above = self.causes_rmse_m**2 - self.floor_m**2
+        return min((self.causes_rmse_m**2 - self.extended_rmse_m**2) / above, 1.0) if above > 0.0 else math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Remainder:
+    """What is left, as curves or as causes in their place; neither where nothing predicts better."""
+
+    fit: Fit  # of the extended model
+    extends: Literal["causes", "paper"]  # what it extends: the model with its causes, or the paper's
+    shapes: tuple[Shape, ...]
+    proposed: tuple[str, ...]  # causes that took the place of a curve
+    replaced: tuple[Shape, ...]  # those curves
+    attempts: tuple[Attempt, ...]
+    improvement: Improvement
+
+
+class _Judge:
+    """Errors of x 20 ms ahead: the first half of each recording chooses, the second measures."""
+
+    def __init__(self, criterion: Criterion, judge: Evidence, seed: int) -> None:
+        self.criterion, self.judge, self.seed = criterion, judge, seed
+        self.samples = max(round(settings.BENEFIT_HORIZON_S / criterion.tick_s), 1)
+        self.block = max(round(settings.ERROR_BLOCK_S / criterion.tick_s), 1)
+        recording = judge.series.recording
+        self.chooses: BoolArray = np.zeros(len(recording), np.bool_)
+        for number in np.unique(recording):
+            (rows,) = np.nonzero(recording == number)
+            self.chooses[rows[: len(rows) // 2]] = True
+
+    def squares(self, theta: Theta) -> FloatArray:
+        """Square errors, shape (n,), m^2; NaN without a prediction.  Raises `Spent`."""
+        plant, tick_s = self.criterion.plant, self.criterion.tick_s
+        pace = pace_of(self.judge.series)
+        self.criterion.budget.take(pace.steps_ahead(theta.base(plant), theta.vector(), self.samples))
+        x_hat = predictions(self.judge, theta, plant, tick_s, self.samples)
+        return np.asarray((x_hat - self.judge.series.x) ** 2)
+
+    def choosing(self, squares: FloatArray) -> float:
+        """Root mean square of the half that chooses; inf where it predicts nothing."""
+        known = squares[self.chooses & np.isfinite(squares)]
+        return math.sqrt(float(known.mean())) if len(known) else math.inf
+
+    def ratio(self, before: FloatArray, after: FloatArray, where: BoolArray) -> tuple[float, float]:
+        """95 % interval of the ratio of root mean squares."""
+        both = where & np.isfinite(before) & np.isfinite(after)
+        if both.sum() < settings.ERROR_BLOCKS * self.block:
+            return math.nan, math.nan
+        return bootstrap(before[both], after[both], self.block, self.seed)
+
+    def improvement(self, before: FloatArray, after: FloatArray, theta: Theta, floor: Floor) -> Improvement:
+        """Errors of the half that measures."""
+        plant, tick_s = self.criterion.plant, self.criterion.tick_s
+        where = ~self.chooses & np.isfinite(before) & np.isfinite(after)
+        flexible = flexible_errors(self.criterion.evidence, self.judge, self.samples, self.seed) ** 2
+        known = where & np.isfinite(flexible)
+        quiet = floor.quiet(theta).system(plant, tick_s)
+        return Improvement(
+            horizon_s=self.samples * tick_s,
+            causes_rmse_m=math.sqrt(float(before[where].mean())),
+            extended_rmse_m=math.sqrt(float(after[where].mean())),
+            ci95_ratio=self.ratio(before, after, ~self.chooses),
+            floor_m=floor_rmse(quiet, self.judge.samples, self.samples, where),
+            flexible_rmse_m=math.sqrt(float(flexible[known].mean())) if known.any() else math.nan,
+            count=int(where.sum()),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Extension:
+    """A model with curves, or causes of their form, beside what it began with."""
+
+    extends: Literal["causes", "paper"]
+    fit: Fit
+    squares: FloatArray  # errors of the judges
+    curves: tuple[Cause, ...] = ()
+    proposed: tuple[str, ...] = ()
+    replaced: tuple[tuple[Cause, Fit], ...] = ()
+
+
+def remainder_of(
+    criterion: Criterion,
+    named: Fit,
+    paper: Fit | None,
+    judge: Evidence,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    *,
+    seed: int,
+) -> Remainder | None:
+    """Model what `found` leaves; None where too little was flown to choose.
+
+    Args:
+        criterion: of the recordings for fitting.
+        named: the model with its causes.
+        paper: the paper's model, where the causes are not sure; else None.
+        judge: recordings that no fit saw.
+        floor: sensor noise.
+        candidates: causes that may have the form of a curve.
+        seed: of the bootstrap.
+
+    Raises:
+        Spent: the budget does not pay for it.
+    """
+    judging = _Judge(criterion, judge, seed)
+    before = judging.squares(named.theta)
+    if math.isnan(judging.ratio(before, before, judging.chooses)[0]):
+        return None
+    attempts: list[Attempt] = []
+    best = _Extension(extends="causes", fit=named, squares=before)
+    best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
+    if paper is not None and named.theta.causes:
+        without_causes = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
+        without_causes = _extend(judging, without_causes, (), attempts, max_curves=1)
+        as_good = judging.choosing(without_causes.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
+        if as_good and without_causes.fit.loglik >= named.loglik:
+            best = without_causes
+    values = visited(criterion.evidence)
+    return Remainder(
+        fit=best.fit,
+        extends=best.extends,
+        shapes=tuple(_shape(best.fit, curve, values) for curve in best.curves),
+        proposed=best.proposed,
+        replaced=tuple(_shape(fit, curve, values) for curve, fit in best.replaced),
+        attempts=tuple(attempts),
+        improvement=judging.improvement(before, best.squares, best.fit.theta, floor),
+    )
+
+
+def _extend(
+    judging: _Judge, at: _Extension, candidates: Sequence[Cause], attempts: list[Attempt], *, max_curves: int
+) -> _Extension:
+    """Add curves, or causes of their form, while the error falls.
+
+    Args:
+        judging: where the error falls.
+        at: the model to begin with.
+        candidates: causes that may have the form of a curve.
+        attempts: receives each curve and each cause that was fitted.
+        max_curves: at most so many curves are added.
+    """
+    criterion = judging.criterion
+    for _ in range(max_curves):
+        promising = scores(criterion, at.fit, [curve for curve in CURVES if curve not in at.curves])
+        promising = [score for score in promising[: settings.CURVES_FITTED] if score.evidence > settings.MIN_GAIN]
+        best = _best(judging, at, promising, attempts)
+        if best is None or not judging.ratio(at.squares, best[2], judging.chooses)[1] < settings.CURVE_RATIO:
+            break
+        curve, fit, errors = best
+        remaining = [cause for cause in candidates if cause.name not in at.proposed]
+        alternatives = substitutes(criterion, at.fit, curve, fit.loglik - at.fit.loglik, remaining) if remaining else []
+        substitute = _best_substitute(judging, at, errors, alternatives, attempts)
+        if substitute is None:
+            at = replace(at, fit=fit, squares=errors, curves=(*at.curves, curve))
+        else:
+            at = replace(
+                at,
+                fit=substitute[1],
+                squares=substitute[2],
+                proposed=(*at.proposed, substitute[0]),
+                replaced=(*at.replaced, (curve, fit)),
+            )
+    return at
+
+
+def _best(
+    judging: _Judge, at: _Extension, promising: Sequence[CurveScore], attempts: list[Attempt]
+) -> tuple[Cause, Fit, FloatArray] | None:
+    """The curve that predicts best, fitted to the end; adds all to `attempts`."""
+    criterion = judging.criterion
+    fits = criterion.each(partial(roughly_fitted, criterion, at.fit), promising)
+    results = [(entry.curve, fit, judging.squares(fit.theta)) for entry, fit in zip(promising, fits, strict=True)]
+    if results:
+        best_index = min(range(len(results)), key=lambda n: judging.choosing(results[n][2]))
+        fit = fully_fitted(criterion, results[best_index][1])
+        results[best_index] = results[best_index][0], fit, judging.squares(fit.theta)
+    attempts += [
+        Attempt(
+            name=curve.name,
+            extends=at.extends,
+            loglik_gain=fit.loglik - at.fit.loglik,
+            rmse_m=judging.choosing(errors),
+        )
+        for curve, fit, errors in results
+    ]
+    return min(results, key=lambda entry: judging.choosing(entry[2]), default=None)
+
+
+def _best_substitute(
+    judging: _Judge, at: _Extension, curve: FloatArray, alternatives: Sequence[Substitute], attempts: list[Attempt]
+) -> tuple[str, Fit, FloatArray] | None:
+    """The cause that predicts as well as the curve; None where none does.  Adds all to `attempts`."""
+    results = [(entry, judging.squares(entry.trial.fit.theta)) for entry in alternatives]
+    attempts += [
+        Attempt(
+            name=entry.trial.cause,
+            extends=at.extends,
+            loglik_gain=entry.trial.gain,
+            rmse_m=judging.choosing(errors),
+            absorbed=entry.absorbed,
+        )
+        for entry, errors in results
+    ]
+    best = min(results, key=lambda entry: judging.choosing(entry[1]), default=None)
+    if best is None or judging.choosing(best[1]) > settings.LIKE_ERROR * judging.choosing(curve):
+        return None
+    return best[0].trial.cause, best[0].trial.fit, best[1]
+
+
+def _shape(fit: Fit, curve: Cause, values: dict[str, FloatArray]) -> Shape:
+    low, high = (fit.theta.value(f"{curve.name}.{parameter.name}") for parameter in curve.parameters[:2])
+    at = np.linspace(low, high, POINTS)
+    over = values[curve.parameters[0].name.removeprefix("from_")]
+    share, error = band(fit, curve, at, over[np.isfinite(over)])
+    return Shape(curve=curve, at=at, share=share, low=share - 1.96 * error, high=share + 1.96 * error)

@@ -1,0 +1,254 @@
+"""The report of a diagnosis: one HTML page that needs nothing else.
+
+The sentence, before and after, where the simulation is wrong, which cause and why, what to do, what is left, and how
+to compute it again.
+
+Rule 1: every number is that of diagnosis.json, or of `twin/diagnosis/residuals/summary.py`; nothing is estimated here.
+Rule 2: a page of a model that is adequate, or of a cause that nobody knows, says what was looked at all the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from twin.diagnosis.report import figures
+from twin.diagnosis.report.page_causes import causes
+from twin.diagnosis.report.page_errors import errors
+from twin.diagnosis.report.page_noise import instruments
+from twin.diagnosis.report.page_remainder import remainder
+from twin.diagnosis.report.sentences import measured, quantity
+from twin.diagnosis.residuals.regimes import Estimate
+from twin.diagnosis.residuals.summary import HORIZON_S, Ahead, Summary
+from twin.diagnosis.result import Diagnosis
+from twin.estimation.prepare import Usage
+from twin.inference.budget import millions
+from twin.inference.fisher_scoring import Fit
+from twin.model.assumed import RESTING, assumption, assumption_warning
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.parameters import Parameter
+from twin.page.figures import Picture, inline
+from twin.page.render import render
+
+_COLOUR = {
+    "causes-found": "found",
+    "partly-explained": "warn",
+    "model-adequate": "pass",
+    "unknown-cause": "fail",
+    "unfinished": "fail",
+}
+
+
+def to_html(diagnosis: Diagnosis, summary: Summary, *, campaign: Path, out: Path) -> str:
+    """The page.
+
+    Args:
+        diagnosis: of `diagnose`.
+        summary: of `summarise`.
+        campaign: as it was given, for the commands at the end.
+        out: folder of the page, for the same.
+    """
+    unchanged = diagnosis.before == diagnosis.after
+    rows, over_height = instruments(diagnosis)
+    has_causes = any(diagnosis.holds(cause) for cause in diagnosis.causes)
+    return render(
+        "diagnosis/report/page.html",
+        title=f"What the simulation of {diagnosis.baseline.plant.name} gets wrong",
+        answer=diagnosis.sentence,
+        colour=_COLOUR[diagnosis.verdict],
+        diagnosis=diagnosis,
+        unchanged=unchanged,
+        banners=_banners(diagnosis, summary),
+        description=_description(diagnosis, campaign),
+        pictures=_pictures(summary),
+        ahead=[_ahead_row(row, unchanged) for row in summary.ahead],
+        growth_ms=f"{_growth_s(diagnosis) * 1e3:.0f}",
+        worse=summary.worse(),
+        added=_price(sum(len(cause.parameters) for cause in diagnosis.extended.causes)),
+        loglik_gain=f"{_extended_fit(diagnosis).loglik - diagnosis.selection.base.loglik:.0f}",
+        numbers=[[row[0], row[2]] if unchanged else row for row in _numbers(diagnosis)],
+        floor=_floor(diagnosis),
+        instruments=rows,
+        over_height=over_height,
+        usages=_usages(diagnosis),
+        statics=len(diagnosis.fit_evidence.statics),
+        stages=_stages(diagnosis.stages_s),
+        causes_title="The causes, and what to do" if has_causes else "Candidates: none of them is sure to be a cause",
+        commands=_commands(diagnosis, campaign, out),
+        **errors(diagnosis, summary),
+        **remainder(diagnosis),
+        **causes(diagnosis),
+    )
+
+
+def _banners(diagnosis: Diagnosis, summary: Summary) -> list[str]:
+    lines = [assumption_warning(diagnosis.extended.plant)] if diagnosis.extended.plant.assumed else []
+    if diagnosis.choice is not None and not diagnosis.choice.compared:
+        lines.append("No recording judged the extended model: it may predict worse than the baseline.")
+    if diagnosis.quick:
+        lines.append(
+            "Made with --quick: few confounders of several causes were searched for, and the confidence of several is"
+            " not calibrated."
+        )
+    if diagnosis.budget.unanswered:
+        rest = "; ".join(diagnosis.budget.unanswered)
+        lines.append(f"The budget of {millions(diagnosis.budget.limit)} ended first. Not examined: {rest}.")
+    if not summary.from_judges:
+        lines.append("No recording was left to judge by. The errors below are those of the fit: they are too small.")
+    return lines
+
+
+def _description(diagnosis: Diagnosis, campaign: Path) -> str:
+    fit, judge = diagnosis.fit_evidence, diagnosis.judge_evidence
+    names = ", ".join(judge.names()) if judge is not None else "none"
+    text = (
+        f"Campaign {campaign.name or campaign}: {len(fit.records)} recordings to fit and to choose causes on, "
+        f"judged by {names}. Baseline: {diagnosis.baseline.provenance.get('about', 'the model that was given')}."
+    )
+    if diagnosis.causes:
+        sure = ", ".join(f"{cause.name} {100 * cause.confidence:.0f} %" for cause in diagnosis.causes)
+        text += f" Confidence that the name, or one of its class, is right: {sure}."
+    return text
+
+
+def _pictures(summary: Summary) -> list[Picture]:
+    drawn = []
+    if len(summary.ahead) > 1:  # of one horizon the table says all
+        drawn.append(
+            (figures.ahead_figure(summary.ahead), "Error of the predicted position over the horizon, 95 % intervals")
+        )
+    if summary.piece is not None:
+        name = summary.piece.recording
+        drawn.append((figures.piece_figure(summary.piece), f"{name}: the stretch that the baseline predicts worst"))
+        drawn.append((figures.error_figure(summary.piece, summary.floor_m), f"{name}: error of the same predictions"))
+    return [inline(figure, caption) for figure, caption in drawn]
+
+
+def _ahead_row(horizon: Ahead, unchanged: bool) -> list[str]:
+    time_ms, baseline, floor = (
+        f"{horizon.horizon_s * 1e3:.3g} ms",
+        _with_interval(horizon.baseline),
+        _micro(horizon.floor_m),
+    )
+    if unchanged:
+        return [time_ms, baseline, floor, f"{horizon.count}"]
+    return [
+        time_ms,
+        baseline,
+        _with_interval(horizon.extended),
+        floor,
+        f"{horizon.ratio[0]:.3f} .. {horizon.ratio[1]:.3f}",
+        _removed(horizon.removed, horizon.baseline.value, horizon.floor_m),
+        f"{horizon.count}",
+    ]
+
+
+def _micro(value_m: float) -> str:
+    """In micrometres, never with an exponent."""
+    micro = value_m * 1e6
+    return f"{micro:.0f}" if micro >= 1e3 else f"{micro:.3g}"
+
+
+def _with_interval(error: Estimate) -> str:
+    return f"{_micro(error.value)} ({_micro(error.low)}\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}{_micro(error.high)})"
+
+
+def _price(count: int) -> str:
+    return f"{count} parameter{'s' if count > 1 else ''}" if count else ""
+
+
+def _extended_fit(diagnosis: Diagnosis) -> Fit:
+    """The fit behind extended_model.json."""
+    chosen = None if diagnosis.choice is None else diagnosis.choice.fit
+    return chosen or diagnosis.selection.fit
+
+
+def _floor(diagnosis: Diagnosis) -> str:
+    at_rest = "" if diagnosis.floor.measured else ", taken from the fit: it never rested long enough"
+    return f"{quantity(diagnosis.floor.sigma_x_m, 'm')} and {quantity(diagnosis.floor.sigma_i_c_a, 'A')}{at_rest}."
+
+
+def _stages(seconds: Mapping[str, float]) -> str:
+    text = ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items())
+    return f"{text}; together {sum(seconds.values()):.1f} s."
+
+
+def _growth_s(diagnosis: Diagnosis) -> float:
+    """Time constant of the unstable pole of (6) in the middle of the travel, s: sqrt(gap / 2 g)."""
+    plant = diagnosis.baseline.plant
+    return math.sqrt((plant.x_max_m - 0.5 * plant.travel_m) / (2.0 * plant.gravity_m_s2))
+
+
+def _removed(share: float, baseline_m: float, floor_m: float) -> str:
+    if not math.isfinite(share) or baseline_m < 1.02 * floor_m:
+        return "nothing to remove"
+    return f"{100 * share:.3g} %"
+
+
+def _numbers(diagnosis: Diagnosis) -> list[list[str]]:
+    rows = []
+    first, second = diagnosis.baseline.parameters, diagnosis.extended.parameters
+    for name, after in second.items():
+        before = first.get(name)
+        suffix = (
+            f", {assumption(diagnosis.extended.plant)}" if diagnosis.extended.plant.assumed and name in RESTING else ""
+        )
+        rows.append([f"{name} {_equation_of(after)}{suffix}", _value(before) if before else "-", _value(after)])
+    for cause in diagnosis.extended.causes:
+        known = BY_NAME[cause.name]
+        for entry in known.parameters:
+            parameter = cause.parameters[entry.name]
+            rows.append([f"{entry.symbol} of {cause.name}", "-", _value(parameter)])
+    noise = [
+        ("noise of x", diagnosis.before.sigma_x_m, diagnosis.after.sigma_x_m, "m"),
+        ("noise of i_c", diagnosis.before.sigma_i_c_a, diagnosis.after.sigma_i_c_a, "A"),
+        ("acceleration left to chance", diagnosis.before.process_a_m_s2, diagnosis.after.process_a_m_s2, "m/s^2"),
+        ("current left to chance", diagnosis.before.process_i_c_a, diagnosis.after.process_i_c_a, "A"),
+    ]
+    rows += [[name, quantity(a, unit), quantity(b, unit)] for name, a, b, unit in noise]
+    return rows
+
+
+def _equation_of(parameter: Parameter) -> str:
+    return f"of {parameter.equation}" if parameter.equation else ""
+
+
+def _value(parameter: Parameter) -> str:
+    number, interval = measured(parameter.value, parameter.ci95, parameter.unit)
+    return f"{number} ({interval})" if interval else number
+
+
+def _usages(diagnosis: Diagnosis) -> list[list[str]]:
+    rows = [[*_usage(usage), "fit"] for usage in diagnosis.fit_evidence.usages]
+    judge = diagnosis.judge_evidence
+    return rows if judge is None else rows + [[*_usage(usage), "judge"] for usage in judge.usages]
+
+
+def _usage(usage: Usage) -> list[str]:
+    numbers: Sequence[int] = (
+        usage.samples,
+        usage.flight_samples,
+        usage.flights,
+        usage.contact_samples,
+        usage.gaps,
+        usage.clipped + usage.cut,
+        usage.outliers,
+        usage.captures,
+    )
+    return [usage.name, usage.kind, *(str(number) for number in numbers)]
+
+
+def _commands(diagnosis: Diagnosis, campaign: Path, out: Path) -> list[str]:
+    judge = diagnosis.judge_evidence
+    flown = [record for record in judge.records if record.has("x")] if judge is not None else []
+    name = flown[0].name if flown else "RECORDING"
+    samples = max(round(HORIZON_S / diagnosis.tick_s), 1)
+    folder = campaign if campaign.suffix != ".toml" else campaign.parent
+    quick = " --quick" if diagnosis.quick else ""
+    model = out / "extended_model.json"
+    return [
+        f"board51 diagnose {campaign}{quick} --out {out}",
+        f"board51 predict {model} {folder / name} --campaign {campaign} --horizon {samples} --out pred.csv",
+        f"board51 validate {campaign} --model {model} --out validation",
+    ]

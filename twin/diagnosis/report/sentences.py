@@ -1,0 +1,347 @@
+"""Sentences for people: a cause with its size, the answer of a diagnosis, the bound on what was not found.
+
+Rule 1: a number has as many digits as its interval leaves it; both ends of an interval are in the unit of the number.
+Rule 2: the answer says what, how sure, how much of the error, and what it is worth; what these data cannot tell apart
+        is said in the same breath.
+Rule 3: a share is one of log-likelihood on the recordings for fitting, and so it is called; what an answer is worth is
+        said in prediction errors on the judge recordings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from twin.diagnosis.search.forward_step import Round
+from twin.diagnosis.search.score_test import Score
+from twin.inference.budget import millions
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause, CauseParameter
+from twin.model.parameters import Parameter
+from twin.settings import diagnosis as settings
+
+if TYPE_CHECKING:
+    from twin.diagnosis.checks.change_point import Change
+    from twin.diagnosis.checks.consistency import Beginning, Contradiction
+    from twin.diagnosis.checks.outlier_recording import Outlier
+    from twin.diagnosis.judge.prediction_gain import Gain
+    from twin.diagnosis.result import Diagnosis, Finding
+
+_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
+_SCALED = ("m", "A", "s", "N", "V", "m/A")
+LACKED = "the log-likelihood that the model lacks"  # on the recordings for fitting, against sensor noise alone
+ON_JUDGES = "on the judge recordings"
+_NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number with its unit at a readable power of ten."""
+    factor, scaled_unit = _scale(value, unit)
+    digits = ".3g" if factor != 1.0 else ".4g"
+    return f"{value / factor:{digits}} {scaled_unit}".rstrip()
+
+
+def measured(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple[str, str]:
+    """(the number with its unit, its interval; empty where there is none), digits as the interval leaves them."""
+    if ci95 is None:
+        return quantity(value, unit), ""
+    factor, scaled_unit = _scale(value, unit)
+    half = 0.5 * (ci95[1] - ci95[0]) / factor
+    if not 0.0 < half < math.inf or not 1e-4 <= abs(value / factor) < 1e5:
+        return quantity(value, unit), f"{quantity(ci95[0], unit)} to {quantity(ci95[1], unit)}"
+    first = math.floor(math.log10(half))
+    places = min(max(-first if half >= 3.0 * 10.0**first else 1 - first, 0), 6)
+    number, low, high = (f"{end / factor:.{places}f}" for end in (value, *ci95))
+    return f"{number} {scaled_unit}".rstrip(), f"{low} to {high} {scaled_unit}".rstrip()
+
+
+def _scale(value: float, unit: str) -> tuple[float, str]:
+    if unit in _SCALED and 0.0 < abs(value) < 0.1:
+        factor, prefix = next(((f, p) for f, p in _PREFIXES if abs(value) >= 0.1 * f), _PREFIXES[-1])
+        return factor, prefix + unit
+    return 1.0, unit
+
+
+class _Size:
+    """A parameter in the template of a sentence: `{d_m}` its magnitude, `{gain:%}` its distance from neutral."""
+
+    def __init__(self, known: CauseParameter, parameter: Parameter) -> None:
+        self._known, self._parameter = known, parameter
+
+    def __format__(self, how: str) -> str:
+        value, ci95 = self._parameter.value, self._parameter.ci95
+        if how == "%":
+            away = abs(value - self._known.neutral)
+            spread = None if ci95 is None else (away - 0.5 * (ci95[1] - ci95[0]), away + 0.5 * (ci95[1] - ci95[0]))
+            return measured(100.0 * away, None if spread is None else (100 * spread[0], 100 * spread[1]), "%")[0]
+        ends = ci95 if ci95 is None or value >= 0.0 else (-ci95[1], -ci95[0])
+        return measured(abs(value), ends, self._known.unit)[0]
+
+
+def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """The cause in plain words with its sizes, and the 95 % interval of its strength."""
+    known = BY_NAME[cause]
+    strength = parameters[known.strength.name]
+    template = known.opposite if known.opposite and strength.value < known.strength.neutral else known.sentence
+    if not template:
+        return f"{known.title}: {sizes(cause, parameters)}"
+    text = template.format(
+        **{
+            parameter.name: _Size(parameter, parameters[parameter.name])
+            for parameter in known.parameters
+            if parameter.name in parameters
+        }
+    )
+    _, interval = measured(strength.value, strength.ci95, known.strength.unit)
+    form = form_of(known, parameters)
+    size = f"{known.strength.symbol} = {interval}, 95 %" if interval else ""
+    walks = [
+        measured(parameters[parameter.name].value, parameters[parameter.name].ci95, parameter.unit)[0]
+        for parameter in known.shapes
+        if parameter.walks and parameter.name in parameters
+    ]
+    shape = f"wanders by {walks[0]} in a minute" if walks and form else f"nearest form: {form}" if form else ""
+    details = "; ".join(part for part in (size, shape) if part)
+    return f"{text} ({details})" if details else text
+
+
+def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
+    """The form of the literature that is nearest to the shape of a cause; "" for the usual one.
+
+    A shape that the data do not tell from neutral, by two standard errors, is that of the usual form.
+    """
+    shapes = [shape for shape in cause.shapes if shape.name in parameters]
+
+    def differs(shape: CauseParameter) -> bool:
+        parameter = parameters[shape.name]
+        return abs(parameter.value - shape.neutral) > 2.0 * (parameter.std or 0.0)
+
+    def distance(values: Mapping[str, float | str]) -> float:
+        total = 0.0
+        for shape in shapes:
+            value = values.get(shape.name, shape.neutral)
+            at = parameters[value].value if isinstance(value, str) else value
+            total += ((parameters[shape.name].value - at) / shape.spread) ** 2
+        return total
+
+    if not any(differs(shape) for shape in shapes):
+        return ""
+    forms: dict[str, Mapping[str, float | str]] = {"": {}, **{form.name: form.values for form in cause.forms}}
+    return min(forms, key=lambda name: distance(forms[name]))
+
+
+def sizes(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """Every parameter by its symbol, with its interval."""
+    parts = []
+    for entry in BY_NAME[cause].parameters:
+        parameter = parameters[entry.name]
+        number, interval = measured(parameter.value, parameter.ci95, entry.unit)
+        parts.append(f"{entry.symbol} = {number}" + (f" (95 %: {interval})" if interval else ""))
+    return ", ".join(parts)
+
+
+def bound_sentence(cause: Cause, score: Score) -> str:
+    """How large a cause that was not taken can be at most."""
+    strength = cause.strength
+    if score.detectable <= 0.0:
+        return "no effect on these recordings"
+    reach = abs(score.step) + 1.96 / score.detectable
+    if math.isinf(strength.neutral):
+        if score.step <= 0.0:
+            return f"not reached: nothing as low as {quantity(score.probe, strength.unit)} is seen"
+        return f"would gain {score.gain:.1f} of log-likelihood: too little"
+    size = abs(strength.coordinate(score.probe)) * reach
+    change = "differs by at most" if strength.neutral else "is at most"
+    what = quantity(size, strength.unit) if strength.unit else f"{100.0 * size:.2g} %"
+    return f"{strength.symbol} {change} {what} (95 %)"
+
+
+def round_sentence(step: Round) -> str:
+    """What one step forward came to."""
+    best = step.best
+    if best is None:
+        return "nothing in the catalogue gains anything"
+    if not step.refusal:
+        return ("instead, " if step.on_trial else "") + f"log-likelihood +{best.gain:.0f}"
+    because = {
+        "chance": f", with a gain of {best.gain:.1f}: chance does that",
+        "outside its range": ", but outside its physical range",
+        "minor": ", but is a minor effect beside what was found",
+        "minor beside noise": ", but hardly more than noise is left, and it is a minor effect",
+        "small share": f", but explains {100 * step.share:.0f} % of what is left",
+    }
+    return f"{best.cause} would be best{because[step.refusal]}"
+
+
+def answer_sentence(diagnosis: Diagnosis, *, blind: bool, off: str) -> str:
+    """`summary_sentence`, for recordings without x (`blind`) or beside a given model whose numbers are `off`."""
+    if off and diagnosis.verdict == "model-adequate":
+        return f"The form of the model is adequate, but {off}."
+    sentence = summary_sentence(diagnosis)
+    return f"Of the amplifier alone, as no recording has x: {sentence}" if blind else sentence
+
+
+def summary_sentence(diagnosis: Diagnosis) -> str:
+    """The answer, first."""
+    if diagnosis.verdict == "model-adequate":
+        return "The model is adequate: what it gets wrong is sensor noise." + _floor_clause(diagnosis.gain)
+    gain = _gain_sentence(diagnosis)
+    if diagnosis.verdict == "unfinished":
+        return _unfinished(diagnosis) + gain
+    if diagnosis.verdict == "causes-found":
+        return _causes_sentence(diagnosis.causes, whole=True) + _classes_sentence(diagnosis.causes) + gain
+    if diagnosis.verdict == "partly-explained":
+        sure = [finding for finding in diagnosis.causes if diagnosis.holds(finding)]
+        unsure = [finding for finding in diagnosis.causes if not diagnosis.holds(finding)]
+        where = diagnosis.unexplained_where
+        if where.startswith(ON_JUDGES):
+            rest = f" But not all is explained {where}."
+        else:
+            largest = f", most {where.removeprefix('most ')}" if where else ""
+            rest = f" But not all is explained: {percent(diagnosis.account.unexplained)} of {LACKED} is left{largest}."
+        small = " Smaller than what is left, and perhaps only a matter of form: " if unsure else ""
+        return (
+            _causes_sentence(sure, whole=not unsure)
+            + _classes_sentence(sure)
+            + gain
+            + rest
+            + small
+            + (_causes_sentence(unsure, whole=False) if unsure else "")
+        )
+    where = diagnosis.unexplained_where.removeprefix("most ")
+    rest = f" What is left is largest {where}." if where else ""
+    if not diagnosis.causes:
+        if diagnosis.unexplained_where.startswith(ON_JUDGES):
+            rest = f" It explains the recordings for fitting, and not all {diagnosis.unexplained_where}."
+        return f"The model is wrong, and none of the known causes explains it.{rest}"
+    nearest = _causes_sentence(diagnosis.causes, whole=False)
+    nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
+    return (
+        "The model is wrong, and the known causes do not explain all of it. What comes nearest may only "
+        f"imitate an unknown cause: {nearest}{_classes_sentence(diagnosis.causes)}{rest}{gain}"
+    )
+
+
+def _unfinished(diagnosis: Diagnosis) -> str:
+    budget = diagnosis.budget
+    so_far = _causes_sentence(diagnosis.causes, whole=False) if diagnosis.causes else "no cause was named."
+    return (
+        f"No answer yet: the search ended by its budget of {millions(budget.limit)}. Not examined: "
+        f"{'; '.join(budget.unanswered)}. Up to there: {so_far}"
+    )
+
+
+def _floor_clause(gain: Gain | None) -> str:
+    if gain is None:
+        return ""
+    return (
+        f" On the judge recordings it predicts x {gain.horizon_s * 1e3:.0f} ms ahead to "
+        f"{micrometres(gain.baseline_rmse_m)} rms; noise alone makes {micrometres(gain.floor_m)}."
+    )
+
+
+def _causes_sentence(causes: Sequence[Finding], *, whole: bool) -> str:
+    """The causes with the share of each."""
+    shares = [finding.share_of_excess_explained for finding in causes]
+    if len(causes) == 1:
+        text = capital(causes[0].sentence)
+        if shares[0] <= 0.0:
+            return f"{text}."
+        what = f"{percent(shares[0])} of {LACKED}"
+        return f"{text}: this explains {what}." if whole else f"{text}, which explains {what}."
+    listed = "; ".join(
+        f"({n}) {finding.sentence}" + (f", {percent(share)}" if share > 0.0 else "")
+        for n, (finding, share) in enumerate(zip(causes, shares, strict=True), start=1)
+    )
+    of = f" (shares: of {LACKED})" if any(share > 0.0 for share in shares) else ""
+    return f"{_NUMBERS.get(len(causes), str(len(causes)))} causes{of}: {listed}."
+
+
+def _classes_sentence(causes: Sequence[Finding]) -> str:
+    """What these data cannot tell apart."""
+    parts = []
+    for finding in causes:
+        if finding.indistinguishable_from:
+            names = " or ".join(member.name for member in finding.indistinguishable_from)
+            parts.append(f" These data cannot tell {finding.name} from {names}.")
+    return "".join(parts)
+
+
+def _gain_sentence(diagnosis: Diagnosis) -> str:
+    gain = diagnosis.gain
+    if gain is None or not diagnosis.causes or diagnosis.before == diagnosis.after:
+        return ""
+    ratio = gain.baseline_rmse_m / max(gain.extended_rmse_m, 1e-12)
+    error = f"{gain.horizon_s * 1e3:.0f} ms prediction error"
+    change = f"hardly changes the {error}"
+    if ratio >= settings.WORSE_ERROR:
+        change = f"cuts the {error} by a factor of {_ratio(ratio)}"
+    elif ratio < 1.0 / settings.WORSE_ERROR:
+        change = f"makes the {error} {_ratio(1.0 / ratio)} times as large"
+    return (
+        f" On the judge recordings extending the model {change}: from {micrometres(gain.baseline_rmse_m)} to "
+        f"{micrometres(gain.extended_rmse_m)}; noise alone makes {micrometres(gain.floor_m)}."
+    )
+
+
+def beyond_sentence(gain: Gain) -> str:
+    """How far the judge recordings are from the floor."""
+    low, high = gain.ci95_floor
+    ratio = gain.extended_rmse_m / gain.floor_m
+    return (
+        f"{ON_JUDGES}: their {gain.horizon_s * 1e3:.0f} ms prediction error is {ratio:.3g} times what noise alone "
+        f"makes ({low:.3g} to {high:.3g})"
+    )
+
+
+def contradiction_sentence(contradiction: Contradiction) -> str:
+    """Which recording does not fit to the others, and by what."""
+    size = f"{contradiction.parameter} {100 * contradiction.change:+.0f} %"
+    return f"{contradiction.recording} contradicts the others: alone it asks for {size}"
+
+
+def outlier_sentence(outlier: Outlier) -> str:
+    """Which recording was left out, and why."""
+    changes = " and ".join(f"{name} {100.0 * change:+.0f} %" for name, change in outlier.moves)
+    return (
+        f"{outlier.name} contradicts the others and was left out: alone it is explained by {changes}, as by another "
+        "rig. Check where it comes from"
+    )
+
+
+def beginning_sentence(beginning: Beginning) -> str:
+    """Which cause is absent at first."""
+    where = f"{beginning.recording} at about {beginning.t_s:.0f} s"
+    return f"{beginning.cause} is not there from the start: it begins in {where}"
+
+
+def change_sentence(change: Change) -> str:
+    """Where something changed, and what."""
+    names = " and ".join(change.selection.causes)
+    if change.begins:
+        return f"{names} begins in {change.after}: it is absent up to {change.before}"
+    return f"{names} ends after {change.before}: it is absent from {change.after} on"
+
+
+def _ratio(ratio: float) -> str:
+    """A prediction that has run off the travel is wrong by any factor: beyond a hundred the number says nothing."""
+    return "over 100" if ratio > 100.0 else f"{ratio:.2g}"
+
+
+def percent(share: float) -> str:
+    """No cause explains all: what is left below one in a hundred is not told from it."""
+    return "over 99 %" if share > 0.995 else "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
+
+
+def micrometres(value_m: float) -> str:
+    """To three digits, never with an exponent."""
+    micro = value_m * 1e6
+    if micro >= 1e3:
+        return f"{micro / 1e3:.3g} mm"
+    return f"{micro:.0f} µm" if micro >= 100.0 else f"{micro:.3g} µm"
+
+
+def capital(text: str) -> str:
+    """As a sentence begins; a symbol stays as it is."""
+    return text if text.startswith(("x ", "i_c ", "i x", "x_max")) else text[:1].upper() + text[1:]

@@ -1,0 +1,305 @@
+"""Residual force and residual current of a model as functions of the state.
+
+Residual force: m (measured acceleration - acceleration of (6)).  The measured acceleration is that of a parabola
+through 30 ms of readings.  The model's acceleration is averaged with the same weights, so that a right model leaves 0
+for any motion.  Residual current: the innovation of i_c, one sample ahead.
+
+Rule 1: the model's acceleration uses the readings of x, and current and speed of the filter.  Within an interval the
+        current moves to its value at the next sample, so errors of the amplifier do not affect the force.  A constant
+        current would lag by half an interval and imitate a drag.  The filter's x is not used, because for a wrong model
+        its error is larger than that of a reading.
+Rule 2: the model's sensor effects are first removed from the readings.
+Rule 3: a periodic force is left in the residual, because it is not a function of the state.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.campaign import Plant
+from twin.compiled import Packed, kernel
+from twin.diagnosis.residuals.regimes import (
+    Blocks,
+    Estimate,
+    bin_labels,
+    estimate,
+    even_edges,
+    means,
+    quantile_edges,
+    solid,
+)
+from twin.diagnosis.search import periodic
+from twin.estimation.ekf.filter import filtered as run_filter
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
+from twin.estimation.record import FloatArray
+from twin.evidence.gather import Evidence
+from twin.inference.theta import Theta
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_reading, sensor_lag_s
+
+WINDOW_S = 0.03
+MIN_READINGS = 7  # readings in a window
+GROUPS = 10
+# The middle group is the ball at rest.  Its measured speed is noise to which the loop responds, so several groups there
+# would show a spurious force.
+_SPEED_SHARES = (0.002, 0.02, 0.08, 0.2, 0.8, 0.92, 0.98, 0.998)
+_CHANGE_SHARES = (0.002, 0.02, 0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92, 0.98, 0.998)
+_INPUT_SHARES = tuple(float(share) for share in np.linspace(0.0, 1.0, 11))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """Mean residual of both models in one group of samples."""
+
+    at: float
+    baseline: Estimate
+    extended: Estimate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curve:
+    """A mean residual over one quantity."""
+
+    name: str  # of the quantity
+    title: str
+    unit: str  # of `at`
+    residual_unit: str
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Filtered:
+    """One model along a series."""
+
+    state: FloatArray  # shape (n, 7), NaN while the ball is not in flight
+    unforeseen_i_a: FloatArray  # innovation of i_c, one sample ahead, shape (n,)
+    force_n: FloatArray  # residual, shape (n,)
+    slope_m_s: FloatArray  # speed of the parabola, shape (n,); its noise is independent of the residual, unlike v's
+
+
+def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> Filtered:
+    """Run one model along a series; `tick_s`: the sampling interval, s."""
+    s = evidence.series
+    system = theta.system(plant, tick_s)
+    base, c = system.base, system.c
+    c[periodic.CAUSE.strength.index] = 0.0  # a periodic force is left in the residual
+    out, state, _, _ = run_filter(system, evidence.samples, state=True)
+    modelled, positions_m = np.empty(len(s)), np.empty(len(s))
+    quiet = c.copy()
+    for cause in CATALOGUE:
+        if cause.family == "amplifier":
+            for parameter in cause.parameters:
+                quiet[parameter.index] = parameter.neutral
+    _fill_positions(base, quiet, state, s.x, positions_m)
+    flies = (s.flags & FLIES != 0) & (s.flags & USE_X != 0) & np.isfinite(positions_m)
+    _fill_acceleration(base, quiet, state, positions_m, s.step, s.flags, evidence.t, modelled)
+    force, slope = np.full(len(s), np.nan), np.full(len(s), np.nan)
+    for piece in _recordings(s.recording):
+        window = windows(s.step[piece], s.flags[piece], flies[piece])
+        if window is not None:
+            positions = np.where(flies[piece], positions_m[piece], 0.0)
+            slope[piece] = window.slope(positions)
+            force[piece] = window.left(positions, modelled[piece])
+    known = np.isfinite(out[:, 0]) & (s.flags & USE_I != 0)
+    return Filtered(
+        state=state,
+        unforeseen_i_a=np.where(known, out[:, 0], np.nan),
+        force_n=plant.mass_kg * force,
+        slope_m_s=slope,
+    )
+
+
+@kernel
+def _fill_positions(
+    base: Packed,
+    c: NDArray[np.float64],
+    state: NDArray[np.float64],
+    reading: NDArray[np.float64],
+    x_m: NDArray[np.float64],
+) -> None:
+    """Fill `seen`, shape (n,), with the position that gives each reading in flight, m."""
+    p = Base(*base)
+    for n in range(len(reading)):
+        x_m[n] = np.nan
+        if not np.isnan(state[n, V]):
+            prompt = reading[n] + sensor_lag_s(c) * state[n, V]
+            x_m[n] = position_of_reading(p, c, prompt, state[n, I_C])
+
+
+@kernel
+def _fill_acceleration(
+    base: Packed,
+    c: NDArray[np.float64],
+    state: NDArray[np.float64],
+    x: NDArray[np.float64],
+    step: NDArray[np.float64],
+    flags: NDArray[np.uint16],
+    t: NDArray[np.float64],
+    modelled: NDArray[np.float64],
+) -> None:
+    """Fill `modelled`, shape (n,), with the model's mean acceleration around each sample, m/s^2; NaN at gaps.
+
+    The second difference of x at sample k is T dv + p_k+1 - p_k, where dv is the change of speed from k - 1 to k, and
+    p_k the change of x in that interval beyond T x'.
+    """
+    p = Base(*base)
+    y = np.empty(STATES)
+    gained, moved = np.nan, np.nan  # changes of speed and position in the previous interval
+    for n in range(len(x)):
+        modelled[n] = np.nan
+        last = n + 1 >= len(x) or flags[n + 1] & FOLLOWS == 0 or np.isnan(state[n + 1, V])
+        if np.isnan(x[n]) or last:
+            gained = np.nan
+            continue
+        T_s = step[n + 1]
+        for k in range(STATES):
+            y[k] = state[n, k]
+        y[X] = x[n]
+        left = math.exp(-T_s / p.T_A)
+        target = (state[n + 1, I_C] - state[n, I_C] * left) / (1.0 - left)
+        advance(base, c, y, target / p.K_A, t[n], T_s, False)
+        further = y[X] - x[n] - T_s * state[n, V]
+        if not np.isnan(gained):
+            modelled[n] = (T_s * gained + further - moved) / (T_s * T_s)
+        gained, moved = y[V] - state[n, V], further
+
+
+def _recordings(recording: NDArray[np.int32]) -> list[slice]:
+    edges = np.flatnonzero(np.diff(recording)) + 1
+    starts, stops = [0, *edges.tolist()], [*edges.tolist(), len(recording)]
+    return [slice(a, b) for a, b in zip(starts, stops, strict=True) if b > a]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Windows:
+    """Windows of one recording for the parabolas."""
+
+    half: int  # samples on each side of the middle
+    T_s: float
+    whole: NDArray[np.bool_]  # whether the window around each sample is in flight without gaps, shape (n,)
+
+    def slope(self, positions_m: FloatArray) -> FloatArray:
+        """Speed in the middle of each window, m/s, shape (n,)."""
+        return self._aligned(np.convolve(positions_m, parabola(self.half, self.T_s)[0][::-1], "valid"))
+
+    def left(self, positions_m: FloatArray, modelled: FloatArray) -> FloatArray:
+        """Measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
+        weights = parabola(self.half, self.T_s)[1]
+        # The acceleration at each sample contributes to the parabola with the double sum of the weights.
+        spread = np.cumsum(np.cumsum(weights))[:-2] * self.T_s * self.T_s
+        known = np.isfinite(modelled)
+        expected = np.convolve(np.where(known, modelled, 0.0)[1:-1], spread[::-1], "valid")
+        all_known = np.convolve(known[1:-1], np.ones(len(spread)), "valid") >= len(spread) - 0.5
+        measured = np.convolve(positions_m, weights[::-1], "valid")
+        return self._aligned(np.where(all_known, measured - expected, np.nan))
+
+    def _aligned(self, values: FloatArray) -> FloatArray:
+        result = np.full(len(self.whole), np.nan)
+        result[self.half : self.half + len(values)] = values
+        return np.where(self.whole, result, np.nan)
+
+
+def windows(step: FloatArray, flags: NDArray[np.uint16], flies: NDArray[np.bool_]) -> Windows | None:
+    """The windows of one recording; None if it is too short.
+
+    Args:
+        step: time since the previous sample, s, shape (n,).
+        flags: of `twin/estimation/innovations.py`, shape (n,).
+        flies: whether each sample has a position in flight, shape (n,).
+    """
+    known = step[flies & (step > 0.0)]
+    if not len(known):
+        return None
+    T_s = float(np.median(known))
+    half = max(round(0.5 * WINDOW_S / T_s), MIN_READINGS // 2)
+    width, n = 2 * half + 1, len(step)
+    if n < width:
+        return None
+    uneven = (np.abs(step - T_s) > 0.05 * T_s) | (flags & FOLLOWS == 0)
+    good = np.convolve(flies, np.ones(width), "valid") >= width - 0.5
+    good &= np.convolve(uneven[1:], np.ones(width - 1), "valid") < 0.5
+    whole = np.zeros(n, np.bool_)
+    whole[half : half + len(good)] = good
+    return Windows(half=half, T_s=T_s, whole=whole)
+
+
+def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:
+    """Weights of the readings for the first (1/s) and second (1/s^2) derivative of their parabola, (2 half + 1,)."""
+    k = np.arange(-half, half + 1, dtype=np.float64)
+    rows = np.linalg.pinv(np.vander(k, 3, increasing=True))
+    return np.asarray(rows[1] / T_s), np.asarray(2.0 * rows[2] / T_s**2)
+
+
+def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: Blocks) -> list[Curve]:
+    """Residual force of baseline and extended model as functions of x, x' and i_c."""
+    s = evidence.series
+    x, v, i = s.x, models[1].slope_m_s, s.i
+    flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
+    in_flight = [np.where(flown, values, np.nan) for values in (x, v, i)]
+    return [
+        curve
+        for curve in (
+            _curve("x", "position x", "m", "N", in_flight[0], even_edges(in_flight[0], GROUPS), models, blocks),
+            _curve(
+                "v", "speed x'", "m/s", "N", in_flight[1], quantile_edges(in_flight[1], _SPEED_SHARES), models, blocks
+            ),
+            _curve("i", "current i_c", "A", "N", in_flight[2], even_edges(in_flight[2], GROUPS), models, blocks),
+        )
+        if curve is not None
+    ]
+
+
+def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s: float, blocks: Blocks) -> list[Curve]:
+    """Residual current of both models as functions of u_c and of its change."""
+    s = evidence.series
+    u = np.concatenate(([np.nan], s.u[:-1]))
+    change = np.concatenate(([np.nan, np.nan], np.diff(s.u)[:-1]))
+    linked = s.flags & FOLLOWS != 0
+    usual = linked & (s.step > 0.5 * tick_s)
+    before = np.concatenate(([False], linked[:-1]))
+    known = usual & np.isfinite(models[0].unforeseen_i_a) & np.isfinite(models[1].unforeseen_i_a)
+    u, change = np.where(known, u, np.nan), np.where(known & before, change, np.nan)
+    return [
+        curve
+        for curve in (
+            _curve("u", "input u_c", "V", "A", u, quantile_edges(u, _INPUT_SHARES), models, blocks),
+            _curve("du", "change of u_c", "V", "A", change, quantile_edges(change, _CHANGE_SHARES), models, blocks),
+        )
+        if curve is not None
+    ]
+
+
+def _curve(
+    name: str,
+    title: str,
+    unit: str,
+    residual_unit: str,
+    values: FloatArray,
+    edges: FloatArray,
+    models: tuple[Filtered, Filtered],
+    blocks: Blocks,
+) -> Curve | None:
+    if len(edges) < 3:
+        return None
+    labels, groups = bin_labels(values, edges), len(edges) - 1
+    where, _, samples, pieces = means(np.where(labels >= 0, values, 0.0), labels, groups, blocks)
+    sides = []
+    for model in models:
+        residual = model.force_n if residual_unit == "N" else model.unforeseen_i_a
+        mean, drawn, _, _ = means(np.where(labels >= 0, residual, 0.0), labels, groups, blocks)
+        sides.append((mean, drawn))
+    points = tuple(
+        Point(
+            at=float(where[k]),
+            baseline=estimate(float(sides[0][0][k]), sides[0][1][:, k]),
+            extended=estimate(float(sides[1][0][k]), sides[1][1][:, k]),
+        )
+        for k in np.flatnonzero(solid(samples, pieces))
+    )
+    if len(points) < 2:
+        return None
+    return Curve(name=name, title=title, unit=unit, residual_unit=residual_unit, points=points)

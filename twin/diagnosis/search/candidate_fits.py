@@ -1,0 +1,174 @@
+"""Fit candidates by successive halving: all of them a little, the leading ones to the end.
+
+Rule 1: a candidate that is far behind may only have a worse starting value.  It is dropped only if its slope, too,
+        shows that it cannot catch up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from twin.diagnosis.search.candidate_starts import start_of
+from twin.diagnosis.search.prediction_benefit import error_reduction
+from twin.diagnosis.search.score_test import Score
+from twin.inference.fisher_scoring import Fit, approach, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import coordinates_of, parameter_of
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.settings import diagnosis as settings
+
+_SAME = {cause.name: cause.same_samples_as for cause in CATALOGUE if cause.same_samples_as}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """A candidate and its fit."""
+
+    cause: str
+    fit: Fit
+    gain: float  # of log-likelihood, against the model without it, beyond what the search makes out of noise
+
+
+def fit_candidates(
+    criterion: Criterion,
+    current: Fit,
+    scores: Sequence[Score],
+    min_gain: float = 0.0,
+    min_reduction: float = 1.0,
+    cutoff_gain: float = -math.inf,
+) -> list[Trial]:
+    """Fit the candidates, the leading ones to the end; best first.
+
+    Args:
+        criterion: of the recordings for fitting.
+        current: the model without them.
+        scores: the candidates.
+        min_gain: gain below which no candidate will be selected, unless it improves the prediction.
+        min_reduction: share of the mean square prediction error that it must remove in that case.
+        cutoff_gain: gain below which a candidate is not fitted further.
+    """
+    names = [score.cause for score in scores]
+    # Causes with the same effect on the samples share a fit.
+    copies = {copy: original for copy, original in _SAME.items() if original in names and copy in names}
+    scores = [score for score in scores if score.cause not in copies]
+    trials = criterion.each(partial(_start_trial, criterion, current), scores)
+    favourites = {score.cause for score in scores[: settings.SAFE_CANDIDATES]}
+    # Successive halving: fits to the end of all candidates would spend most passes on those that are far behind.
+    # Dropping by the gain alone would lose a candidate with a poor start, so its slope counts, too.
+    for stage, (passes, min_share, max_candidates) in enumerate(settings.HALVING):
+        trials.sort(key=lambda trial: -_expected(trial))
+        best = max((trial.gain for trial in trials), default=0.0)
+        last = stage == len(settings.HALVING) - 1 and bool(trials)
+        overtaken = (
+            best - settings.EQUIVALENT_GAIN
+            if last
+            else (1.0 - settings.STEEPNESS_DOUBT) * best - settings.EQUIVALENT_GAIN
+        )
+        # If no candidate can reach the required gain, the last passes are worth their cost only for a cause that
+        # improves the prediction: half of the required reduction so far makes that likely.
+        if last and all(_promise(trial) < min_gain for trial in trials):
+            leader = max(trials, key=lambda trial: trial.gain)
+            enough = 0.5 * min_reduction
+            if enough >= 0.5 or error_reduction(criterion, current.theta, leader.fit.theta) < enough:
+                break
+        active: set[str] = set()
+        for rank, trial in enumerate(trials):
+            goes_on = rank < max_candidates and _expected(trial) >= min_share * best and _promise(trial) >= overtaken
+            goes_on = goes_on and _promise(trial) >= cutoff_gain
+            if goes_on or (stage == 0 and trial.cause in favourites):
+                active.add(trial.cause)
+        trials = criterion.each(partial(_refine_active, criterion, active, passes, last), trials)
+    else:
+        trials = _finish_first(criterion, trials, active)
+    trial_of = {trial.cause: trial for trial in trials}
+    trials += [renamed(trial_of[original], copy) for copy, original in copies.items()]
+    return sorted(trials, key=lambda trial: -trial.gain)
+
+
+def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) -> list[Trial]:
+    """Fit the best trial within its range to the end unless that was done: it may be selected."""
+    trials = sorted(trials, key=lambda trial: -trial.gain)
+    first = next((n for n, trial in enumerate(trials) if within_range(trial)), len(trials))
+    if first < len(trials) and trials[first].cause not in ended and not trials[first].fit.converged:
+        trials[first] = refine(criterion, trials[first])
+    return trials
+
+
+def _start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
+    start = start_of(criterion.thinner, current.theta, score)
+    fit = approach(criterion, start, _with(current.free, score.cause))
+    return Trial(cause=score.cause, fit=fit, gain=fit.loglik - current.loglik - score.chance)
+
+
+def _refine_active(criterion: Criterion, active: set[str], passes: int, last: bool, trial: Trial) -> Trial:
+    if trial.cause not in active or trial.fit.converged:
+        return trial
+    return refine(criterion, trial, passes, approximate=not last)
+
+
+def same_as(cause: str) -> set[str]:
+    """The causes whose effect on the samples is identical."""
+    return {copy if cause == original else original for copy, original in _SAME.items() if cause in (original, copy)}
+
+
+def renamed(trial: Trial, cause: str) -> Trial:
+    """The same trial under the name of a cause with an identical effect on the samples."""
+
+    def name(old: str) -> str:
+        return old.replace(f"{trial.cause}.", f"{cause}.", 1) if old.startswith(f"{trial.cause}.") else old
+
+    theta = replace(trial.fit.theta, causes=tuple((name(old), value) for old, value in trial.fit.theta.causes))
+    return Trial(
+        cause=cause,
+        fit=replace(trial.fit, theta=theta, free=tuple(name(old) for old in trial.fit.free)),
+        gain=trial.gain,
+    )
+
+
+def refine(criterion: Criterion, trial: Trial, passes: int = settings.PASSES, *, approximate: bool = False) -> Trial:
+    """Fit a trial further; the arguments are those of `climb`."""
+    fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes, approximate=approximate)
+    return replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
+
+
+def deserves_full_fit(trial: Trial, best: Trial) -> bool:
+    """Tell whether a trial is near enough to the best to be fitted to the end."""
+    return trial.gain >= settings.HALVING[-1][1] * best.gain
+
+
+def _expected(trial: Trial) -> float:
+    """Gain expected at the maximum if the likelihood is a parabola."""
+    return trial.gain if trial.fit.converged else trial.gain + trial.fit.ahead
+
+
+def _promise(trial: Trial) -> float:
+    """Upper bound of the gain that a trial may still reach."""
+    return trial.gain if trial.fit.converged else trial.gain + steepness(trial.cause) * trial.fit.ahead
+
+
+def steepness(cause: str) -> float:
+    """Factor by which the likelihood may rise above the parabola of its slope."""
+    return settings.STEEPNESS_DELAY if BY_NAME[cause].family == "timing" else settings.STEEPNESS
+
+
+def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
+    return free + coordinates_of(cause)
+
+
+def within_range(trial: Trial) -> bool:
+    """Tell whether every parameter of the cause lies within its physical range and not at its end."""
+    for name in coordinates_of(trial.cause):
+        parameter = parameter_of(name)
+        value = trial.fit.theta.value(name)
+        if math.isinf(value):
+            return False
+        span = parameter.high - parameter.low
+        ends = [end for end in (parameter.low, parameter.high) if end != parameter.neutral]
+        if any(abs(value - end) < 1e-6 * span for end in ends) and (
+            parameter.walks or name == coordinates_of(trial.cause)[0]
+        ):
+            return False
+    return True

@@ -1,0 +1,168 @@
+"""The starting values of the fit of a candidate.
+
+A wrong model bends its own parameters: under a current limit K_A comes out low and T_A long, and from there the limit
+explains nothing.  So a candidate of the amplifier has further starts besides the linear step of the score test.  Their
+K_A and T_A hardly depend on single samples: the median of i_c / u_c, and the fastest response of any recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.diagnosis.search.probes import probes_of
+from twin.diagnosis.search.score_test import Score, probed
+from twin.estimation.record import Record
+from twin.evidence.starting.regression import amplifier_start
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, max_step, moved
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause
+from twin.model.extended import position_of_reading, position_reading
+
+_MAX_REACH = 20.0  # probes: the signature changes beyond this
+_MIN_REACH = 0.05
+_PARTS = (1.0, 0.3, 0.1)  # of the linear step: the whole step overshoots if the likelihood is far from a parabola
+_GRID = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)  # of the probes
+_STEADY = 5  # samples of the same u_c
+
+
+def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
+    """The best of the starts by the likelihood itself."""
+    cause, theta = BY_NAME[score.cause], replace(theta, phases_s=score.phases_s or theta.phases_s)
+    starts = [
+        _linear(criterion, theta, score, cause, part, names) for names in _coordinate_sets(score) for part in _PARTS
+    ]
+    if cause.family == "amplifier":
+        gains, times = {theta.K_A}, {theta.T_A}
+        robust = robust_gain(criterion.evidence.records)
+        if robust is not None:
+            gains.add(robust)
+        quick = shortest_time_constant(criterion.evidence.records)
+        if quick is not None:
+            times.add(min(quick, theta.T_A))
+        values = [(name, value) for name, value in score.other_values if name.startswith(f"{cause.name}.")]
+        for K_A in sorted(gains):
+            for T_A in sorted(times):
+                for probe in probes_of(cause, criterion.evidence.series):
+                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe, values))
+    starts = _with_stops(criterion.plant, theta, starts, cause)
+    return starts[int(np.argmax(criterion.values(starts)))]
+
+
+def _with_stops(plant: Plant, theta: Theta, starts: list[Theta], cause: Cause) -> list[Theta]:
+    """Add starts with other stops to those of a sensor's cause: at their nominal positions, and with equal readings.
+
+    A model without the cause shifts the stops to where the sensor shows them.  With the cause and these stops the
+    offset would count twice.  With nominal stops, part of an offset is wrong by hundreds of standard errors at rest,
+    which outweighs all else.
+    """
+    if cause.family != "sensing":
+        return starts
+    at_home = [replace(start, stop_low_m=0.0, stop_high_m=0.0) for start in starts]
+    return [*starts, *at_home, *(_same_readings(plant, theta, start) for start in starts)]
+
+
+def _same_readings(plant: Plant, theta: Theta, start: Theta) -> Theta:
+    p, before, after = theta.base(plant), theta.vector(), start.vector()
+    low, high = (
+        float(position_of_reading(p, after, position_reading(p, before, stop, 0.0), 0.0))
+        for stop in (theta.stop_low_m, plant.travel_m + theta.stop_high_m)
+    )
+    return replace(start, stop_low_m=low, stop_high_m=high - plant.travel_m)
+
+
+def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounder: Cause) -> Theta:
+    """The best strength of `confounder` with the numbers of `theta`, in which it replaces `cause`.
+
+    The parameters of a model without both causes are bent.  From there a cause with the same effect may never reach its
+    maximum.  Two causes in the same unit, or in V and A, may be of equal size, so that size is tried, too.
+    """
+    strength = confounder.strength
+    at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
+    if strength.low < strength.neutral < strength.high:
+        at += [-coordinate for coordinate in at]
+    sizes = [strength.value(coordinate) for coordinate in at]
+    same = {(strength.unit, strength.unit): 1.0, ("V", "A"): theta.K_A, ("A", "V"): 1.0 / theta.K_A}
+    if (cause.strength.unit, strength.unit) in same:
+        size = theta.value(f"{cause.name}.{cause.strength.name}") * same[cause.strength.unit, strength.unit]
+        sizes += [signed for signed in (size, -size) if strength.low <= signed <= strength.high]
+    bare = theta.without(cause.name)
+    starts = _with_stops(criterion.plant, theta, [probed(bare, confounder, size) for size in sizes], confounder)
+    return starts[int(np.argmax(criterion.values(starts)))]
+
+
+def robust_gain(records: Sequence[Record]) -> float | None:
+    """K_A as the median of i_c / u_c where u_c has stood still, A/V."""
+    ratios = []
+    for record in records:
+        if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * _STEADY:
+            continue
+        u, i = record.u_c, record.i_c
+        steady = np.ones(len(u), np.bool_)
+        for lag in range(1, _STEADY):
+            steady[lag:] &= np.abs(u[lag:] - u[:-lag]) <= 0.02 * np.abs(u[lag:])
+        steady[:_STEADY] = False
+        good = steady & (u > 0.2 * np.nanmax(u)) & np.isfinite(i)
+        if good.sum() >= 20:
+            ratios.append(i[good] / u[good])
+    if not ratios:
+        return None
+    gain = float(np.median(np.concatenate(ratios)))
+    return gain if gain > 0.0 else None
+
+
+def shortest_time_constant(records: Sequence[Record]) -> float | None:
+    """The shortest T_A that any single recording or capture of steps asks for, s."""
+    time_constants = []
+    for record in records:
+        singles = [
+            replace(
+                record,
+                captures=(capture,),
+                t=record.t[:0],
+                u_c=record.u_c[:0],
+                i_c=record.i_c[:0],
+                x=record.x[:0],
+                x_ref=record.x_ref[:0],
+            )
+            for capture in record.captures
+        ]
+        if record.kind == "amplifier-step" and len(record.t):
+            singles.append(replace(record, captures=()))
+        for single in singles:
+            start = amplifier_start([single])
+            if start is not None and start.K_A > 0.0 and start.share > 0.9:
+                time_constants.append(start.T_A)
+    return min(time_constants) if time_constants else None
+
+
+def _coordinate_sets(score: Score) -> list[list[str]]:
+    """Return the sets of coordinates that move with a candidate: the paper's parameters, or all but the noise levels.
+
+    The positions of coil, stop and sensor differ in their effect by bends alone, so they move together.  So does a
+    cause in the model that has taken up the candidate's effect: otherwise the start is 10 000 of log-likelihood lower.
+    """
+    names = [name for name, _ in score.moves if name not in NOISES + COLOURS]
+    paper = [name for name in names if name in PARAMETERS]
+    together = "displaces" in BY_NAME[score.cause].traits or any("." in name for name in names)
+    return [paper, names] if together else [paper]
+
+
+def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float, names: Sequence[str]) -> Theta:
+    strength = cause.strength
+    max_reach = _MAX_REACH / min(score.fineness, 1.0)
+    reach = min(max(score.step, -max_reach), max_reach)
+    reach = reach if abs(reach) > _MIN_REACH else 0.3
+    shorter = min(
+        [1.0, *(max_step(name) / max(abs(move * reach), 1e-300) for name, move in score.moves if name in names)]
+    )
+    reach *= max(shorter, _MIN_REACH / abs(reach)) * part
+    for name, move in score.moves:
+        if name in names:
+            max_move = max_step(name)  # a coordinate that the data do not determine would run away
+            theta = moved(theta, name, min(max(move * reach, -max_move), max_move), criterion.plant)
+    return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach), score.other_values)

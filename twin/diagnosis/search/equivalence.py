@@ -1,0 +1,265 @@
+"""Equivalence classes: which other causes explain the data as well as a selected one.
+
+    for each selected cause: try every other candidate in its place -> a better one replaces it; equals are its class
+
+Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import partial
+
+from twin.diagnosis.search import periodic
+from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, renamed, same_as, steepness, within_range
+from twin.diagnosis.search.candidate_starts import substitute_start
+from twin.diagnosis.search.forward_step import Reporter
+from twin.diagnosis.search.score_test import screen
+from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import parameter_of, prior_spread, reinitialised
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
+
+
+def find_classes(
+    criterion: Criterion,
+    selection: Selection,
+    floor: Floor | None = None,
+    *,
+    candidates: Sequence[Cause] = CATALOGUE,
+    max_candidates: int = settings.CANDIDATES,
+    quick: bool = False,
+    report: Reporter = lambda line: None,
+) -> Selection:
+    """Find the class of each selected cause and the best candidate outside it; the arguments are those of `select`.
+
+    With `quick` and several causes, the last cause has the equals of its forward step.  Few candidates are tried
+    instead of each other cause, because these were selected when the later ones were missing.
+
+    With `floor`, one of several causes may be false if they leave more than noise.  Then the last is examined first,
+    and all candidates are fitted, whatever their score.  Next to an incomplete friction a true cause had a
+    fifteenth of its gain.
+    """
+
+    def doubtful() -> bool:
+        return floor is not None and len(selection.causes) > 1 and material(criterion, selection, floor)
+
+    selection = replace(selection, classes={}, runner_up={})
+    if 1 < len(selection.causes) <= settings.MAX_TOGETHER and not quick:
+        selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection), selection.causes))
+    for cause in selection.causes[::-1] if doubtful() else selection.causes:
+        if quick and len(selection.causes) > 1 and _is_last(selection, cause):
+            selected = Trial(cause=cause, fit=selection.fit, gain=selection.gains[cause])
+            same = same_as(cause) & {entry.name for entry in candidates}
+            equals = [renamed(selected, other) for other in sorted(same)] + _equals_at_selection(selection, cause, same)
+            selection = replace(
+                selection,
+                classes={**selection.classes, cause: tuple(equals)},
+                runner_up={**selection.runner_up, cause: selection.gains[cause]},
+            )
+            continue
+        candidate_limit = 1 if quick else max_candidates
+        selection, changed = _class_of(
+            criterion, selection, floor, cause, candidates, candidate_limit, doubtful(), report
+        )
+        if changed:
+            return find_classes(
+                criterion,
+                selection,
+                floor,
+                candidates=candidates,
+                max_candidates=max_candidates,
+                quick=quick,
+                report=report,
+            )
+    return selection
+
+
+def _refit_from_usual_forms(criterion: Criterion, fit: Fit, cause: str) -> Fit:
+    """The better of a fit and one from the usual form of all causes but `cause`.
+
+    Next to the false cause they took a form that made up for its errors.
+    """
+    free_shapes = [name for name in fit.free if math.isfinite(prior_spread(name)) and not name.startswith(cause + ".")]
+    if not free_shapes:
+        return fit
+    start = reinitialised(fit.theta)
+    for name in free_shapes:
+        start = start.having(name, parameter_of(name).neutral)
+    fit_anew = climb(criterion, start, fit.free)
+    return fit_anew if fit_anew.loglik > fit.loglik else fit
+
+
+def _is_last(selection: Selection, cause: str) -> bool:
+    """Tell whether `cause` was selected last: its rivals were then fitted together with all other causes."""
+    return next((step.selected == cause for step in reversed(selection.rounds) if step.selected), False)
+
+
+def _equals_at_selection(selection: Selection, cause: str, same: Collection[str]) -> list[Trial]:
+    """Return the candidates that explained as much as the last cause when it was selected, without a further fit."""
+    last = next(step for step in reversed(selection.rounds) if step.selected == cause)
+    min_gain = max(trial.gain for trial in last.trials if trial.cause == cause) - settings.EQUIVALENT_GAIN
+    rivals = (trial for trial in last.trials if trial.cause not in (*selection.causes, *same))
+    return [trial for trial in rivals if trial.gain > min_gain and within_range(trial)]
+
+
+def _replace_two(
+    criterion: Criterion, selection: Selection, cause: str, trial: Trial, report: Reporter
+) -> Selection | None:
+    """Let `trial` replace `cause` and a second cause if it explains as much as both together; None if it does not.
+
+    Two causes that imitate a third are never found superfluous one by one.
+    """
+    min_loglik = selection.fit.loglik - settings.EQUIVALENT_GAIN
+    remaining = sorted(set(selection.causes) - {cause, trial.cause}, key=lambda name: selection.gains[name])
+
+    def less(other: str) -> Fit:
+        free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
+        return climb(criterion, reinitialised(trial.fit.theta.without(other)), free)
+
+    for other, fit in zip(remaining, criterion.each(less, remaining), strict=True):
+        if fit.loglik > min_loglik:
+            if trial.cause == cause:
+                report(f"dropped: {other} ({cause} explains it)")
+            else:
+                report(f"{trial.cause} explains as much as {cause} and {other} together: it replaces them")
+            causes = tuple(trial.cause if name == cause else name for name in selection.causes if name != other)
+            gain = fit.loglik - selection.base.loglik
+            gains = {name: selection.gains.get(name, gain) for name in causes}
+            return replace(selection, causes=causes, fit=fit, gains=gains).with_fits([fit])
+    return None
+
+
+def _class_of(
+    criterion: Criterion,
+    selection: Selection,
+    floor: Floor | None,
+    cause: str,
+    candidates: Sequence[Cause],
+    max_candidates: int,
+    all_scores: bool,
+    report: Reporter,
+) -> tuple[Selection, bool]:
+    """Find the class of `cause` with the other causes fixed; a candidate that explains more replaces it.
+
+    With `all_scores`, candidates are fitted whatever their score.
+
+    Returns the selection, and True if two causes were replaced by one or if `cause` is superfluous; then all classes
+    are found again.
+    """
+    original = cause
+    if len(selection.causes) == 1:
+        current, known = selection.base, {trial.cause: trial for trial in selection.rounds[0].trials}
+    else:
+        current, known = fit_without(criterion, selection, cause), {}
+        selection = selection.with_fits([current])
+    selected = Trial(cause=cause, fit=selection.fit, gain=selection.fit.loglik - current.loglik)
+    is_needless = (
+        selected.gain < settings.MIN_GAIN if floor is None else superfluous(criterion, selection, floor, current)
+    )
+    if is_needless and len(selection.causes) > 1:
+        report(f"dropped: {cause} (the others explain it)")
+        return selection.dropping(cause, current), True
+    remaining = [entry for entry in candidates if entry.name not in selection.causes]
+    scores = screen(criterion, current.theta, current.free, [*remaining, BY_NAME[cause]])
+    score_gains = {score.cause: score.gain for score in scores}
+    comparable = settings.COMPARABLE_SCORE * score_gains.get(cause, 0.0)
+    similar = {
+        name for name, gain in score_gains.items() if gain > settings.SIMILAR_SCORE * score_gains.get(cause, 0.0)
+    }
+    similar |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
+    # A cause with the same effect on the samples is an equal without a fit.
+    same = same_as(cause) & {entry.name for entry in remaining}
+    scores = [score for score in scores if score.cause not in (*known, cause, *same) and score.testable]
+    scores = [score for score in scores if score.gain > 0.3 * settings.MIN_GAIN]
+    if not all_scores:
+        scores = [
+            score
+            for score in scores
+            if score.gain > comparable
+            if score.cause in similar
+            or score.gain * steepness(score.cause) > selected.gain - settings.OUT_OF_CLASS_GAIN
+        ][: max(max_candidates - len(known), 2)]
+    trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
+    trials += [renamed(selected, other) for other in same]
+    trials += fit_candidates(
+        criterion, current, scores, cutoff_gain=-math.inf if all_scores else selected.gain - settings.OUT_OF_CLASS_GAIN
+    )
+    # A fit from the model without the cause may end in a worse maximum than one from the fit of the cause itself.
+    trials = criterion.each(
+        lambda trial: _refit_from(criterion, selected, trial) if trial.cause in similar else trial, trials
+    )
+    trials = sorted((trial for trial in trials if within_range(trial)), key=lambda trial: -trial.gain)
+    periodic_gain = selection.gains.get(periodic.CAUSE.name, 0.0) if periodic.AMPLITUDE in current.free else 0.0
+    _rephase(criterion, selected, trials, similar, periodic_gain)
+    trials.sort(key=lambda trial: -trial.gain)
+    # Fair to both: the selected cause, too, may be at a worse maximum, so it is fitted from the candidate's parameters
+    # before the candidate replaces it.
+    if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
+        selected = _refit_from(criterion, trials[0], selected)
+        selection = replace(selection, fit=selected.fit)
+    if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
+        report(f"{trials[0].cause} explains more than {cause} next to the others: it replaces it")
+        best = trials[0]
+        causes = tuple(best.cause if name == cause else name for name in selection.causes)
+        if periodic.CAUSE.name in causes:
+            fit = periodic.fit_phases(criterion, best.fit, settings.PASSES)
+        else:
+            fit = _refit_from_usual_forms(criterion, best.fit, best.cause)
+        gains = {name: gain for name, gain in {**selection.gains, best.cause: best.gain}.items() if name != cause}
+        selection = replace(selection, causes=causes, fit=fit, gains=gains)
+        trials = [selected, *trials[1:]]
+        selected, cause = best, best.cause
+    equals = tuple(trial for trial in trials if selected.gain - trial.gain < settings.EQUIVALENT_GAIN)
+    behind = [trial.gain for trial in trials if selected.gain - trial.gain >= settings.EQUIVALENT_GAIN]
+    selection = replace(
+        selection,
+        classes={**selection.classes, cause: equals},
+        runner_up={**selection.runner_up, cause: selected.gain - max(behind, default=0.0)},
+        gains={**selection.gains, cause: selected.gain},
+    )
+    for trial in (selected, *equals):
+        smaller = None if trial.cause in (original, *same) else _replace_two(criterion, selection, cause, trial, report)
+        if smaller is not None:
+            return smaller, True
+    return selection, False
+
+
+def _rephase(
+    criterion: Criterion, selected: Trial, trials: list[Trial], similar: set[str], periodic_gain: float
+) -> None:
+    """Fit similar candidates that phases may hold back with phases of their own, in place.
+
+    `similar` are the names of such candidates, `periodic_gain` is the gain of the periodic force.
+
+    A lag of the sensor shifts the phase of a periodic force as it is read, a lag of the field does not.  On two
+    simulated flights the right cause was 990 behind the wrong one with the other's phases, and 110 ahead with its own.
+    """
+    lower, upper = selected.gain - settings.PHASE_SHARE * periodic_gain, selected.gain + settings.EQUIVALENT_GAIN
+    behind = [n for n, trial in enumerate(trials) if trial.cause in similar and lower < trial.gain < upper]
+    for n in behind[: settings.PHASE_CANDIDATES] if periodic_gain > 0.0 else ():
+        trial = trials[n]
+        fit = periodic.refine_phases(
+            criterion, periodic.fit_phases(criterion, trial.fit, settings.PASSES), settings.PASSES
+        )
+        trials[n] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
+
+
+def _refit_from(criterion: Criterion, selected: Trial, confounder: Trial) -> Trial:
+    """Fit a candidate that is behind once more, from the parameters found with `selected`."""
+    if selected.gain - confounder.gain < settings.EQUIVALENT_GAIN:
+        return confounder
+    start = substitute_start(criterion.thinner, selected.fit.theta, BY_NAME[selected.cause], BY_NAME[confounder.cause])
+    start = replace(start, phases_s=confounder.fit.theta.phases_s)
+    if criterion.value(start) <= confounder.fit.loglik:
+        return confounder
+    fit = climb(criterion, start, confounder.fit.free)
+    if fit.loglik <= confounder.fit.loglik:
+        return confounder
+    return replace(confounder, fit=fit, gain=confounder.gain + fit.loglik - confounder.fit.loglik)

@@ -1,0 +1,220 @@
+"""A forward step: score all candidates, fit the leading ones, and select the best if it meets the criteria."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from twin.diagnosis.search import periodic
+from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, steepness, within_range
+from twin.diagnosis.search.prediction_benefit import error_reduction
+from twin.diagnosis.search.score_test import Score, probed, screen
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor, part_logliks
+from twin.model.causes.catalogue import BY_NAME, with_trait
+from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
+
+# A ball held by friction is predicted well whatever the model lacks, so prediction is not evidence for friction.
+HOLDS = with_trait("sticks")
+Reporter = Callable[[str], None]
+Refusal = Literal["", "chance", "outside its range", "minor", "minor beside noise", "small share"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """The result of a forward step."""
+
+    scores: tuple[Score, ...]
+    trials: tuple[Trial, ...]  # best first
+    selected: str  # "" if no cause was selected
+    best: Trial | None = None  # the trial that was examined; None if nothing was fitted
+    share: float = 1.0  # of what is missing, that the best explains (`_share`)
+    refusal: Refusal = ""  # of the best
+    on_trial: bool = False  # selected on trial instead of a candidate that gains more
+
+
+def forward(
+    criterion: Criterion,
+    base: Fit,
+    current: Fit,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    max_candidates: int,
+    min_share: float,
+    report: Reporter,
+) -> Round:
+    """Find the best candidate and decide whether to select it.
+
+    Args:
+        criterion: of the recordings for fitting.
+        base: the model without causes.
+        current: the model so far, at its best.
+        floor: noise floor of the log-likelihood.
+        candidates: the causes to try.
+        max_candidates: number of candidates to fit, at most.
+        min_share: share of the unexplained rest that a cause must explain.
+        report: receives lines of progress.
+    """
+    with criterion.budget.question("what else of the catalogue explains what is left"):
+        scores = screen(criterion, current.theta, current.free, candidates)
+        if any(cause.name == periodic.CAUSE.name for cause in candidates):
+            scores = _with_line(criterion, current, scores)
+        scores = _with_dead_time(criterion, current, scores)
+        floor = floor.under(criterion, current.theta)
+    excess, material, gained = (
+        floor.excess(current.loglik),
+        floor.material(current.loglik),
+        current.loglik - base.loglik,
+    )
+    # Candidates that cannot reach the required share are not fitted.
+    min_gain = (min(settings.MINOR_SHARE, min_share) if material else settings.MINOR_SHARE_AT_NOISE) * gained
+    if min_share > settings.MIN_SHARE and material:
+        min_gain = max(min_gain, min_share * excess)
+    min_score = max(
+        0.5 * settings.MIN_GAIN, settings.MIN_SCORE_SHARE * max((score.gain for score in scores), default=0.0)
+    )
+    chosen = [
+        score
+        for score in scores
+        if score.testable and score.gain - score.chance > max(min_score, min_gain / steepness(score.cause))
+    ][:max_candidates]
+    report("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in chosen) or "nothing"))
+    names = ", ".join(score.cause for score in chosen)
+    with criterion.budget.question(f"the fit of {len(chosen)} candidates ({names})"):
+        parts = floor.lacking(part_logliks(criterion, current.theta)[0], len(criterion.evidence.statics))
+        trials = fit_candidates(
+            criterion,
+            current,
+            chosen,
+            min_share * min(excess, *parts) if material else 0.0,
+            _required_reduction(min_share),
+        )
+        if trials and any(name == periodic.AMPLITUDE for name, _ in current.theta.causes):
+            # A cause that delays the response also shifts the phase of the periodic force: fit the phase again.
+            fit = periodic.fit_phases(criterion, trials[0].fit, settings.PASSES)
+            trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
+        step = decide(criterion, base, current, floor, scores, trials, min_share)
+    return step
+
+
+def decide(
+    criterion: Criterion,
+    base: Fit,
+    current: Fit,
+    floor: Floor,
+    scores: Sequence[Score],
+    trials: list[Trial],
+    min_share: float,
+) -> Round:
+    """Decide whether the best trial is selected; `base` has no causes, `floor` is that of `current`."""
+    if not trials:
+        return Round(scores=tuple(scores), trials=(), selected="")
+    gained, min_reduction = current.loglik - base.loglik, _required_reduction(min_share)
+    possible = [trial for trial in trials if within_range(trial)]
+    best = (possible or trials)[0]
+    share = _share(criterion, base, current, floor, best)
+    refusal: Refusal = ""
+    if best.gain < settings.MIN_GAIN:
+        refusal = "chance"
+    elif not possible:
+        refusal = "outside its range"
+    elif best.gain < min(settings.MINOR_SHARE, min_share) * gained:
+        refusal = "minor"
+    elif not floor.material(current.loglik) and best.gain < settings.MINOR_SHARE_AT_NOISE * gained:
+        refusal = "minor beside noise"
+    elif (
+        floor.material(current.loglik)
+        and share < min_share
+        and not _improves_prediction(criterion, current, best, min_reduction)
+    ):
+        refusal = "small share"
+    else:
+        trials = [best, *(trial for trial in trials if trial is not best)]
+    return Round(
+        scores=tuple(scores),
+        trials=tuple(trials),
+        selected="" if refusal else best.cause,
+        best=best,
+        share=share,
+        refusal=refusal,
+    )
+
+
+def _share(criterion: Criterion, base: Fit, current: Fit, floor: Floor, best: Trial) -> float:
+    """Share of what is missing that the best explains, in the part of the data in which it gains most.
+
+    A lack in the other parts is not evidence against it.  If this part lacks hardly more than noise, the share is 1,
+    unless the effect is minor compared with those selected before.
+    """
+    none, before, after = part_logliks(criterion, base.theta, current.theta, best.fit.theta)
+    gains = after - before
+    part = int(np.argmax(gains))
+    lacking = floor.lacking(before, len(criterion.evidence.statics))[part]
+    if np.isfinite(lacking):
+        return float(gains[part] / lacking)
+    if gains[part] > settings.MINOR_SHARE_AT_NOISE * (before - none)[part]:
+        return 1.0
+    excess = floor.excess(current.loglik)
+    return best.gain / excess if excess > 0.0 else 1.0
+
+
+def _improves_prediction(criterion: Criterion, current: Fit, best: Trial, min_reduction: float) -> bool:
+    return best.cause not in HOLDS and error_reduction(criterion, current.theta, best.fit.theta) >= min_reduction
+
+
+def _required_reduction(min_share: float) -> float:
+    """Prediction benefit that replaces the required share; 1 (never) where more than MIN_SHARE is required."""
+    return settings.MIN_BENEFIT if min_share <= settings.MIN_SHARE else 1.0
+
+
+def _with_dead_time(criterion: Criterion, current: Fit, scores: list[Score]) -> list[Score]:
+    """Raise the scores of delays to the gain at the delay that the step responses show, where that is larger."""
+    delays = [score for score in scores if "delays" in BY_NAME[score.cause].traits and score.testable]
+    start = criterion.dead_time if delays else None
+    if start is None:
+        return scores
+    delay_s, T_A = start
+    raised = {}
+    for score in delays:
+        theta = probed(current.theta.having("T_A", T_A), BY_NAME[score.cause], delay_s)
+        gain = criterion.value(theta) - current.loglik
+        if gain > score.gain:
+            raised[score.cause] = replace(
+                score,
+                probe=delay_s,
+                gain=gain,
+                step=1.0,
+                z=math.sqrt(2.0 * gain),
+                moves=(),
+                other_values=(("T_A", T_A),),
+            )
+    return sorted((raised.get(score.cause, score) for score in scores), key=lambda entry: -entry.gain)
+
+
+def _with_line(criterion: Criterion, current: Fit, scores: list[Score]) -> list[Score]:
+    """Add the score of the strongest spectral line."""
+    if any(name == periodic.AMPLITUDE for name, _ in current.theta.causes):
+        return scores
+    line = periodic.find_line(criterion, current.theta)
+    if line is None:
+        return scores
+    score = Score(
+        cause=periodic.CAUSE.name,
+        probe=line.amplitude_n,
+        gain=line.gain,
+        step=1.0,
+        z=math.sqrt(2.0 * line.gain),
+        detectable=math.sqrt(2.0 * line.gain) * periodic.CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
+        visible=1.0,
+        moves=(),
+        chance=line.chance,
+        other_values=((periodic.FREQUENCY, line.frequency_hz),),
+        phases_s=line.phases_s,
+    )
+    return sorted([*scores, score], key=lambda entry: -entry.gain)

@@ -1,0 +1,150 @@
+"""The score test: how much would each cause of the catalogue gain, and can these data show it?
+
+Each candidate is tested on the innovations of all recordings together.  Effects that the parameters of the model can
+take up are projected out.  A probe or two of each candidate replace a fit, with the slopes of the model as it is.  That
+is exact enough to choose the candidates for a fit (tests/twin/inference/test_derivatives.py).
+
+Rule 1: the signature of a candidate is a secant to a small value, because a limit that is not reached has no
+        derivative.
+Rule 2: a candidate is not testable, and reported as such, if less than VISIBLE of its signature remains after the
+        projection.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.diagnosis.search.probes import probes_of
+from twin.estimation.innovations import information
+from twin.estimation.optimiser import inverse
+from twin.estimation.pace import Reuse
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import Theta, coordinates_of, derivative_step, moved
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """The score of a candidate."""
+
+    cause: str
+    probe: float  # value of the strength at which the signature was computed
+    gain: float  # estimated increase of the log-likelihood
+    step: float  # of the coordinate towards the maximum, in units of the probe
+    z: float  # how far from absent, in standard errors, signed
+    detectable: float  # standard errors by which the probe itself would show
+    visible: float  # share of the signature that nothing in the model takes up
+    moves: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
+    chance: float = 0.0  # gain that the search for the cause's other parameters makes out of noise
+    phases_s: tuple[float, ...] = ()  # of a periodic force, as `Theta` has them
+    other_values: tuple[tuple[str, float], ...] = ()  # values of other parameters that are not usual
+
+    @property
+    def testable(self) -> bool:
+        """Tell whether these data can show it."""
+        return self.visible >= settings.VISIBLE and self.detectable >= settings.MIN_INFORMATION * min(
+            self.fineness, 1.0
+        )
+
+    @property
+    def fineness(self) -> float:
+        """The probe in units of the cause's usual one."""
+        strength = BY_NAME[self.cause].strength
+        return abs(strength.coordinate(self.probe) / strength.coordinate(strength.probes[0]))
+
+
+def screen(
+    criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause] = CATALOGUE
+) -> list[Score]:
+    """The candidates' scores at a maximum, best first; those already in the model are left out.
+
+    For a part of the samples (`Criterion.thinner`) they are scaled to all samples.
+    """
+    present = {name.partition(".")[0] for name, _ in theta.causes}
+    trials = [
+        (cause, probe, shape)
+        for cause in candidates
+        if cause.name not in present and not cause.not_testable and cause.detector == "score-test"
+        for probe in probes_of(cause, criterion.evidence.series)
+        for shape in shapes_of(cause)
+    ]
+    run = criterion.run(theta)
+    base, free_change = criterion.derivatives(theta, free, run, rough=True)
+    k, count = len(free), len(free) + len(trials)
+    change = np.empty((count, *base.shape))
+    change[:k] = free_change
+    models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
+    # The slopes of a ball that may stick are not those of one that cannot.
+    reuse = [Reuse.NONE if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
+    outs = criterion.outputs_reusing(models, run, reuse)
+    for index, out in enumerate(outs, k):
+        np.subtract(out, base, out=change[index])
+    del outs
+    fisher, each = np.zeros((count, count)), np.empty((len(base), count))
+    information(base, change, each, fisher)
+    steps = [derivative_step(theta, name, criterion.plant) for name in free]
+    free_models = [moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True)]
+    score, curvature = criterion.outside_slopes(theta, [*free_models, *models], [*steps, *(1.0 for _ in trials)])
+    score, fisher = each.sum(axis=0) + score, fisher + curvature
+    # Schur complement: the information on a candidate that the free parameters of the model cannot take up.
+    inner = inverse(fisher[:k, :k])
+    best: dict[str, Score] = {}
+    for index, (cause, probe, shape) in enumerate(trials, k):
+        cross = fisher[:k, index]
+        total = float(fisher[index, index])
+        left = total - float(cross @ inner @ cross)
+        slope = float(score[index] - cross @ inner @ score[:k])
+        if not (total > 0.0 and math.isfinite(total)):
+            continue
+        left = max(left, 1e-12 * total)
+        step = slope / left
+        if step < 0.0 and not _two_sided(cause):
+            gain, step = 0.0, 0.0
+        else:
+            gain = 0.5 * slope * slope / left
+        entry = Score(
+            cause=cause.name,
+            probe=probe,
+            gain=gain / criterion.share,
+            step=step,
+            z=slope / math.sqrt(left * criterion.share),
+            detectable=math.sqrt(left / criterion.share),
+            visible=left / total,
+            moves=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
+            other_values=shape,
+        )
+        if cause.name not in best or entry.gain > best[cause.name].gain:
+            best[cause.name] = entry
+    return sorted(best.values(), key=lambda entry: -entry.gain)
+
+
+def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
+    """The coordinates of the forms that are looked at; () for the usual one."""
+    forms = [form for form in cause.forms if form.probed]
+    return [
+        (),
+        *(
+            tuple((f"{cause.name}.{name}", value) for name, value in form.values.items() if not isinstance(value, str))
+            for form in forms
+        ),
+    ]
+
+
+def probed(theta: Theta, cause: Cause, value: float, other_values: Sequence[tuple[str, float]] = ()) -> Theta:
+    """Return the model with that strength of a cause, its other parameters at usual values, and then `other_values`."""
+    strength, *rest = coordinates_of(cause.name)
+    usual = [(name, parameter.neutral) for name, parameter in zip(rest, cause.parameters[1:], strict=True)]
+    for name, known in (*usual, (strength, value), *other_values):
+        theta = theta.having(name, known)
+    return theta
+
+
+def _two_sided(cause: Cause) -> bool:
+    strength = cause.strength
+    return math.isfinite(strength.neutral) and strength.low < strength.neutral < strength.high

@@ -1,0 +1,268 @@
+"""Stepwise selection: which causes the model needs, by the likelihood of all recordings for fitting.
+
+    forward: add the best candidate if it meets rule 1
+    -> backward: remove causes that are no longer needed; repeat both
+    -> find the causes that explain the data as well as each selected one (equivalence.py)
+
+Rule 1: a cause is selected if it raises the log-likelihood by more than MIN_GAIN and its strength is within its
+        physical range.  While more than noise is unexplained, it must also explain a fair share of that.  A
+        significant but minor effect next to a large unexplained rest is typical of a false name.
+Rule 2: the judge recordings are not used here.
+Rule 3: a step that exceeds the budget makes no new selection, and the search ends with the one before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+from twin.diagnosis.search import periodic
+from twin.diagnosis.search.candidate_fits import deserves_full_fit, refine, within_range
+from twin.diagnosis.search.equivalence import find_classes
+from twin.diagnosis.search.forward_step import Reporter, Round, decide, forward
+from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
+from twin.inference.budget import Spent
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import Floor
+from twin.inference.theta import reinitialised
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.settings import diagnosis as settings
+
+
+def select(
+    criterion: Criterion,
+    base: Fit,
+    floor: Floor,
+    *,
+    candidates: Sequence[Cause] = CATALOGUE,
+    max_candidates: int = settings.CANDIDATES,
+    quick: bool = False,
+    share: float = settings.MIN_SHARE,
+    classes: bool = True,
+    report: Reporter = lambda line: None,
+) -> Selection:
+    """Select causes: forward steps, backward steps, equivalence classes.
+
+    Args:
+        criterion: of the recordings for fitting.
+        base: the model without causes, at its best.
+        floor: what sensor noise alone leaves, under any model.
+        candidates: the causes to try.
+        max_candidates: number of candidates that are fitted in a round, at most.
+        quick: skip combinations of causes that explain too little alone, and most of the class search where several
+            causes were found.
+        share: smallest part of the unexplained rest that a cause must explain; below MIN_SHARE more causes are
+            selected, too.
+        classes: whether to find the equivalence classes; otherwise `find_classes` can do so later.
+        report: receives lines of progress.
+    """
+    selection = Selection(base=base, fit=base)
+    unanswered = criterion.budget.unanswered
+    try:
+        for step_result in _search(
+            criterion, selection, floor, candidates, max_candidates, quick, share, classes, report
+        ):
+            selection = step_result
+    except Spent:
+        rest = [cause for cause in selection.causes if cause not in selection.classes]
+        if classes and rest and _confounder_question(rest) not in unanswered:
+            unanswered.append(_confounder_question(rest))
+    return selection
+
+
+def _confounder_question(causes: Sequence[str]) -> str:
+    return f"whether other causes explain as much as {' or '.join(causes)}"
+
+
+def _search(
+    criterion: Criterion,
+    selection: Selection,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    max_candidates: int,
+    quick: bool,
+    share: float,
+    classes: bool,
+    report: Reporter,
+) -> Iterator[Selection]:
+    """Yield the selection after each step."""
+    max_causes = settings.MAX_CAUSES if share >= settings.MIN_SHARE else len(candidates)
+    thorough = share == settings.MIN_SHARE and not quick
+    for _ in range(settings.ROUND_TRIPS if thorough and classes else 1):
+        passes = settings.PASSES_QUICK if quick else settings.PASSES
+        while len(selection.causes) < max_causes:
+            for step_result in _add(criterion, selection, floor, candidates, max_candidates, share, report, passes):
+                yield (selection := step_result)
+            if not selection.rounds[-1].selected:
+                break
+        # `_together` continues from a refused step; with MAX_CAUSES there is none.
+        if thorough and len(selection.causes) < max_causes and material(criterion, selection, floor):
+            yield (selection := _together(criterion, selection, floor, candidates, max_candidates, report))
+        if not classes:
+            break
+        before = set(selection.causes)
+        yield (selection := _refine_phases(criterion, selection, thorough))
+        with criterion.budget.question(_confounder_question(selection.causes)):
+            doubt = floor if thorough else None
+            selection = find_classes(
+                criterion,
+                selection,
+                doubt,
+                candidates=candidates,
+                max_candidates=max_candidates,
+                quick=quick,
+                report=report,
+            )
+        yield selection
+        yield (selection := _refine_phases(criterion, selection, thorough))
+        # A cause that was refused next to a false name may be needed next to the right one.
+        if set(selection.causes) == before or not material(criterion, selection, floor):
+            break
+
+
+def _refine_phases(criterion: Criterion, selection: Selection, thorough: bool) -> Selection:
+    """Fit the phases of a periodic force together with all other causes."""
+    if not thorough or periodic.CAUSE.name not in selection.causes:
+        return selection
+    with criterion.budget.question("which phases the periodic force has together with the other causes"):
+        return replace(selection, fit=periodic.refine_phases(criterion, selection.fit, settings.PASSES))
+
+
+def _add(
+    criterion: Criterion,
+    selection: Selection,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    max_candidates: int,
+    min_share: float,
+    report: Reporter,
+    passes: int = settings.PASSES,
+) -> Iterator[Selection]:
+    """Make a forward step, then remove causes that are no longer needed; yields the selection after each part."""
+    step = forward(criterion, selection.base, selection.fit, floor, candidates, max_candidates, min_share, report)
+    yield from _apply_step(criterion, selection, floor, step, report, passes)
+
+
+def _apply_step(
+    criterion: Criterion, selection: Selection, floor: Floor, step: Round, report: Reporter, passes: int
+) -> Iterator[Selection]:
+    """Apply the result of a forward step; yields the selection after each part, unchanged if it selected nothing."""
+    selection = replace(selection, rounds=(*selection.rounds, step))
+    if not step.selected:
+        report("none selected" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
+        yield selection
+        return
+    first = step.trials[0]
+    gains = {**selection.gains, step.selected: first.gain}
+    fit = _revived(criterion, first.fit)
+    yield (selection := replace(selection, causes=(*selection.causes, step.selected), fit=fit, gains=gains))
+    if periodic.CAUSE.name in selection.causes:
+        with criterion.budget.question("which phases the periodic force has together with the other causes"):
+            selection = replace(selection, fit=periodic.fit_phases(criterion, selection.fit, settings.PASSES))
+    yield (selection := selection.with_fits([selection.fit]))
+    report(f"selected: {step.selected} (log-likelihood +{first.gain:.0f})")
+    if len(selection.causes) > 1:
+        with criterion.budget.question("whether each cause is needed together with the later ones"):
+            selection = backward(criterion, selection, floor, report, passes)
+        yield selection
+
+
+def _revived(criterion: Criterion, fit: Fit) -> Fit:
+    """Return the fit with T_A above zero if that is better: errors of a model without the cause may have removed it.
+
+    A lag elsewhere in the loop would otherwise take over its part.
+    """
+    start = reinitialised(fit.theta)
+    if start.T_A == fit.theta.T_A:
+        return fit
+    again = climb(criterion, start, fit.free)
+    return again if again.loglik > fit.loglik else fit
+
+
+def _together(
+    criterion: Criterion,
+    selection: Selection,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    max_candidates: int,
+    report: Reporter,
+) -> Selection:
+    """Add causes that explain too little alone but leave only noise together; otherwise return `selection`.
+
+    Two causes of similar size mask each other: without the second, the first may explain only a tenth.
+    """
+    refused = selection.rounds[-1]
+    if len(selection.causes) >= settings.MAX_TOGETHER:
+        return selection
+    excess = floor.under(criterion, selection.fit.theta).excess(selection.fit.loglik)
+    if not refused.trials or refused.trials[0].gain < settings.MIN_SHARE_TOGETHER * excess:
+        return selection
+    report("it explains too little alone; does it leave only noise together with others?")
+    with criterion.budget.question("whether several causes explain together what none explains alone"):
+        retried = _retry(criterion, selection, floor, refused)
+        for first in _firsts(retried):
+            *_, more = _apply_step(
+                criterion, replace(selection, rounds=selection.rounds[:-1]), floor, first, report, settings.PASSES
+            )
+            while (
+                more.rounds[-1].selected
+                and len(more.causes) < settings.MAX_TOGETHER
+                and material(criterion, more, floor)
+            ):
+                min_share = (
+                    settings.MIN_SHARE_TOGETHER
+                    if len(more.causes) < settings.MAX_TOGETHER - 1
+                    else settings.MIN_SHARE_LAST
+                )
+                *_, more = _add(criterion, more, floor, candidates, max_candidates, min_share, report)
+            if not material(criterion, more, floor):
+                return more
+            selection = replace(selection, smaller=more.smaller)
+    return selection
+
+
+def _firsts(retried: Round) -> list[Round]:
+    """The step, and variants of it with another candidate of nearly the same gain, as a false one may lead narrowly."""
+    if not retried.selected:
+        return []
+    firsts = [retried]
+    for trial in retried.trials[1:]:
+        is_close = trial.gain > settings.FIRST_SHARE * retried.trials[0].gain and within_range(trial)
+        if is_close and all(abs(trial.gain - first.trials[0].gain) > settings.EQUIVALENT_GAIN for first in firsts):
+            rest = tuple(other for other in retried.trials if other is not trial)
+            firsts.append(replace(retried, trials=(trial, *rest), selected=trial.cause, best=trial, on_trial=True))
+    return firsts[: settings.FIRSTS]
+
+
+def _retry(criterion: Criterion, selection: Selection, floor: Floor, refused: Round) -> Round:
+    """The refused step with a smaller required share, its candidates fitted to the end."""
+    min_share = (
+        settings.MIN_SHARE_TOGETHER if len(selection.causes) < settings.MAX_TOGETHER - 1 else settings.MIN_SHARE_LAST
+    )
+    trials = [
+        trial
+        if trial.fit.converged or not deserves_full_fit(trial, refused.trials[0])
+        else refine(criterion, trial, settings.PASSES)
+        for trial in refused.trials
+    ]
+    trials.sort(key=lambda trial: -trial.gain)
+    under = floor.under(criterion, selection.fit.theta)
+    return decide(criterion, selection.base, selection.fit, under, refused.scores, trials, min_share)
+
+
+def backward(criterion: Criterion, selection: Selection, floor: Floor, report: Reporter, passes: int) -> Selection:
+    """Remove each cause that would no longer be selected together with the later ones."""
+    earlier = selection.causes[:-1]
+    selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection, passes=passes), earlier))
+    for cause in earlier:
+        smaller = fit_without(criterion, selection, cause, passes)
+        selection = selection.with_fits([smaller])
+        if superfluous(criterion, selection, floor, smaller):
+            selection = selection.dropping(cause, smaller)
+            report(f"dropped: {cause} (the others explain it)")
+        else:
+            selection = replace(selection, gains={**selection.gains, cause: selection.fit.loglik - smaller.loglik})
+    return selection

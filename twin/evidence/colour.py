@@ -1,0 +1,244 @@
+"""The colour of the sensor noise, from the ball at rest and from captures away from their step, without a model.
+
+A part of a reading's noise is white, the rest is forgotten exponentially, as behind a low-pass filter
+(Ornstein-Uhlenbeck).  Level, share and correlation time maximise the restricted likelihood of windows under a constant
+input.  Mean and slope of each window are projected out (H. D. Patterson, R. Thompson, Biometrika 58(3), 1971).
+
+Rule 1: noise is coloured only if three conditions hold.  The windows show it significantly without the one that shows
+        it most.  The autocorrelation of successive readings is material.  A wandering offset explains it less.
+Rule 2: the noise of captures is that of the other recordings unless they surely differ.  A capture of 10 ms does not
+        separate slow noise from an offset.
+Rule 3: without a ball at rest, noise counts as white: in flight, coloured noise of x looks like missing dynamics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.linalg import null_space, toeplitz
+from scipy.stats import chi2
+
+from twin.estimation.contact import partly_cut_off
+from twin.estimation.innovations import (
+    CAPTURED,
+    FLIES,
+    FOLLOWS,
+    RESTS_HIGH,
+    RESTS_LOW,
+    RESTS_UNSEEN,
+    USE_I,
+    USE_X,
+    Series,
+)
+from twin.estimation.record import BoolArray, FloatArray, runs
+from twin.evidence.gather import Evidence
+from twin.evidence.noise_levels import Colour
+from twin.model.extended import SHORT_S
+from twin.settings import diagnosis as settings
+
+WINDOW = 100  # readings
+SETTLES = 50  # readings after a change of u_c that are left out, as the current still settles
+SETTLES_FAST = 500  # the same of captures, 20 ms at 25 kHz
+FEWEST = 3  # windows
+_TAU_S = np.geomspace(2e-4, 0.1, 41)
+_WHITE = np.concatenate((np.geomspace(1e-3, 0.5, 14), 1.0 - np.geomspace(0.4, 0.02, 8)))  # share of the variance
+_FREE = null_space(np.vander(np.arange(WINDOW) - 0.5 * (WINDOW - 1.0), 2).T).T  # takes out mean and slope
+_WALK = _FREE @ np.minimum.outer(np.arange(WINDOW), np.arange(WINDOW)) @ _FREE.T / WINDOW
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Windows:
+    """Windows of one instrument at one interval."""
+
+    step_s: float
+    rows: FloatArray  # without mean and slope, shape (count, WINDOW - 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    """The largest likelihood of one kind of noise."""
+
+    each: FloatArray  # log-likelihood of each window
+    colour: Colour | None = None
+
+    @property
+    def total(self) -> float:
+        return float(self.each.sum())
+
+
+def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | None, Colour | None]:
+    """The colours of i_c, x, and i_c in captures; None: white, or not known."""
+    i_c, x, captured = (
+        [entry for evidence in evidences for entry in _windows(evidence.series, column, captures=captures)]
+        for column, captures in ((0, False), (1, False), (0, True))
+    )
+    i_c_colour, captured_colour = _colour(i_c), _colour(captured)
+    if i_c_colour is not None and captured:
+        joint, separate = (
+            _coloured([*i_c, *captured]),
+            _coloured(i_c).total + max(_white(captured).total, _coloured(captured).total),
+        )
+        if 2.0 * (separate - joint.total) < chi2.isf(settings.COLOUR_CHANCE, 3):
+            i_c_colour = captured_colour = joint.colour
+    return i_c_colour, _colour(x), captured_colour
+
+
+def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
+    """Mean square of a weighted sum of successive readings over that of white noise of the same level.
+
+    Args:
+        colour: of the noise.
+        step_s: interval of the readings, s.
+        weights: of the readings, shape (n,).
+    """
+    covariance = colour.white * np.eye(len(weights)) + (1.0 - colour.white) * _forgotten(
+        colour.tau_s, step_s, len(weights)
+    )
+    return float(weights @ covariance @ weights / (weights @ weights))
+
+
+def _colour(windows: Sequence[_Windows]) -> Colour | None:
+    if sum(len(part.rows) for part in windows) < FEWEST:
+        return None
+    if max(_score(windows, tau_s) for tau_s in _TAU_S[::5].tolist()) < settings.COLOUR_SCORE:
+        return None
+    white, coloured = _white(windows), _coloured(windows)
+    gains = coloured.each - white.each
+    min_gain = 0.5 * float(chi2.isf(settings.COLOUR_CHANCE, 2))
+    surely = float(gains.sum() - gains.max()) > min_gain and coloured.total > _wandering(windows).total
+    assert coloured.colour is not None
+    material = max(_next(coloured.colour, part.step_s) for part in windows) > settings.MAX_AUTOCORRELATION
+    return coloured.colour if surely and material else None
+
+
+def _next(colour: Colour, step_s: float) -> float:
+    """The autocorrelation from reading to reading."""
+    return (1.0 - colour.white) * math.exp(-step_s / colour.tau_s)
+
+
+def _score(windows: Sequence[_Windows], tau_s: float) -> float:
+    """Score test of a small part of this correlation time in white noise, in standard errors, at little cost."""
+    variance = sum(float(np.sum(part.rows**2)) for part in windows) / sum(part.rows.size for part in windows)
+    slope = information = trace = 0.0
+    for part in windows:
+        shape = _free_of_trend(tau_s, part.step_s)
+        slope += 0.5 * (
+            float(np.sum(part.rows @ shape * part.rows)) / variance - len(part.rows) * float(np.trace(shape))
+        )
+        information += 0.5 * len(part.rows) * float(np.sum(shape**2))
+        trace += len(part.rows) * float(np.trace(shape))
+    information -= 0.5 * trace**2 / sum(part.rows.size for part in windows)
+    return slope / math.sqrt(information)
+
+
+@cache
+def _free_of_trend(tau_s: float, step_s: float) -> FloatArray:
+    return np.asarray(_FREE @ _forgotten(tau_s, step_s, WINDOW) @ _FREE.T)
+
+
+@cache
+def _axes(tau_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
+    values, axes = np.linalg.eigh(_free_of_trend(tau_s, step_s))
+    return values, axes
+
+
+def _forgotten(tau_s: float, step_s: float, count: int) -> FloatArray:
+    return np.asarray(toeplitz(np.exp(-np.arange(count) * step_s / tau_s)))
+
+
+def _white(windows: Sequence[_Windows]) -> _Fit:
+    return _Fit(each=_likelihood([(part.rows**2, np.ones(WINDOW - 2)) for part in windows])[0])
+
+
+def _coloured(windows: Sequence[_Windows]) -> _Fit:
+    best: _Fit | None = None
+    for tau_s in _TAU_S.tolist():
+        transformed = []
+        for part in windows:
+            values, axes = _axes(tau_s, part.step_s)
+            transformed.append(((part.rows @ axes) ** 2, values))
+        for white in _WHITE.tolist():
+            each, sigma = _likelihood([(squares, white + (1.0 - white) * values) for squares, values in transformed])
+            if best is None or each.sum() > best.total:
+                best = _Fit(
+                    each=each, colour=Colour(tau_s=tau_s, white=white, sigma=sigma, readings=each.size * WINDOW)
+                )
+    assert best is not None
+    return best
+
+
+def _wandering(windows: Sequence[_Windows]) -> _Fit:
+    """White noise and an offset that wanders."""
+    values, axes = np.linalg.eigh(_WALK)
+    fits = []
+    for white in _WHITE.tolist():
+        transformed = [
+            ((part.rows @ axes) ** 2, white + (1.0 - white) * part.step_s / windows[0].step_s * values)
+            for part in windows
+        ]
+        fits.append(_Fit(each=_likelihood(transformed)[0]))
+    return max(fits, key=lambda fit: fit.total)
+
+
+def _likelihood(transformed: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, float]:
+    """(log-likelihood of each window, standard deviation at its maximum) from squares and their relative variances."""
+    squares = [rows / variances for rows, variances in transformed]
+    variance = sum(float(values.sum()) for values in squares) / sum(values.size for values in squares)
+    each = [
+        -0.5 * (values.sum(axis=1) / variance + float(np.log(variance * variances).sum()))
+        for values, (_, variances) in zip(squares, transformed, strict=True)
+    ]
+    return np.concatenate(each), math.sqrt(variance)
+
+
+def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
+    """Windows of i_c (column 0) or x under a constant input, with the ball at rest or from captures."""
+    values = (series.i, series.x)[column]
+    use = (USE_I, USE_X)[column]
+    follows = series.flags & FOLLOWS != 0
+    changed = ~follows | (np.diff(series.u, prepend=series.u[:1]) != 0.0)
+    captured = is_fast(series)
+    used = (series.flags & use != 0) & _whole(series, values, use)
+    since = np.arange(len(values)) - np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))
+    if captures:
+        steps = np.cumsum(changed & follows) - np.maximum.accumulate(np.where(follows, 0, np.cumsum(changed & follows)))
+        allowed = used & captured & ((steps == 0) | (since >= SETTLES_FAST))
+    else:
+        rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
+        allowed = used & ~captured & rest & (series.flags & FLIES == 0) & (since >= SETTLES)
+    rows_of_step: dict[float, list[FloatArray]] = {}
+    for piece in runs(allowed, WINDOW):
+        for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):
+            window = slice(start, start + WINDOW)
+            if changed[window][1:].any():
+                continue
+            step_s = float(f"{np.median(series.step[start + 1 : start + WINDOW]):.3g}")
+            rows_of_step.setdefault(step_s, []).append(_FREE @ values[window])
+    return [calm for step_s, rows in rows_of_step.items() if (calm := _calm(step_s, np.array(rows))) is not None]
+
+
+def is_fast(series: Series) -> BoolArray:
+    """Return a mask of captured or equally fast samples, shape (n,): they may be of another instrument."""
+    begins = series.flags & FOLLOWS == 0
+    step_s = np.where(begins, np.append(series.step[1:], np.inf), series.step)  # the first sample has no interval
+    return np.asarray((series.flags & CAPTURED != 0) | (step_s < SHORT_S))
+
+
+def _calm(step_s: float, rows: FloatArray) -> _Windows | None:
+    """Remove windows far noisier than the others; None if only rounding is left."""
+    squares = np.mean(rows**2, axis=1)
+    calm = (squares <= settings.RESTLESS * float(np.median(squares))) & (squares > 0.0)
+    return _Windows(step_s=step_s, rows=rows[calm]) if calm.any() else None
+
+
+def _whole(series: Series, values: FloatArray, use: int) -> BoolArray:
+    """Return a mask of the readings whose noise the end of a converter does not cut off, shape (n,)."""
+    whole = np.ones(len(values), np.bool_)
+    for number in np.unique(series.recording):
+        used = np.flatnonzero((series.recording == number) & (series.flags & use != 0))
+        whole[used[partly_cut_off(values[used])]] = False
+    return whole

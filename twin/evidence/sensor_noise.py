@@ -1,0 +1,78 @@
+"""Sensor noise without a model: from the ball at rest, otherwise from the differences of the readings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.estimation.contact import HELD_SAMPLES, partly_cut_off
+from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
+from twin.estimation.record import BoolArray, FloatArray, runs
+from twin.evidence.gather import Evidence
+from twin.settings import diagnosis as settings
+
+_LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
+
+
+def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
+    """Standard deviations (i_c in A, x in m) of the ball at rest, else of `instruments.py`; None: too few samples."""
+    squares = _rest_squares(evidence)
+    result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
+    if evidence.noise is not None:
+        coloured = zip(result, evidence.noise.colours[:2], strict=True)
+        result = [colour.sigma if colour is not None else sigma for sigma, colour in coloured]
+        in_flight = [channel.sigma if math.isfinite(channel.sigma) else None for channel in evidence.noise.channels]
+        result = [sigma if sigma is not None else other for sigma, other in zip(result, in_flight, strict=True)]
+    return result[0], result[1]
+
+
+def noise_error(evidence: Evidence) -> float:
+    """Standard error of ln sigma for both channels together; sqrt(1 / 2n) each, and that of the noise ratios."""
+    squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
+    if evidence.noise is not None:
+        coloured = zip(squares, evidence.noise.colours[:2], strict=True)
+        squares = [0.5 / colour.readings if colour is not None else square for square, colour in coloured]
+        squares = [
+            square + evidence.noise.error(evidence.records, evidence.series, column) ** 2
+            for column, square in enumerate(squares)
+        ]
+    return 0.5 * float(np.sqrt(sum(squares)))
+
+
+def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
+    """(sum of squares about straight lines at rest, degrees of freedom) for i_c and x.
+
+    Windows far noisier than the others are left out: the current still settles there, or the rig was touched.
+    """
+    series = evidence.series
+    whole = _not_cut(series, series.i, USE_I), _not_cut(series, series.x, USE_X)
+    rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
+    squares: tuple[list[float], list[float]] = ([], [])
+    for piece in runs(rest, 2 * HELD_SAMPLES):
+        for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
+            window = slice(start, start + HELD_SAMPLES)
+            usable = whole[0][window].all() and np.ptp(series.u[window]) == 0.0, whole[1][window].all()
+            for column, values in ((0, series.i[window]), (1, series.x[window])):
+                if not usable[column]:
+                    continue
+                line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
+                residual = values - np.polynomial.polynomial.polyval(_LINE, line)
+                if len(evidence.noise_ratio):  # scaled to the reference instrument
+                    residual = residual / np.sqrt(evidence.noise_ratio[window, column])
+                squares[column].append(float(residual @ residual))
+    result = []
+    for channel in squares:
+        middle = float(np.median(channel)) if channel else 0.0
+        usual = [square for square in channel if square <= settings.RESTLESS * middle] if middle > 0.0 else channel
+        result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
+    return result
+
+
+def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
+    """Return a mask of used readings away from the converter's end, which cuts off noise, shape (n,)."""
+    used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
+    for number in np.unique(series.recording):
+        readings = np.flatnonzero(known & (series.recording == number))
+        used[readings[partly_cut_off(values[readings])]] = False
+    return np.asarray(used)

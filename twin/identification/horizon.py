@@ -1,0 +1,79 @@
+"""Multi-step prediction error of x(k + N), predicted from the filter's estimate at k with the measured u_c.
+
+Recordings that were not used for fitting, and horizons long compared with the unstable pole's time constant of 13 ms,
+show errors that a fit hides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.estimation.innovations import Series
+from twin.estimation.prepare import prepare
+from twin.estimation.record import FloatArray, Record
+from twin.estimation.rollout import roll_out
+from twin.estimation.structures import System
+from twin.inference.nominal_fit import Likelihood, Point
+
+HORIZONS_S = (2e-3, 10e-3, 20e-3, 40e-3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Horizon:
+    """Error of the prediction of x at one horizon."""
+
+    horizon_s: float
+    rmse_m: float
+    constant_m: float  # rmse of the constant prediction "x stays where it is"
+    count: int
+
+
+def horizons(
+    records: list[Record], plant: Plant, point: Point, tick_s: float, *, horizons_s: tuple[float, ...] = HORIZONS_S
+) -> list[Horizon]:
+    """Errors over all flights of the records, one row per horizon.
+
+    Args:
+        records: in flight, with u_c; usually those with use = "judge".
+        plant: of the campaign.
+        point: parameters and noise levels of the filter.
+        tick_s: interval of the process noise, s.
+        horizons_s: horizons, s.
+    """
+    series, _ = prepare(records, plant)
+    likelihood = Likelihood(series, plant, tick_s)
+    state = likelihood.states(point)
+    system = point.system(plant, tick_s)
+    result = []
+    for horizon in horizons_s:
+        ahead = max(round(horizon / tick_s), 1)
+        error, constant = errors(system, series, state, ahead)
+        count = int(np.isfinite(error).sum())
+        result.append(
+            Horizon(
+                horizon_s=ahead * tick_s,
+                rmse_m=float(np.sqrt(np.nanmean(error**2))) if count else float("nan"),
+                constant_m=float(np.sqrt(np.nanmean(constant**2))) if count else float("nan"),
+                count=count,
+            )
+        )
+    return result
+
+
+def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tuple[FloatArray, FloatArray]:
+    """Errors of the prediction of x, and of "x stays where it is", m, each shape (n,), NaN without a prediction.
+
+    Args:
+        system: the model and its noise.
+        series: the recorded samples.
+        state: corrected states along it, shape (n, 7).
+        ahead: horizon N in samples, 1 or more.
+    """
+    error = series.x - roll_out(system, series.samples, state, ahead, stops=True)
+    constant = np.full(len(error), np.nan)
+    constant[ahead:] = series.x[ahead:] - series.x[:-ahead]
+    constant[np.isnan(error)] = np.nan
+    return error, constant

@@ -1,0 +1,94 @@
+"""95 % intervals: from the covariance if the log-likelihood is nearly a parabola, otherwise from its profile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.inference.nominal_fit import FLOORS, PARAMETERS, Fit, Likelihood, Point, fit
+from twin.settings import identification as settings
+
+Z = 1.96
+_ROUNDS = 6
+_PASSES = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interval:
+    """One parameter's interval in its own unit."""
+
+    std: float
+    low: float
+    high: float
+    method: str  # Fisher information | sandwich | profile likelihood
+
+
+def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -> dict[str, Interval]:
+    """Intervals of the free parameters, by name.
+
+    Args:
+        likelihood: of the recordings.
+        fitted: its maximum.
+        robust: whether the residuals are coloured, so that the sandwich covariance is used.
+    """
+    mass = likelihood.plant.mass_kg
+    result = {}
+    for name in PARAMETERS:
+        if name not in fitted.free:
+            continue
+        std = fitted.std(name, mass, robust=robust)
+        value = getattr(fitted.point, name)
+        relative = std / value if name != "b" and value > 0 else 0.0
+        floored = name == "T_A" and value <= FLOORS[name] * 1.001  # no standard error and no lower end
+        crooked = (
+            floored
+            or relative > settings.PROFILE_FROM
+            or (name == "b" and abs(value) < settings.SMALL_DRAG * std)
+            or not np.isfinite(std)
+        )
+        if not crooked:
+            low, high = (
+                (value - Z * std, value + Z * std)
+                if name == "b"
+                else (value * float(np.exp(-Z * relative)), value * float(np.exp(Z * relative)))
+            )
+            method = "sandwich covariance (residuals are coloured)" if robust else "Fisher information"
+        else:
+            # With coloured residuals the profile is too narrow by the ratio of the two standard errors.
+            inflate = max(std / max(fitted.std(name, mass), 1e-300), 1.0) if robust and np.isfinite(std) else 1.0
+            high = _profile(likelihood, fitted, name, 1, Z * inflate)
+            low = 0.0 if floored else _profile(likelihood, fitted, name, -1, Z * inflate)
+            std = float("inf") if floored else std
+            method = "profile likelihood"
+        result[name] = Interval(std=std, low=low, high=high, method=method)
+    return result
+
+
+def _profile(likelihood: Likelihood, fitted: Fit, name: str, side: int, target: float) -> float:
+    """Value at which the signed root of the likelihood ratio reaches `target`; 0 or inf if it does not."""
+    mass = likelihood.plant.mass_kg
+    std = fitted.std(name, mass)
+    value = getattr(fitted.point, name)
+    distance = target * (std / mass if name == "b" else std / value) if np.isfinite(std) and std > 0 else 0.5
+    max_distance = 200.0 if name == "b" else settings.BOUND_FARTHEST
+    distance = min(distance, max_distance)
+    free = tuple(other for other in fitted.free if other != name)
+    below, above = 0.0, np.inf
+    start: Point = fitted.point
+    for _ in range(_ROUNDS):
+        at = fitted.point.moved(name, side * distance, mass)
+        start = replace(at, **{other: getattr(start, other) for other in free})
+        refit = fit(likelihood, start, free, passes=_PASSES)
+        start = refit.point
+        root = float(np.sqrt(max(2.0 * (fitted.loglik - refit.loglik), 0.0)))
+        if abs(root - target) < 0.03 * target:
+            break
+        below, above = (max(below, distance), above) if root < target else (below, min(above, distance))
+        if root < target and distance >= max_distance:
+            return 0.0 if side < 0 and name != "b" else side * float("inf")
+        guess = distance * target / root if root > 0.05 * target else distance * 4.0
+        if not below < guess < above:
+            guess = 0.5 * (below + above) if np.isfinite(above) else distance * 2.0
+        distance = min(guess, max_distance)
+    return float(getattr(fitted.point.moved(name, side * distance, mass), name))

@@ -1,0 +1,331 @@
+"""Identification of a model from a campaign: the steps in order.
+
+    recordings -> checks -> levels, step responses, lift-off -> starting values -> maximum likelihood of all innovations
+               -> fit again without outliers -> fit again without unnecessary process noise
+               -> whiteness, covariance, intervals -> verdicts
+
+Rule 1: one parameter set explains the whole campaign.
+Rule 2: each parameter has a verdict; one that cannot be estimated is marked as not identifiable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from protocol.campaign import Campaign
+from protocol.errors import DataError
+from twin.estimation.innovations import FLIES, USE_I, USE_X
+from twin.estimation.prepare import Usage, prepare
+from twin.estimation.record import Record
+from twin.estimation.structures import NOISES
+from twin.estimation.whiteness import Whiteness, whiteness
+from twin.evidence.checks.dead_channels import without_dead
+from twin.evidence.checks.plausibility import inspect
+from twin.evidence.dead_time import delayed
+from twin.evidence.starting.levels import Levels, Shape, find_levels, find_shape
+from twin.evidence.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
+from twin.evidence.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
+from twin.identification import verdicts
+from twin.identification.horizon import Horizon, horizons
+from twin.identification.input_delay import input_delay
+from twin.identification.intervals import Interval, quadratic_or_profile
+from twin.identification.result import Identification, noise_of, provenance_of
+from twin.inference.nominal_fit import FLOORS, NAMES, PARAMETERS, Fit, Likelihood, Point, fit, gate, max_drag, sandwich
+from twin.model.assumed import assumption_warning, mark
+from twin.model.parameters import Model, Parameter
+from twin.readers.campaign import read_campaign
+from twin.settings import identification as settings
+
+# The process noise starts large.  From a small value an incomplete model converges to a far lower maximum, which
+# attributes all its error to the noise of the position sensor (250 um instead of 4).
+_NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 5.0}
+_TICK_S = 2e-3
+
+
+def identify(
+    campaign: Campaign, *, data: Path | None = None, progress: Callable[[str], None] = lambda line: None
+) -> Identification:
+    """Identify the model of a campaign from its recordings for fitting.
+
+    Args:
+        campaign: of `Campaign.load`.
+        data: folder of the recordings, if it is not that of the campaign.
+        progress: is called with lines of progress.
+
+    Raises:
+        DataError: a recording is missing, unreadable or implausible, or none has use = "fit".
+    """
+    records = read_campaign(campaign, data=data)
+    if not records:
+        raise DataError(
+            f'{campaign.where}: no recording has use = "fit"',
+            remedy='Give at least one [[recording]] with use = "fit"',
+        )
+    progress(f"{len(records)} recordings, {sum(len(r.t) for r in records)} samples")
+    return identify_records(campaign, records, progress=progress)
+
+
+def identify_records(
+    campaign: Campaign, records: list[Record], *, progress: Callable[[str], None] = lambda line: None
+) -> Identification:
+    """`identify` with recordings in memory.  Raises DataError."""
+    plant = campaign.plant
+    warnings = [assumption_warning(plant)] if plant.assumed else []
+    warnings += [note for record in records for note in record.notes]
+    messages = inspect(records, plant, campaign.controller)
+    records, left_out = without_dead(records, plant)
+    warnings += grouped(messages + left_out, [record.name for record in records])
+
+    delays = [input_delay(record, plant) for record in records]
+    records = _aligned(records, delays, warnings)
+    levels, shape = find_levels(records), find_shape(records)
+    points = lift_offs(records, plant)
+    force = force_constant(points, plant) or force_constant(equilibria(records, plant), plant)
+    amplifier = amplifier_start(records)
+    ball = ball_start(records, plant, amplifier)
+    progress("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
+
+    series, usages = prepare(records, plant, min_gap_m=settings.POLE_DISTANCE * plant.travel_m)
+    for usage, samples in zip(usages, delays, strict=True):
+        usage.input_delay = samples
+    tick_s = _tick(records)
+    fitted: Fit | None = None
+    white: Whiteness | None = None
+    likelihood = Likelihood(series, plant, tick_s)
+    flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
+    if amplifier is not None and amplifier.K_A > 0 and (series.flags & USE_I).any():
+        start, free = _start(amplifier, ball, force, flying, plant.mass_kg, tick_s)
+        likelihood, fitted = _fitted(likelihood, start, free, usages, progress)
+        if flying and fitted.point.b >= 0.999 * max_drag(plant) * plant.mass_kg:
+            fitted = _possible_drag(likelihood, fitted, ball, warnings)
+        white = whiteness(likelihood.series, likelihood.white(fitted.point))
+        fitted = sandwich(likelihood, fitted, max(round(settings.RESIDUAL_MEMORY_S / tick_s), 1))
+        progress("covariance and intervals")
+        if not fitted.converged:
+            warnings.append(
+                f"the fit has not converged after {fitted.passes} passes ({fitted.decrement:.2g} standard errors from "
+                "a maximum): these numbers are the best so far. Check the recordings named above"
+            )
+    warnings += _left_out(usages)
+
+    coloured = white is not None and not white.white
+    ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
+    intervals: dict[str, Interval] = {}
+    if fitted is not None:
+        intervals = quadratic_or_profile(likelihood, fitted, robust=coloured)
+    parameters = {
+        "K_A": verdicts.gain(fitted, intervals, levels, shape, warnings),
+        "T_A": verdicts.time_constant(fitted, intervals, shape, tick_s, warnings),
+        "K_c": verdicts.force_constant(fitted, intervals, force, ball, flying, plant, warnings),
+        "b": verdicts.drag(fitted, intervals, ball, flying, plant, warnings, coloured=coloured),
+    }
+    parameters = mark(parameters, plant)
+    model = _model(campaign, parameters, fitted, white, records, usages, warnings, levels, shape, force)
+    return Identification(
+        model=model,
+        converged=fitted is None or fitted.converged,
+        warnings=tuple(dict.fromkeys(warnings)),
+        usages=tuple(usages),
+        levels=levels,
+        shape=shape,
+        force=force,
+        fit=fitted,
+        whiteness=white,
+        ahead=ahead,
+        tick_s=tick_s,
+    )
+
+
+def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> list[Record]:
+    """The recordings with u_c shifted by its delay; `warnings` receives a sentence."""
+    aligned = [delayed(record, samples) for record, samples in zip(records, delays, strict=True)]
+    for samples in sorted(set(delays) - {0}):
+        names = [record.name for record, delay in zip(aligned, delays, strict=True) if delay == samples]
+        listed = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+        warnings.append(
+            f"{listed}: u_c acts {samples} sample(s) later than recorded, by the response of i_c; corrected in the "
+            "fit. The model has no delay: shift the column, or let board51 diagnose confirm it"
+        )
+    return aligned
+
+
+def _fitted(
+    likelihood: Likelihood,
+    start: Point,
+    free: tuple[str, ...],
+    usages: Sequence[Usage],
+    progress: Callable[[str], None],
+) -> tuple[Likelihood, Fit]:
+    """(the likelihood without outliers, its maximum); their number is added to `usages`."""
+    fitted = fit(likelihood, start, free)
+    progress(f"fit: {fitted.passes} passes over {len(likelihood.series)} samples")
+    gated, dropped = gate(likelihood.series, likelihood.white(fitted.point), len(usages))
+    if dropped.any():
+        for usage, count in zip(usages, dropped, strict=True):
+            usage.outliers += int(count)
+        likelihood = Likelihood(gated, likelihood.plant, likelihood.tick_s)
+        fitted = fit(likelihood, fitted.point, free)
+    return likelihood, _parsimonious(likelihood, fitted)
+
+
+def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
+    """The fit with b held at a possible value, for a likelihood whose maximum has an impossible drag."""
+    plant = likelihood.plant
+    free = tuple(name for name in fitted.free if name != "b")
+    possible = ball is not None and 0.0 <= ball.d <= max_drag(plant)
+    steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
+    warnings.append(
+        f"the best fit has more drag than b/m = {max_drag(plant):.0f} 1/s, the unstable pole: no ball "
+        "in air has so much: it makes up for an effect that (6) lacks. "
+        + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
+        + "; board51 diagnose looks for the reason"
+    )
+    return fit(likelihood, replace(fitted.point, b=steady), free)
+
+
+def _misfit(
+    records: list[Record], campaign: Campaign, fitted: Fit | None, white: Whiteness, tick_s: float, warnings: list[str]
+) -> Horizon | None:
+    """The prediction error of a model with coloured residuals; `warnings` receives sentences."""
+    warnings.append(
+        f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model does not explain all. "
+        "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
+        "for the cause"
+    )
+    ahead = _ahead(records, campaign, fitted, tick_s)
+    if ahead is not None and ahead.rmse_m > ahead.constant_m:
+        warnings.append(
+            f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, 'x stays "
+            f"where it is' by {ahead.constant_m * 1e6:.0f} um: it is no model to "
+            "predict with. board51 diagnose extends it by what is missing"
+        )
+    return ahead
+
+
+def _ahead(records: list[Record], campaign: Campaign, fitted: Fit | None, tick_s: float) -> Horizon | None:
+    flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
+    if fitted is None or not flown or "K_c" not in fitted.free:
+        return None
+    (ahead,) = horizons(flown, campaign.plant, fitted.point, tick_s, horizons_s=(settings.AHEAD_S,))
+    return ahead if ahead.count else None
+
+
+def grouped(messages: list[str], names: list[str]) -> list[str]:
+    """Join lines "recording: text" with the same text into one line; other lines are unchanged."""
+    lines: dict[str, list[str]] = {}
+    for line in messages:
+        name = next((name for name in names if line.startswith(f"{name}: ")), "")
+        lines.setdefault(line.removeprefix(f"{name}: ") if name else line, []).append(name)
+    result = []
+    for text, owners in lines.items():
+        more = f" and {len(owners) - 1} more" if len(owners) > 1 else ""
+        result.append(f"{owners[0]}{more}: {text}" if owners[0] else text)
+    return result
+
+
+def _left_out(usages: list[Usage]) -> list[str]:
+    messages = []
+    for count, what in (
+        ([u.outliers for u in usages], "wild readings were left out"),
+        ([u.gaps for u in usages], "gaps; the filter starts anew behind each"),
+        ([u.clipped for u in usages], "readings of i_c at the converter's end were left out"),
+        (
+            [u.steep_samples for u in usages],
+            "samples so near to x_max that the force (3) is too steep to follow were left out; if the coil's plane is "
+            "higher than that on this rig, correct x_max_m",
+        ),
+    ):
+        where = [f"{usage.name} {n}" for usage, n in zip(usages, count, strict=True) if n]
+        if where:
+            listed = ", ".join(where[:3]) + (f" and {len(where) - 3} more recordings" if len(where) > 3 else "")
+            messages.append(f"{sum(count)} {what} ({listed})")
+    return messages
+
+
+def _tick(records: list[Record]) -> float:
+    flown = [r.interval_s for r in records if r.kind in ("closed-loop", "prbs", "free") and r.has("x", "u_c")]
+    other = [r.interval_s for r in records if r.kind != "equilibria" and len(r.t) > 1]
+    chosen = [step for step in (flown or other) if np.isfinite(step)]
+    return float(np.median(chosen)) if chosen else _TICK_S
+
+
+def _start_line(
+    amplifier: AmplifierStart | None, ball: BallStart | None, force: ForceConstant | None, mass_kg: float
+) -> str:
+    parts = []
+    if amplifier:
+        parts.append(f"K_A = {amplifier.K_A:.4g} A/V, T_A = {amplifier.T_A:.3g} s")
+    if ball:
+        parts.append(f"K_c = {ball.k * mass_kg:.4g}, b = {ball.d * mass_kg:.3g} (regression)")
+    if force:
+        parts.append(f"K_c = {force.K_c:.4g} (8)")
+    return "; ".join(parts) or "none"
+
+
+def _start(
+    amplifier: AmplifierStart,
+    ball: BallStart | None,
+    force: ForceConstant | None,
+    flying: bool,
+    mass_kg: float,
+    tick_s: float,
+) -> tuple[Point, tuple[str, ...]]:
+    k = ball.k if ball is not None and ball.k > 0 else force.K_c / mass_kg if force is not None else 1e-3
+    d = min(max(ball.d, 0.0), 50.0) if ball is not None else 2.0
+    point = Point(
+        K_A=amplifier.K_A,
+        T_A=amplifier.T_A,
+        K_c=k * mass_kg,
+        b=d * mass_kg,
+        sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-6),
+        sigma_x_m=_NOISE_START["sigma_x_m"],
+        process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-6),
+        process_a_m_s2=_NOISE_START["process_a_m_s2"],
+    )
+    free = NAMES if flying else ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
+    return point, free
+
+
+def _parsimonious(likelihood: Likelihood, fitted: Fit) -> Fit:
+    """The fit without process noises that do not improve the likelihood significantly.
+
+    An unnecessary process noise widens the intervals.  If T_A is far below the sampling interval, a disturbance of the
+    current cannot be distinguished from noise of its sensor.
+    """
+    for name in NOISES[2:]:
+        # A noise level that is known so well is present; a fit without it would take long and be rejected.
+        if name not in fitted.free or (
+            fitted.converged and 0.0 < fitted.std(name, 1.0) < settings.NOISE_KNOWN * getattr(fitted.point, name)
+        ):
+            continue
+        without = replace(fitted.point, **{name: FLOORS[name]})
+        free = tuple(other for other in fitted.free if other != name)
+        smaller = fit(likelihood, without, free)
+        if smaller.loglik > fitted.loglik - settings.PROCESS_NOISE_GAIN:
+            fitted = smaller
+    return fitted
+
+
+def _model(
+    campaign: Campaign,
+    parameters: dict[str, Parameter],
+    fitted: Fit | None,
+    white: Whiteness | None,
+    records: list[Record],
+    usages: list[Usage],
+    warnings: list[str],
+    levels: Levels | None,
+    shape: Shape | None,
+    force: ForceConstant | None,
+) -> Model:
+
+    return Model(
+        plant=campaign.plant,
+        parameters={name: parameters[name] for name in PARAMETERS},
+        noise=noise_of(fitted, records),
+        provenance=provenance_of(campaign, fitted, white, usages, warnings, levels, shape, force),
+    )

@@ -1,0 +1,170 @@
+"""The maximum of the likelihood of the extended model, by `twin/estimation/optimiser.py`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.estimation import optimiser
+from twin.estimation.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
+from twin.estimation.record import FloatArray
+from twin.estimation.structures import Results
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import Theta, max_step, moved, prior_spread
+from twin.settings import diagnosis as settings
+
+TOLERANCE = 0.02  # of a standard error
+_ROUGH = 0.5  # log-likelihood that cheaper slopes leave: 0.1 to 2 in trials
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """A maximum of the likelihood, its covariance and its convergence."""
+
+    theta: Theta
+    loglik: float  # with the shapes of its causes integrated out
+    free: tuple[str, ...]
+    covariance: FloatArray  # of the coordinates
+    converged: bool
+    ahead: float = 0.0  # log-likelihood that the slope here still promises, were it a parabola
+
+    def std(self, name: str, plant: Plant) -> float:
+        """Standard error in the unit of the parameter; inf if it was not free."""
+        if name not in self.free:
+            return math.inf
+        index = self.free.index(name)
+        spread = math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        value = self.theta.value(name)
+        shifted = moved(self.theta, name, 1e-3, plant).value(name)
+        if shifted == value:
+            shifted = moved(self.theta, name, -1e-3, plant).value(name)
+        return spread * abs(shifted - value) / 1e-3
+
+
+def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
+    """Standard errors of all free parameters in their own units, from new derivatives."""
+    _, score, fisher = criterion.gradient(fit.theta, fit.free)
+    active = active_of(_Surface(criterion), fit.theta, fit.free, score)
+    at = replace(fit, covariance=covariance_of(fisher, active))
+    return {name: at.std(name, criterion.plant) for name in fit.free}
+
+
+def climb(
+    criterion: Criterion,
+    start: Theta,
+    free: Sequence[str],
+    *,
+    passes: int = settings.PASSES,
+    tolerance: float = TOLERANCE,
+    approximate: bool = False,
+) -> Fit:
+    """Climb to the maximum from `start`; coordinates not in `free` stay.
+
+    With `approximate`, cheaper slopes lead near the maximum, and the fit counts as not converged.
+    """
+    surface = _Surface(criterion, approximate=approximate)
+    top = optimiser.climb(
+        surface, start, free, passes=passes, tolerance=SLOW_TOLERANCE if approximate else tolerance, patience=2
+    )
+    return Fit(
+        theta=top.point,
+        loglik=top.loglik + narrowing(free, top.covariance),
+        free=tuple(free),
+        covariance=top.covariance,
+        converged=top.converged and not approximate,
+        ahead=max(top.ahead, _ROUGH) if approximate else top.ahead,
+    )
+
+
+def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
+    """Climb from `start` to near the maximum, most of the way over part of the samples.
+
+    Its likelihood is that of all samples.  `ahead` is the gain that the part leaves.  The slope at its
+    end promises some of it.  The scatter of the maxima of parts adds half a unit for each coordinate and further part.
+    """
+    part = criterion.thinner
+    if part is not criterion:
+        fit = climb(part, start, free, passes=settings.PASSES_APPROACH, approximate=True)
+        before, after = criterion.values([start, fit.theta])
+    if part is criterion or after < before:  # the part does not show an effect, and the fit went astray
+        return climb(criterion, start, free, passes=settings.PASSES_FIRST, approximate=True)
+    covariance = part.share * fit.covariance
+    return replace(
+        fit,
+        loglik=after + narrowing(free, covariance),
+        covariance=covariance,
+        ahead=fit.ahead / part.share + 0.5 * len(free) * (1.0 / part.share - 1.0),
+    )
+
+
+def narrowing(free: Sequence[str], covariance: FloatArray) -> float:
+    """Logarithm of how much narrower the shapes are than their priors, not positive.
+
+    Added to the maximum it gives the likelihood with the shapes integrated out, by Laplace's method (R. E. Kass,
+    A. E. Raftery, Journal of the American Statistical Association 90, 1995): a cause of many forms is not preferred
+    because one of them happens to fit.  A shape at its bound counts as it is.
+
+    Args:
+        free: the coordinates.
+        covariance: of the coordinates, shape (count, count).
+    """
+    spreads = {name: prior_spread(name) for name in free}
+    priors = [k for k, name in enumerate(free) if math.isfinite(spreads[name]) and covariance[k, k] > 0.0]
+    if not priors or not np.isfinite(covariance).all():
+        return 0.0
+    prior = np.array([spreads[free[k]] for k in priors])
+    _, logarithm = np.linalg.slogdet(covariance[np.ix_(priors, priors)] / np.outer(prior, prior))
+    return min(0.5 * float(logarithm), 0.0)
+
+
+class _Surface:
+    """The criterion as an optimiser's surface; far from the maximum it uses slopes that cost less.
+
+    Args:
+        criterion: the likelihood.
+        approximate: whether a point near the maximum suffices.
+    """
+
+    def __init__(self, criterion: Criterion, *, approximate: bool = False) -> None:
+        self._criterion, self._approximate = criterion, approximate
+
+    def moved(self, point: Theta, name: str, by: float) -> Theta:
+        return moved(point, name, by, self._criterion.plant)
+
+    def max_step(self, name: str) -> float:
+        return max_step(name)
+
+    def visit(self, point: Theta) -> tuple[float, Results]:
+        run = self._criterion.run(point)
+        return self._criterion.loglik(run.innovations) + self._criterion.outside(point), run
+
+    def slopes(
+        self, point: Theta, results: Results, free: Sequence[str], before: Slopes | None, decrement: float
+    ) -> Slopes:
+        if before is not None and decrement <= CLOSE:
+            # The derivatives are as good as those of this point.
+            return self._of(point, results, free, before.retained, exact=before.exact, fresh=False)
+        rough = self._criterion.mean_square(results.innovations) < settings.EXACT_SLOPES_SQUARE
+        _, change = self._criterion.derivatives(point, free, results, rough=rough)
+        return self._of(point, results, free, change, exact=self._approximate or not rough)
+
+    def exact(self, point: Theta, results: Results, free: Sequence[str]) -> Slopes:
+        _, change = self._criterion.derivatives(point, free, results)
+        return self._of(point, results, free, change)
+
+    def _of(
+        self,
+        point: Theta,
+        run: Results,
+        free: Sequence[str],
+        change: FloatArray,
+        *,
+        exact: bool = True,
+        fresh: bool = True,
+    ) -> Slopes:
+        _, score, fisher = self._criterion.slopes(point, free, run.innovations, change)
+        return Slopes(score=score, fisher=fisher, exact=exact, fresh=fresh, retained=change)

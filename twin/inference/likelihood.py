@@ -1,0 +1,348 @@
+"""Log-likelihood of the innovations of the extended model: one parameter set for the whole campaign.
+
+Rule 1: sums over samples do not depend on the number of workers, as each worker computes whole derivatives.
+Rule 2: evidence outside the series counts, too: priors of the stops and of the causes' shapes, lift-off points,
+        equilibria.
+Rule 3: the caller's budget pays for a run before it begins.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from copy import copy
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.estimation.ekf.filter import fill
+from twin.estimation.ekf.memory import states_in
+from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, Series, information, whiten
+from twin.estimation.pace import Reuse, pace_of
+from twin.estimation.record import FloatArray
+from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
+from twin.evidence.dead_time import dead_time
+from twin.evidence.gather import Evidence
+from twin.evidence.starting.liftoff import LiftOff
+from twin.evidence.thinned import thinned
+from twin.inference.budget import Budget, Spent
+from twin.inference.theta import (
+    COLOURS,
+    NOISES,
+    STOP_UNIT_M,
+    STOPS,
+    Theta,
+    derivative_step,
+    moved,
+    shape_residuals,
+)
+from twin.model.causes.catalogue import with_trait
+from twin.model.extended import magnetic_force, position_reading
+from twin.settings import diagnosis as settings
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Criterion:
+    """The likelihood of a set of recordings.
+
+    Args:
+        evidence: of `gather`.
+        plant: mass, travel, x_max, gravity.
+        tick_s: the interval that process noise refers to.
+        workers: threads; the kernels run outside the interpreter's lock.
+        budget: what the runs of the filter are paid from; without one they are free.
+    """
+
+    def __init__(
+        self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2, budget: Budget | None = None
+    ) -> None:
+        self.plant, self.tick_s = plant, tick_s
+        self.evidence, self.pace, self.halves = evidence, pace_of(evidence.series), _halves(evidence.series)
+        self.share = 1.0  # of the samples of the campaign
+        self._pool = ThreadPoolExecutor(max_workers=workers)
+        self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
+        self.whole = budget or Budget()
+        self._local = threading.local()
+        self.evaluations = 0
+
+    @cached_property
+    def _thinned(self) -> Evidence:
+        return thinned(self.evidence, settings.APPROACH_SAMPLES / max(len(self.evidence.series), 1))
+
+    @property
+    def thinner(self) -> Criterion:
+        """The likelihood of part of the samples, for the way to where a fit begins; itself, where there are too few."""
+        if len(self.evidence.series) < settings.APPROACH_RATIO * settings.APPROACH_SAMPLES:
+            return self
+        other, series = copy(self), self._thinned.series
+        other.evidence, other.pace, other.halves = self._thinned, pace_of(series), _halves(series)
+        other.share = len(series) / len(self.evidence.series)
+        return other
+
+    @property
+    def budget(self) -> Budget:
+        """The budget of this thread; inside `each` a share of it."""
+        return getattr(self._local, "budget", self.whole)
+
+    @contextmanager
+    def charging(self, budget: Budget) -> Iterator[None]:
+        """Let another budget pay for the runs inside the block."""
+        before, self.whole = self.whole, budget
+        try:
+            yield
+        finally:
+            self.whole = before
+
+    def free(self) -> AbstractContextManager[None]:
+        """Make the runs inside the block free; for work with a fixed number of passes."""
+        return self.charging(Budget())
+
+    def pay(self, *thetas: Theta, reuse: Sequence[Reuse] = ()) -> None:
+        """Pay for a run of each model; `reuse` as in `outputs_reusing`.
+
+        Raises:
+            Spent: the budget is too small.
+        """
+        each = zip(thetas, reuse or [Reuse.NONE] * len(thetas), strict=True)
+        self.budget.take(sum(self.pace.steps(theta.base(self.plant), theta.vector(), mode) for theta, mode in each))
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        if self._climbers is not None:
+            self._climbers.shutdown()  # first: a climb uses the other pool
+        self._pool.shutdown()
+
+    def each(self, work: Callable[[T], R], items: Sequence[T]) -> list[R]:
+        """Do `work` on each item, several at once: a climb alone leaves a core idle between its derivatives.
+
+        `work` may use this criterion, except `each`.
+
+        Raises:
+            Spent: the share of an item was too small.
+        """
+        shares = self.budget.shares(len(items))
+
+        def paid(item: T, share: Budget) -> R | Spent:
+            self._local.budget = share
+            try:
+                return work(item)
+            except Spent as spent:
+                return spent  # the other items finish: the steps spent must not depend on the order
+            finally:
+                del self._local.budget
+
+        results = list((map if self._climbers is None else self._climbers.map)(paid, items, shares))
+        self.budget.settle(shares)
+        finished = [result for result in results if not isinstance(result, Spent)]
+        if len(finished) < len(results):
+            raise Spent
+        return finished
+
+    @cached_property
+    def dead_time(self) -> tuple[float, float] | None:
+        """`dead_time` of the recordings, which no model changes."""
+        return dead_time(self.evidence.records)
+
+    def outputs(self, theta: Theta) -> FloatArray:
+        """Innovations and their covariance, shape (n, 5)."""
+        self.pay(theta)
+        return self._outputs(theta)
+
+    def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
+        """Paid for; `known`: as `filtered` takes it."""
+        results = room_for(len(self.evidence.series), self._states(theta))
+        self._fill(theta, slice(0, len(results.innovations)), results, known)
+        self.evaluations += 1
+        return results.innovations
+
+    def _states(self, theta: Theta) -> int:
+        return states_in(theta.vector(), theta.noise(self.tick_s))
+
+    def _fill(
+        self,
+        theta: Theta,
+        part: slice,
+        results: Results,
+        known: Steps = NO_STEPS,
+    ) -> None:
+        """Run whole recordings and write to their part of the results."""
+        samples = self.evidence.samples
+        samples = samples._replace(t=theta.shifted(samples.t, self.evidence.series.recording))
+        fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))
+
+    def run(self, theta: Theta) -> Results:
+        """Innovations, with the steps that `derivatives` take over from here."""
+        self.pay(theta)
+        results = room_for(len(self.evidence.series), self._states(theta), steps=True)
+        list(self._pool.map(lambda part: self._fill(theta, part, results), self.halves))
+        self.evaluations += 1
+        return results
+
+    def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
+        """Return the `outputs` of models near that of `at`, with the steps of its run.
+
+        Args:
+            thetas: the models.
+            at: the run.
+            reuse: what each takes over from there.
+        """
+        known, states, _ = at.steps.slopes.shape
+        reuse = [
+            mode if known and self._states(theta) == states else Reuse.NONE
+            for theta, mode in zip(thetas, reuse, strict=True)
+        ]
+        self.pay(*thetas, reuse=reuse)
+        steps = {Reuse.NONE: NO_STEPS, Reuse.SLOPES: at.steps.jacobians, Reuse.STEPS: at.steps}
+        return list(self._pool.map(lambda theta, mode: self._outputs(theta, steps[mode]), thetas, reuse))
+
+    def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
+        """`outputs` of each."""
+        self.pay(*thetas)
+        return list(self._pool.map(self._outputs, thetas))
+
+    def value(self, theta: Theta) -> float:
+        """Log-likelihood with the priors; -inf for impossible parameters."""
+        self.pay(theta)
+        return self._value(theta)
+
+    def _value(self, theta: Theta) -> float:
+        return self.loglik(self._outputs(theta)) + self.outside(theta)
+
+    @staticmethod
+    def loglik(out: FloatArray) -> float:
+        """Return the log-likelihood of innovations, shape (n, 5)."""
+        return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
+
+    @staticmethod
+    def mean_square(out: FloatArray) -> float:
+        """Mean square of the whitened innovations: 1 where they are as large as the filter says, inf without any."""
+        white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
+        whiten(out, np.empty(len(out)), white)
+        known = white[np.isfinite(white)]
+        return float(np.mean(known**2)) if len(known) else math.inf
+
+    def values(self, thetas: Sequence[Theta]) -> list[float]:
+        """`value` of each, -inf for those that are not finite."""
+        self.pay(*thetas)
+        return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self._value, thetas)]
+
+    def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
+        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
+        out = self.outputs(theta)
+        loglik, white = np.zeros(len(out)), np.full((len(out), 2), np.nan)
+        whiten(out, loglik, white)
+        return loglik, white
+
+    def outside(self, theta: Theta) -> float:
+        """Return the log-likelihood outside the series: priors of stops and shapes, lift-off points, equilibria."""
+        residuals = self._residuals(theta)
+        return -0.5 * float(residuals @ residuals)
+
+    def outside_slopes(
+        self, theta: Theta, models: Sequence[Theta], steps: Sequence[float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return (score, Fisher information) of `outside`, from models a step away from `theta`."""
+        residuals = self._residuals(theta)
+        change = np.array(
+            [(self._residuals(other) - residuals) / step for other, step in zip(models, steps, strict=True)]
+        )
+        return -change @ residuals, change @ change.T
+
+    def _residuals(self, theta: Theta) -> FloatArray:
+        """Return the residuals of stops, static points and shapes of causes, in standard errors."""
+        stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
+        return math.sqrt(self.share) * np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
+
+    def points(self, theta: Theta) -> float:
+        """Log-likelihood of the lift-off points and equilibria."""
+        return -0.5 * float(np.sum(self._statics(theta) ** 2))
+
+    def _statics(self, theta: Theta) -> FloatArray:
+        return np.array([self._static(theta, point) for point in self.evidence.statics])
+
+    def _static(self, theta: Theta, point: LiftOff) -> float:
+        p, c = theta.base(self.plant), theta.vector()
+        x = self.plant.x_max_m - point.gap_m
+        sigma = max(0.5 * point.relative_error, 0.003)
+        force = magnetic_force(p, c, point.i_c_a, x)
+        weight = self.plant.mass_kg * self.plant.gravity_m_s2
+        return 0.5 * math.log(max(force, 1e-12) / weight) / sigma
+
+    def derivatives(
+        self, theta: Theta, names: Sequence[str], at: Results | None = None, *, rough: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """(outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5)).
+
+        Args:
+            theta: the model.
+            names: of the coordinates.
+            at: a run of `theta`: models that differ in their noise take over its steps.
+            rough: take over the slopes of the steps for all other models, for half the work or less.  If the
+                innovations are about as large as the filter expects, this gives the direction of a step, but not the
+                maximum.
+        """
+        steps = {name: derivative_step(theta, name, self.plant) for name in names if name not in STOPS}
+        models = [moved(theta, name, step, self.plant) for name, step in steps.items()]
+        if at is None:
+            base, *outs = self.several([theta, *models])
+        else:
+            # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
+            smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
+            is_reused = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
+            reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
+            reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
+            base, outs = at.innovations, self.outputs_reusing(models, at, reuse)
+        change = np.empty((len(names), *base.shape))
+        filtered = iter(outs)
+        for index, name in enumerate(names):
+            if name in STOPS:
+                self._stop_derivative(theta, name, base, change[index])
+            else:
+                np.subtract(next(filtered), base, out=change[index])
+                change[index] /= steps[name]
+        return base, change
+
+    def _stop_derivative(self, theta: Theta, name: str, base: FloatArray, change: FloatArray) -> None:
+        """The derivative by the position of a stop: it moves only the readings of a ball that rests there."""
+        flags, nominal_m = self.evidence.series.flags, self.plant.travel_m if name == "stop_high_m" else 0.0
+        low = flags & RESTS_LOW != 0
+        at_stop = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
+        p, c, stop = theta.base(self.plant), theta.vector(), nominal_m + theta.value(name)
+        reading_at_stop, reading_above = (
+            position_reading(p, c, position, 0.0) for position in (stop, stop + STOP_UNIT_M)
+        )
+        np.multiply(base, 0.0, out=change)  # NaN stays NaN
+        change[at_stop & (flags & FLIES == 0), 1] -= reading_above - reading_at_stop
+
+    def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
+        """(log-likelihood, score, Fisher information) in the coordinates `names`."""
+        base, change = self.derivatives(theta, names)
+        return self.slopes(theta, names, base, change)
+
+    def slopes(
+        self, theta: Theta, names: Sequence[str], base: FloatArray, change: FloatArray
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """`gradient` from outputs and derivatives; those of a nearby point suffice for the last steps of a climb."""
+        n, count = len(base), len(names)
+        fisher, each = np.zeros((count, count)), np.empty((n, count))
+        total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside(theta)
+        information(base, change, each, fisher)
+        steps = [derivative_step(theta, name, self.plant) for name in names]
+        models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
+        score, curvature = self.outside_slopes(theta, models, steps)
+        return total, each.sum(axis=0) + score, fisher + curvature
+
+
+def _halves(series: Series) -> list[slice]:
+    """Return two parts of about equal size for two workers; they meet where a recording begins."""
+    begins = np.flatnonzero(np.diff(series.recording, prepend=-1))
+    n = len(series)
+    middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0
+    return [piece for piece in (slice(0, middle), slice(middle, n)) if piece.stop > piece.start]

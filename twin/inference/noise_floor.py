@@ -1,0 +1,131 @@
+"""The noise floor: the log-likelihood of a model whose innovations are sensor noise alone.
+
+The excess of a model is the log-likelihood that it lacks compared with white innovations.  Their covariance is that of
+the same model under sensor noise alone.  The noise is measured on the ball at rest, where no model is involved.
+
+A model that needs a misplaced stop is not adequate either, although a stop costs little likelihood among so many
+readings.  Two other causes and a stop that is half a millimetre off can imitate two causes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.estimation.innovations import USE_X, whitened
+from twin.estimation.record import FloatArray
+from twin.evidence.sensor_noise import noise_error, sensor_noise
+from twin.inference.initial_guess import coloured
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import FLOORS, Theta
+from twin.settings import diagnosis as settings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Floor:
+    """The sensor noise and the log-likelihood that it allows."""
+
+    sigma_i_c_a: float
+    sigma_x_m: float
+    measured: bool  # at rest; otherwise the smallest of any fit
+    logliks: tuple[float, float] = (0.0, 0.0)  # of a right model: of i_c, and of x given i_c
+    colours: tuple[tuple[str, float], ...] = ()  # of the noise at rest, as `NoiseLevels` has them
+    counts: tuple[int, int] = (0, 0)  # readings of i_c and x
+    error: float = 0.0  # standard error of `loglik` per reading: that of the noise level
+    misplaced_m: float = 0.0  # larger distance of the two stops in the model from their positions
+
+    @property
+    def loglik(self) -> float:
+        """Log-likelihood of a right model."""
+        return sum(self.logliks)
+
+    @property
+    def readings(self) -> int:
+        """Number of readings."""
+        return sum(self.counts)
+
+    @property
+    def tolerance(self) -> float:
+        """Log-likelihood per reading by which the noise level may be off."""
+        return max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error)
+
+    def excess(self, loglik: float) -> float:
+        """Log-likelihood that a model lacks compared with the floor."""
+        return self.loglik - loglik
+
+    def quiet(self, theta: Theta) -> Theta:
+        """The model with sensor noise and no process noise."""
+        return replace(
+            theta.all_of(self.colours),
+            sigma_i_c_a=self.sigma_i_c_a,
+            sigma_x_m=self.sigma_x_m,
+            process_i_c_a=FLOORS["process_i_c_a"],
+            process_a_m_s2=FLOORS["process_a_m_s2"],
+        )
+
+    def under(self, criterion: Criterion, theta: Theta) -> Floor:
+        """The floor of another model: the spread of the innovations depends on its slope of the force."""
+        logliks, counts = expected(criterion.outputs(self.quiet(theta)))
+        misplaced_m = max(abs(theta.stop_low_m), abs(theta.stop_high_m))
+        return replace(self, logliks=logliks, counts=counts, misplaced_m=misplaced_m)
+
+    def material(self, loglik: float) -> bool:
+        """Tell whether the excess is more than the uncertainty of the noise level, or a stop is misplaced."""
+        return self.misplaced_m > settings.MISPLACED_STOP_M or self.above_noise(loglik)
+
+    def above_noise(self, loglik: float) -> bool:
+        """Tell whether the excess is more than the uncertainty of the noise level."""
+        return self.excess(loglik) > self.tolerance * self.readings
+
+    def lacking(self, logliks: FloatArray, points: int) -> FloatArray:
+        """The excess of each part of `part_logliks`, shape (3,); inf where it is within the uncertainty of the noise.
+
+        Args:
+            logliks: of the parts, under the model of this floor.
+            points: number of lift-off points and equilibria.
+        """
+        excess = np.array([*self.logliks, -0.5 * points]) - logliks
+        return np.where(excess > [*(self.tolerance * np.array(self.counts)), settings.MIN_GAIN], excess, np.inf)
+
+
+def floor_of(criterion: Criterion, theta: Theta) -> Floor:
+    """The floor with the covariances that the filter has at `theta`."""
+    sigma_i, sigma_x = sensor_noise(criterion.evidence)
+    asks_x = bool((criterion.evidence.series.flags & USE_X).any())
+    measured = sigma_i is not None and (sigma_x is not None or not asks_x)
+    floor = Floor(
+        sigma_i_c_a=sigma_i or theta.sigma_i_c_a,
+        sigma_x_m=sigma_x or theta.sigma_x_m,
+        measured=measured,
+        colours=coloured(noise) if (noise := criterion.evidence.noise) is not None else (),
+        error=noise_error(criterion.evidence) if measured else 0.0,
+    )
+    return floor.under(criterion, theta)
+
+
+def expected(out: FloatArray) -> tuple[tuple[float, float], tuple[int, int]]:
+    """(log-likelihood of innovations that are as large as the filter says, number of readings), each of i_c and x."""
+    logs = _log_variances(out)
+    counts = np.isfinite(logs).sum(axis=0)
+    i_c, x = (-0.5 * (np.nansum(logs, axis=0) + counts)).tolist()
+    return (i_c, x), (int(counts[0]), int(counts[1]))
+
+
+def part_logliks(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
+    """Log-likelihood of i_c, of x given i_c, and of the points (lift-off, equilibria), shape (3,), for each model."""
+    return [
+        np.append(
+            -0.5 * (np.nansum(_log_variances(out), axis=0) + np.nansum(whitened(out) ** 2, axis=0)),
+            criterion.points(theta),
+        )
+        for theta, out in zip(thetas, criterion.several(thetas), strict=True)
+    ]
+
+
+def _log_variances(out: FloatArray) -> FloatArray:
+    """Logarithm of the variance of each innovation of i_c, and of x given i_c, shape (n, 2); NaN without one."""
+    both = np.isfinite(out[:, 2])
+    conditional = out[:, 4] - np.where(both, out[:, 3] ** 2 / out[:, 2], 0.0)
+    with np.errstate(invalid="ignore"):
+        return np.log(np.column_stack([out[:, 2], conditional]))

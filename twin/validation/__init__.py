@@ -1,0 +1,1 @@
+"""Validation of a model on a campaign: the paper's figures with their numbers, and a verdict."""
