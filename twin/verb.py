@@ -1,7 +1,7 @@
 """A package that can be called: `from twin import identify` is the package `twin.identify`, and `identify(...)` works.
 
 The public functions have the names of the packages that do the work.  Python binds a package to its name in `twin` at
-its first import, wherever that happens, so a function of that name would vanish: the package itself has to answer.
+its first import, wherever that happens.  A function of that name would vanish, so the package itself has to answer.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ class Verb(ModuleType):
 
     @property
     def function(self) -> Callable[..., Any]:
-        """What a call does."""
+        """Return the function that a call runs."""
         function: Callable[..., Any] = getattr(importlib.import_module("twin.api"), self.__name__.rpartition(".")[2])
         return function
 
     @property
     def __signature__(self) -> inspect.Signature:
-        """Of the function, for help and editors."""
+        """Return the function's signature, for help and editors."""
         return inspect.signature(self.function)
