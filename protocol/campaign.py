@@ -42,8 +42,8 @@ Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of
 class Plant:
     """The parameters that are known without identification: `[plant]`.
 
-    The bounds cover the physical range of magnetic levitation rigs.  They detect a wrong unit or a wrong power of ten:
-    a mass in grams instead of kilograms makes K_c a thousand times too large, and the recordings cannot reveal it.
+    The bounds cover the physical range of magnetic levitation rigs.  They detect a wrong unit or a wrong power of ten.
+    A mass in grams instead of kilograms makes K_c a thousand times too large, and the recordings cannot reveal it.
     """
 
     __pydantic_config__ = KEYS

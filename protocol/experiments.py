@@ -2,8 +2,8 @@
 
 `gateway.campaign` flies them; `twin.diagnosis.experiments` simulates those for fitting, to propose the next one.
 
-Rule 1: inputs are shares of the lift-off input (the u_c that just lifts the ball from its rest), positions are shares
-        of the travel above the rest, so one table serves every rig.
+Rule 1: inputs are shares of the lift-off input, the u_c that just lifts the ball from its rest.  Positions are shares
+        of the travel above the rest.  So one table serves every rig.
 Rule 2: recordings for judging are separate experiments with another seed or amplitude than those for fitting.
 Rule 3: durations are those of the default run; `quick` is the factor on them for `--quick`.
 """

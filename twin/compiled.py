@@ -1,9 +1,9 @@
 """`kernel`: numba's njit where numba is at hand, the plain Python function where it is not.
 
-Rule 1: a kernel is readable scalar Python that gives the same numbers uncompiled (NUMBA_DISABLE_JIT=1 does that too:
-        tests/twin/model/test_simulate.py uses it as the oracle of the compiled code).
-Rule 2: a kernel called once per sample takes its constants as a plain `Packed` tuple and names them inside: numba
-        reads a NamedTuple field by field through its names, 1.2 us a call, a plain tuple in 0.2 us.
+Rule 1: a kernel is readable scalar Python that gives the same numbers uncompiled.  With NUMBA_DISABLE_JIT=1 nothing is
+        compiled: tests/twin/model/test_simulate.py uses that as the oracle of the compiled code.
+Rule 2: a kernel called once per sample takes its constants as a plain `Packed` tuple and names them inside.  numba
+        reads a NamedTuple field by field through its names, 1.2 us a call; a plain tuple takes 0.2 us.
 Rule 3: a division by zero gives inf, as in numpy: testing each divisor for it makes a kernel up to six times as slow.
 Rule 4: never `fastmath`.  A replayed log must give the bits of the live run.
 Rule 5: machine code on disk is kept under a hash of all files with kernels.  numba looks at a kernel's own file only:
@@ -58,7 +58,7 @@ def _compiled(function: Callable[P, R], *, forceinline: bool = False) -> Callabl
 
 
 def sources_hash(package: Path) -> str:
-    """Of every file with kernels, or with named tuples that they may take, below `package`, its name included."""
+    """Hash name and content of each file below `package` with kernels or with named tuples that they take."""
     # os.walk: pathlib takes three times as long, and every start of the command waits for this.
     digest = hashlib.sha256()
     for folder, below, files in os.walk(package):
@@ -75,7 +75,7 @@ def sources_hash(package: Path) -> str:
 
 @cache
 def cache_folder() -> str:
-    """Where the machine code of these very sources belongs."""
+    """Return the folder for the machine code of the current sources."""
     package = Path(__file__).parent
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())

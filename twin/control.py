@@ -1,7 +1,7 @@
 """The control law of the board in SI units, and the model linearised and discretised around a position.
 
-Written from `protocol/README.md` rules 6, 9 and 14 alone, in float64: it shares nothing with the firmware's fixed
-point, so that a mistake in one shows as divergence of the other.
+Written from `protocol/README.md` rules 6, 9 and 14 alone, in float64.  It shares nothing with the firmware's fixed
+point, so a mistake in one shows as divergence of the other.
 
 Rule: u(k) comes from the sum *before* this tick's error is added; where u is limited and the error would drive it
       further, the sum stands still.
@@ -78,7 +78,7 @@ def law_numbers(parameters: pb.Parameters) -> LawNumbers | None:
 
 @kernel
 def law(c: LawNumbers, i: float, x: float, x_prev: float, s: float, x_ref: float) -> tuple[float, float]:
-    """(u_c, s after this tick) of rule 9: V, m s."""
+    """Return (u_c, s after this tick) of rule 9: V, m s."""
     e = x_ref - x
     u = (
         c.u_0
@@ -117,7 +117,7 @@ def integral_behind(c: LawNumbers, *, i: float, x: float, x_prev: float, x_ref: 
 
 
 def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Jacobians of (1), (6) at rest at `x_m`, the paper's (14).
+    """Return the Jacobians of (1), (6) at rest at `x_m`, the paper's (14).
 
     Returns:
         A, shape (3, 3), and B, shape (3, 1), for the state [i_c, x, x'] in A, m, m/s and the input u_c in V.  With
@@ -139,7 +139,7 @@ def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def discrete(model: Model, x_m: float, sample_time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(15) at rest at `x_m`, the delays of the model as states behind those of `linearise`."""
+    """Discretise the model at rest at `x_m` by (15), the delays of the model as states behind those of `linearise`."""
     if model.causes:
         return linear.discretised(*linear.linearise(model, x_m), linear.delay_s(model), sample_time_s)
     return c2d(*linearise(model, x_m), sample_time_s)
@@ -148,7 +148,7 @@ def discrete(model: Model, x_m: float, sample_time_s: float) -> tuple[NDArray[np
 def c2d(
     A: NDArray[np.float64], B: NDArray[np.float64], sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Zero-order-hold discretisation, the paper's (15): [[Phi, Gamma], [0, I]] = exp([[A, B], [0, 0]] T_s)."""
+    """Discretise with a zero-order hold, (15): [[Phi, Gamma], [0, I]] = exp([[A, B], [0, 0]] T_s)."""
     n, inputs = B.shape
     block = np.zeros((n + inputs, n + inputs))
     block[:n, :n], block[:n, n:] = A, B

@@ -44,7 +44,7 @@ class Prediction:
 
     @property
     def rmse_m(self) -> float | None:
-        """Root mean square of x - x_hat, m; None without a prediction."""
+        """Return the root mean square of x - x_hat, m; None without a prediction."""
         return float(np.sqrt(np.mean((self.x - self.x_hat) ** 2))) if len(self.x) else None
 
 
@@ -112,7 +112,7 @@ def _left_out(
     record: Record,
     tick_s: float,
 ) -> tuple[tuple[str, int], ...]:
-    """Number of samples without a prediction, by the first reason that applies."""
+    """Return the number of samples without a prediction, by the first reason that applies."""
     flies, reads = flags & FLIES != 0, flags & USE_X != 0
     contact = ~flies
     unread = flies & ~reads & ~predicted

@@ -4,9 +4,9 @@ By default no separate server is needed: the gateway is the router (`listen`), a
 Multicast scouting is off, so that two rigs in one laboratory do not connect by accident.
 
 Rule: a subscriber that does not read loses only its own messages.  Publishers use BLOCK towards their router, so that
-      messages wait in a bounded queue that counts losses.  On the way out of the router (egress), each subscriber has a
-      queue of 1 MiB, and messages that do not fit are dropped at once.  Waiting there would stall all other
-      subscribers (measured: gateway/README.md, "A subscriber that does not read").
+      messages wait in a bounded queue that counts losses.  On the way out of the router, each subscriber has a queue of
+      1 MiB.  Messages that do not fit are dropped at once.  Waiting there would stall all other subscribers (measured:
+      gateway/README.md, "A subscriber that does not read").
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def key(site: str, board: str, topic: str) -> str:
 def command_key(site: str, board: str, *, role: str = "", who: str = "", topic: str = "command") -> str:
     """Return the key of a command; on a guarded bus it contains the sender's role and name.
 
-    On a guarded bus the key is `<site>/<board>/command/as/<role>/<who>`: the router enforces that a client uses only
+    On a guarded bus the key is `<site>/<board>/command/as/<role>/<who>`.  The router enforces that a client uses only
     its own name, which it could not do with a field of the message.  Without a role the key is
     `<site>/<board>/command`, served on an unguarded bus only.
     """

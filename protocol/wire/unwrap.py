@@ -8,7 +8,8 @@ Rule 3: no single frame moves the count.  The one witness besides the frame itse
         count, another full tick.  Until then the frame is held; if the next one goes on from the old count, the held
         one was noise (`implausible`).
 Rule 4: sequences do not contain the number of wraps, so it is not derived from them.  The count ends and is requested
-        again after half a wrap without a state or a full tick, or a step forward that the host's clock does not allow.
+        again after half a wrap without a state or a full tick.  So it is after a step forward that the host's clock
+        does not allow.
 Rule 5: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 

@@ -240,7 +240,7 @@ def predict(
 
 
 def _listed(campaign: Campaign, recording: Path, data: Path | None) -> tuple[Recording, Path]:
-    """(the campaign's entry of this file, the path of the file).  Raises DataError."""
+    """Return (the campaign's entry of this file, the path of the file).  Raises DataError."""
     exact = [r for r in campaign.recordings if recording in (Path(r.file), campaign.folder / r.file)]
     result = exact or [r for r in campaign.recordings if Path(r.file).name == recording.name]
     if len(result) != 1:
@@ -284,8 +284,8 @@ def design(
 
     Raises:
         DataError: K_A or K_c of the model is a placeholder, or the file is missing.
-        UsageError: an argument is out of range, the operating point is not possible, the Riccati equation has no
-            solution for the weights, or a gain exceeds the board's format.
+        UsageError: an argument is out of range; the operating point is not possible; the Riccati equation has no
+            solution for the weights; or a gain exceeds the board's format.
     """
     import numpy as np
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def as_text(data: Mapping[str, Any]) -> str:
-    """JSON text in the format of the commands; raises ValueError for NaN."""
+    """Return JSON text in the format of the commands; raises ValueError for NaN."""
     return json.dumps(data, indent=2, allow_nan=False)
 
 
@@ -48,11 +48,11 @@ class Identified:
     details: Identification
 
     def to_json(self) -> dict[str, Any]:
-        """Content of the model file."""
+        """Return the content of the model file."""
         return self.model.to_json()
 
     def table(self) -> str:
-        """For people."""
+        """Return the result as a text table for a person."""
         from twin.identification.result import table
 
         return table(self.details)
@@ -60,7 +60,7 @@ class Identified:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validated:
-    """Whether a model explains the recordings with use = "judge"."""
+    """The answer to whether a model explains the recordings with use = "judge"."""
 
     passed: bool | None  # None: the flights are missing or too short for a verdict
     answer: str
@@ -72,13 +72,13 @@ class Validated:
     details: Validation
 
     def to_json(self) -> dict[str, Any]:
-        """validation.json."""
+        """Return the content of validation.json."""
         from twin.validation.report import to_dict
 
         return to_dict(self.details)
 
     def to_html(self, title: str = "") -> str:
-        """report.html, self-contained."""
+        """Return the content of report.html, self-contained."""
         from twin.validation.report import to_html
 
         return to_html(self.details, title=title or f"Validation on {self.details.model.plant.name}")
@@ -129,11 +129,11 @@ class Diagnosed:
 
     @property
     def offered(self) -> bool:
-        """Whether a twin gains by `extended`: judged, and not the reference itself."""
+        """Return whether a twin gains by `extended`: it was judged, and it is not the reference itself."""
         return bool(self._static.extended.causes) if self.residuals is None else self._flown.offered
 
     def to_json(self) -> dict[str, Any]:
-        """diagnosis.json."""
+        """Return the content of diagnosis.json."""
         if self.residuals is None:
             from twin.diagnosis.equilibria import to_json as static
 
@@ -144,7 +144,7 @@ class Diagnosed:
         return result.to_json(self._flown) | {"show": to_dict(self.residuals)}
 
     def to_html(self, folder: Path | str = ".") -> str:
-        """report.html, self-contained; the commands at its end name `folder`."""
+        """Return the content of report.html, self-contained; the commands at its end name `folder`."""
         if self.residuals is None:
             from twin.diagnosis.equilibria.page import page
 
@@ -259,12 +259,12 @@ class Predicted:
         }
 
     def to_csv(self) -> str:
-        """Rows t, x, x_hat in s and m."""
+        """Return the rows t, x, x_hat in s and m."""
         rows = zip(self.t_s.tolist(), self.x_m.tolist(), self.x_hat_m.tolist(), strict=True)
         return "t,x,x_hat\n" + "".join(f"{t:.9g},{x:.10g},{x_hat:.10g}\n" for t, x, x_hat in rows)
 
     def table(self) -> str:
-        """For people."""
+        """Return the result as a text table for a person."""
         result = self.details
         horizon = f"{self.horizon_samples} samples ({1e3 * self.horizon_s:.3g} ms) ahead"
         lines = [f"{self.recording}: {len(self.x_m)} of {result.samples} samples predicted {horizon}"]
@@ -296,7 +296,7 @@ class Designed:
         return everything(self.details)
 
     def table(self) -> str:
-        """For people."""
+        """Return the result as a text table for a person."""
         from twin.control_design.report import table
 
         return table(self.details)

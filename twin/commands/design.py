@@ -1,8 +1,8 @@
 """Design a controller for the board from a model: LQI or PID gains, with an analysis of the loop.
 
 Takes a model.json of `identify`, or the name of a shipped model (ce152, inteco, magnetoshield).  Without weights it
-chooses them by Bryson's rule.  Prints gains, poles and margins of the loop that the board will run, the effect of the
-speed estimate and of the converters, and whether the loop is stable over the model's uncertainty.
+chooses them by Bryson's rule.  Prints gains, poles and margins of the loop that the board will run, and the effect of
+the speed estimate and of the converters.  Says whether the loop is stable over the model's uncertainty.
 """
 
 from __future__ import annotations

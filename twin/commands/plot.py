@@ -144,7 +144,7 @@ def _model_at(path: Path, board: str, t_s: float) -> str:
 
 
 def _thresholds(path: Path, board: str, trace: Traces, model: Model, settings: Settings) -> tuple[float, float]:
-    """Alarm thresholds: (of the mean NIS, of the mean squared error of x at the median reference; NaN if unknown)."""
+    """Return the alarm thresholds (of the mean NIS; of the mean squared error of x at the median reference, or NaN)."""
     from protocol.log.reader import LogReader
     from twin.mirror.regime import Regime
     from twin.readers.log import entries, parse

@@ -1,8 +1,8 @@
 """Validate a model on recordings: the paper's figures with their numbers, as one HTML page and JSON.
 
-Uses the recordings with use = "judge": amplifier and ball in open loop, prediction errors against the noise floor,
-residual tests, step responses in closed loop simulated and measured.  Tests for which the campaign has no data are
-reported as such and are not an error.
+Uses the recordings with use = "judge".  Tests amplifier and ball in open loop, prediction errors against the noise
+floor, and the residuals.  Compares simulated and measured step responses in closed loop.  Tests for which the campaign
+has no data are reported as such and are not an error.
 """
 
 from __future__ import annotations

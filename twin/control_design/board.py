@@ -17,7 +17,7 @@ SHIFT_MAX = 30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Converters:
-    """One count of each signal; defaults: a CE 152 with 12 bits over 0..2 A, 0..5 V at 855 V/m, 0..5 V."""
+    """The size of one count of each signal; defaults: a CE 152 with 12 bits over 0..2 A, 0..5 V at 855 V/m, 0..5 V."""
 
     i_lsb_a: float = 2.0 / 4096
     x_lsb_m: float = 5.0 / 4096 / 855.0
@@ -40,7 +40,7 @@ class QuantisedGain:
 
 
 def to_mantissa(gain: float) -> tuple[int, int]:
-    """(mantissa, shift) with mantissa * 2^-shift nearest to `gain`.  Raises OverflowError for |gain| > 32767."""
+    """Return (mantissa, shift) with mantissa * 2^-shift nearest to `gain`.  Raises OverflowError for |gain| > 32767."""
     if abs(gain) > MANTISSA_MAX:
         raise OverflowError(gain)
     if gain == 0.0:
@@ -85,7 +85,7 @@ def quantise(
 
 
 def from_order_of(law: Law, gains: tuple[float, ...]) -> tuple[float, float, float, float]:
-    """[k_i, k_x, k_v, k_int] from the four numbers of SET_GAINS; the inverse of `gains.in_order_of`."""
+    """Return [k_i, k_x, k_v, k_int] from the four numbers of SET_GAINS; the inverse of `gains.in_order_of`."""
     if law == "pid":
         return 0.0, gains[0], gains[2], -gains[1]
     return gains[0], gains[1], gains[2], gains[3]

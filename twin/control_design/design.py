@@ -52,7 +52,7 @@ class LoopAnalysis:
 
     @property
     def stable(self) -> bool:
-        """Whether every pole is inside the unit circle."""
+        """Return whether every pole is inside the unit circle."""
         return bool(abs(self.poles[0]) < 1.0)
 
 
@@ -146,7 +146,7 @@ def design(
 def _changes(
     model: Model, point: OperatingPoint, weights: Weights, K: Gains, sample_time_s: float, law: Law
 ) -> tuple[str, ...]:
-    """Sentences on the causes of the model, and on the design without them."""
+    """Return the sentences on the causes of the model, and on the design without them."""
     if not model.causes:
         return ()
     plain = dataclasses.replace(model, causes=())

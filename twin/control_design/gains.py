@@ -1,7 +1,7 @@
 """Gains from a model and weights: operating point (13), linearisation (14), c2d (15), integral (16), LQI (17)-(18).
 
-Rule 1: signs and order are the board's (protocol/README.md, rules 9 and 14): delta u = -K [i - i_0, x - x_0, x', s]
-        with s = integral of (x_ref - x) dt, so the gain of s is negative.
+Rule 1: signs and order are the board's (protocol/README.md, rules 9 and 14): delta u = -K [i - i_0, x - x_0, x', s].
+        With s = integral of (x_ref - x) dt the gain of s is negative.
 Rule 2: as on the board, s is advanced after u is computed; the augmented model includes this.
 """
 
@@ -84,7 +84,7 @@ def operating_point(model: Model, x_m: float | None, *, u_max_v: float) -> Opera
 
 
 def bryson(model: Model, point: OperatingPoint, *, settling_time_s: float | None = None) -> Weights:
-    """Default weights by Bryson's rule: each is 1 / (largest acceptable deviation)^2.
+    """Return the default weights by Bryson's rule: each is 1 / (largest acceptable deviation)^2.
 
     The deviations are a tenth of the travel in x, half of u_c0 in u_c, and in i_c the change due to that u_c.  With T
     the longest acceptable duration of an error, they are x / T in speed and x T in the integral.
@@ -111,7 +111,7 @@ def bryson(model: Model, point: OperatingPoint, *, settling_time_s: float | None
 def augmented(
     phi: NDArray[np.float64], gamma: NDArray[np.float64], sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(16): a model of n states, x last but one, with s(k+1) = s(k) - T_s x(k); shapes (n+1, n+1), (n+1, 1)."""
+    """Augment n states, x last but one, by (16): s(k+1) = s(k) - T_s x(k); shapes (n+1, n+1), (n+1, 1)."""
     n = len(phi)
     A = np.zeros((n + 1, n + 1))
     A[:n, :n] = phi
@@ -122,10 +122,10 @@ def augmented(
 def design_gains(
     model: Model, point: OperatingPoint, weights: Weights, *, sample_time_s: float, law: Law
 ) -> tuple[float, float, float, float]:
-    """K of (18) as [k_i, k_x, k_v, k_int]: V/A, V/m, V s/m, V/(m s).
+    """Return K of (18) as [k_i, k_x, k_v, k_int]: V/A, V/m, V s/m, V/(m s).
 
-    A PID does not use the current: k_i is 0, and the gains are those of (15) without the row and column of i_c, which
-    assumes that the current follows u_c within a tick.  This holds for T_A well below T_s.  The loop is analysed with
+    A PID does not use the current: k_i is 0, and the gains are those of (15) without the row and column of i_c.  This
+    assumes that the current follows u_c within a tick, which holds for T_A well below T_s.  The loop is analysed with
     the complete model.
 
     Delays and lags add states that the board does not measure.  Then (18) is solved without them, and `refined`
@@ -206,6 +206,6 @@ def refined(
 
 
 def in_order_of(law: Law, K: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """`K` in the order of SET_GAINS: LQI [k_i, k_x, k_v, k_int], PID [k_p, k_int, k_d, 0] (rule 9)."""
+    """Return `K` in the order of SET_GAINS: LQI [k_i, k_x, k_v, k_int], PID [k_p, k_int, k_d, 0] (rule 9)."""
     k_i, k_x, k_v, k_int = K
     return (k_x, -k_int, k_v, 0.0) if law == "pid" else (k_i, k_x, k_v, k_int)

@@ -3,8 +3,8 @@
     plant       p(k+1) = Phi p(k) + Gamma (u(k) + n_u) + w,   p = [i_c, x, x']
     controller  z(k+1) = A z(k) + B y(k),  u(k) = C z(k) + D y(k),   y = p + [n_i, n_x, 0]
 
-Three controllers with the same K: `ideal` has the true speed (the assumption of (17)), `backward` uses (x - x_prev)/T_s
-(the board's law), `observer` uses a stationary Kalman filter of i_c and x.
+Three controllers have the same K.  `ideal` has the true speed (the assumption of (17)); `backward` uses
+(x - x_prev)/T_s (the board's law); `observer` uses a stationary Kalman filter of i_c and x.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Noise(NamedTuple):
 
 
 def ideal(K: Gains, sample_time_s: float) -> Controller:
-    """State feedback with the true speed; z = [s]."""
+    """Return the state feedback with the true speed; z = [s]."""
     k_i, k_x, k_v, k_int = K
     return Controller(
         np.eye(1), np.array([[0.0, -sample_time_s, 0.0]]), np.array([[-k_int]]), np.array([[-k_i, -k_x, -k_v]])
@@ -67,7 +67,7 @@ def backward(K: Gains, sample_time_s: float) -> Controller:
 
 
 def kalman_gain(plant: Plant, noise: Noise) -> NDArray[np.float64]:
-    """Stationary gain L of p(k|k) = p(k|k-1) + L (y - p(k|k-1)), shape (n, 2) for n states, from i_c and x.
+    """Return the stationary gain L of p(k|k) = p(k|k-1) + L (y - p(k|k-1)), shape (n, 2) for n states, from i_c and x.
 
     The Riccati equation is solved in units of the noise, because A^2 and um^2 differ too much for the solver.
     """
@@ -87,7 +87,7 @@ def kalman_gain(plant: Plant, noise: Noise) -> NDArray[np.float64]:
 
 
 def observer(K: Gains, plant: Plant, filter_gain: NDArray[np.float64], sample_time_s: float) -> Controller:
-    """LQG: K on the filtered state; z = [i_c, x, x' (and what follows them) predicted for this tick, s]."""
+    """Build the LQG: K on the filtered state; z = [i_c, x, x' (and what follows them) predicted for this tick, s]."""
     phi, gamma = plant
     n = len(phi)
     K_p = np.zeros((1, n))
@@ -116,21 +116,21 @@ def seeing(plant: Plant, controller: Controller) -> Controller:
 
 
 def closed_loop(plant: Plant, controller: Controller) -> NDArray[np.float64]:
-    """F of [p, z](k+1) = F [p, z](k), shape (states of the plant + n,) * 2."""
+    """Return F of [p, z](k+1) = F [p, z](k), shape (states of the plant + n,) * 2."""
     phi, gamma = plant
     A, B, read, direct = seeing(plant, controller)
     return np.block([[phi + gamma @ direct, gamma @ read], [B, A]])
 
 
 def radius(plant: Plant, controller: Controller) -> float:
-    """Largest |pole|; stable below 1; infinite if the plant has no equilibrium."""
+    """Return the largest |pole|; stable below 1; infinite if the plant has no equilibrium."""
     if not np.isfinite(plant.phi).all():
         return np.inf
     return float(np.max(np.abs(np.linalg.eigvals(closed_loop(plant, controller)))))
 
 
 def noise_rms(plant: Plant, controller: Controller, noise: Noise) -> tuple[float, float]:
-    """Stationary rms of the true x in m and of u_c in V: P = F P F' + G Q G'; infinite if the loop is unstable."""
+    """Return the stationary rms of x in m and of u_c in V: P = F P F' + G Q G'; infinite if the loop is unstable."""
     if radius(plant, controller) >= 1.0:
         return np.inf, np.inf
     gamma = plant.gamma

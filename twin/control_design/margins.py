@@ -39,7 +39,7 @@ def margins(
     *,
     model_delay_s: float = 0.0,
 ) -> Margins | None:
-    """Margins of `controller` on the continuous plant (14) `A`, `B`; None if the loop is unstable.
+    """Return the margins of `controller` on the continuous plant (14) `A`, `B`; None if the loop is unstable.
 
     Args:
         A: shape (n, n).
@@ -71,7 +71,7 @@ def margins(
 
 
 def delayed_plant(A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float) -> Plant:
-    """(15) with u_c delayed by `delay_s`, exactly; see `twin.model.linear.late`.
+    """Discretise by (15) with u_c delayed by `delay_s`, exactly; see `twin.model.linear.late`.
 
     The states are [i_c, x, x', .., u(k-1), u(k-2), ..]; the controller uses the first three.
     """
@@ -79,7 +79,7 @@ def delayed_plant(A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float
 
 
 def _first_loss(holds: Callable[[float], bool], start: float, values: Iterable[float]) -> float:
-    """Value at which `holds`, true at `start`, becomes false along the rising `values`; inf: at none of them."""
+    """Return the value at which `holds`, true at `start`, becomes false along the rising `values`; inf: at none."""
     stable = start
     for value in values:
         if holds(value):
@@ -94,7 +94,7 @@ def _first_loss(holds: Callable[[float], bool], start: float, values: Iterable[f
 
 
 def phase_margin_deg(plant: Plant, controller: Controller) -> float:
-    """Smallest |180 deg + arg L| where |L| = 1, L the loop broken at the plant's input, up to the Nyquist frequency."""
+    """Return the smallest |180 deg + arg L| where |L| = 1, L the loop broken at the plant's input, below Nyquist."""
     omega = np.geomspace(1e-3, np.pi, FREQUENCIES)  # rad per tick
     size = np.abs(_loop_gain(plant, controller, omega))
     k = np.flatnonzero((size[1:] > 1.0) != (size[:-1] > 1.0))
@@ -106,7 +106,7 @@ def phase_margin_deg(plant: Plant, controller: Controller) -> float:
 
 
 def _loop_gain(plant: Plant, controller: Controller, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """L at `omega` rad per tick, shape of `omega`."""
+    """Return L at `omega` rad per tick, shape of `omega`."""
     z = np.exp(1j * omega)[:, None, None]
     A, B, read, direct = seeing(plant, controller)
     y = np.linalg.solve(z * np.eye(len(plant.phi)) - plant.phi, plant.gamma[None].astype(complex))

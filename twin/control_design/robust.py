@@ -72,7 +72,7 @@ def over_intervals(
 
 
 def stable_range_m(model: Model, controller: Controller, x_m: float, sample_time_s: float) -> tuple[float, float]:
-    """(lowest, highest) position in m such that all linearisations between them and `x_m` are stable, on a grid."""
+    """Return the (lowest, highest) position, m, up to which all linearisations from `x_m` are stable, on a grid."""
     travel = model.plant.travel_m
     grid = (travel * np.arange(1, POSITIONS + 1) / (POSITIONS + 1)).tolist()
     low = high = x_m
@@ -88,7 +88,7 @@ def stable_range_m(model: Model, controller: Controller, x_m: float, sample_time
 
 
 def plant_at(model: Model, x_m: float, sample_time_s: float) -> Plant:
-    """(14) and (15) at `x_m`, with the model's delays."""
+    """Linearise and discretise by (14) and (15) at `x_m`, with the model's delays."""
     return Plant(*discrete(model, x_m, sample_time_s))
 
 

@@ -1,7 +1,7 @@
 """Send a designed controller to a board through its gateway: one SetGains on the bus, and its reply.
 
 Rule: the board's parameters are read first.  Gains for another T_s, or for an operating point outside the board's
-      reference range, are refused here: the board would accept them and lose the ball.
+      reference range, are refused here.  The board would accept them and lose the ball.
 """
 
 from __future__ import annotations

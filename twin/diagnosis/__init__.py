@@ -1,1 +1,1 @@
-"""What the simulation gets wrong, which physical cause explains it, and what the extended model gains."""
+"""The diagnosis: where the simulation is wrong, which physical cause explains it, what the extended model gains."""

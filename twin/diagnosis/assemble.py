@@ -1,4 +1,4 @@
-"""From a finished search to the diagnosis: findings, next experiments, prediction improvement, verdict, sentence."""
+"""Turn a finished search into a diagnosis: findings, next experiments, prediction improvement, verdict, sentence."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def assemble(
 
 
 def _inconsistent(search: SearchResult) -> list[str]:
-    """Warnings about effects that are not the same in all recordings, or begin in the middle of one."""
+    """Return the warnings about effects that are not the same in all recordings, or begin in the middle of one."""
     criterion, fit = search.criterion, search.selection.fit
     always = [
         name for name in search.selection.causes if BY_NAME[name].detector != "spectral-line" and search.change is None
@@ -233,7 +233,7 @@ def _remainder(
     choice: Choice,
     options: Options,
 ) -> Remainder | None:
-    """What is left, modelled; None where nothing is, nobody asked, or there is nothing to choose by."""
+    """Return the model what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
     has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
     is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form
     if not is_requested or judge is None or whole is None or choice.fit is None or search.change is not None:
@@ -262,7 +262,7 @@ def _bench(search: SearchResult, judge: Evidence | None, plant: Plant, options: 
 
 
 def _harmless(bench: Bench | None, before: Theta, choice: Choice, left: Remainder | None) -> bool:
-    """Whether the model with what is left as a curve is no worse than the reference on all of the judge recordings."""
+    """Return whether the model with a curve for what is left is no worse than the reference on the judge recordings."""
     return left is None or bench is None or left.fit is choice.fit or not worse(bench.gains(before, left.fit.theta))
 
 
@@ -313,7 +313,7 @@ def _findings(
 
 
 def _assumption_clause(cause: str, plant: Plant) -> str:
-    """For which assumed plant the size of a cause holds; empty if it does not rest on one."""
+    """Name the assumed plant for which the size of a cause holds; empty if the size does not rest on one."""
     return f", {assumption(plant)}" if plant.assumed and rests_on_plant(BY_NAME[cause]) else ""
 
 
@@ -327,14 +327,14 @@ def _with_change(finding: Finding, change: Change) -> Finding:
 
 
 def _names(findings: Sequence[Finding]) -> set[str]:
-    """Names of the causes and of the other members of their equivalence classes."""
+    """Return the names of the causes and of the other members of their equivalence classes."""
     return {finding.name for finding in findings} | {
         member.name for finding in findings for member in finding.indistinguishable_from
     }
 
 
 def _proposals(criterion: Criterion, selection: Selection, campaign: Campaign, options: Options) -> dict[str, Proposal]:
-    """For each cause with an equivalence class, the experiment that splits it best, or a measurement if none does."""
+    """Propose for each equivalence class the experiment that splits it best, or a measurement if none does."""
     result = {}
     for cause in selection.causes:
         members = selection.classes.get(cause, ())

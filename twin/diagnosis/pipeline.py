@@ -86,7 +86,7 @@ def diagnose(
         say: is called with lines of progress, each with the used share of the budget.
 
     Raises:
-        DataError: there is no recording for fitting or too little data, a recording is implausible, the model is of
+        DataError: there is no recording for fitting or too little data; a recording is implausible; the model is of
             another plant, or the budget is too small to fit the paper's model.
     """
     records = read_campaign(campaign, data=data)
@@ -128,7 +128,7 @@ def diagnose_records(
     look_for_outlier: bool = True,
     say: Progress = lambda line: None,
 ) -> Diagnosis:
-    """`diagnose` with recordings in memory.
+    """Run `diagnose` with recordings in memory.
 
     With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
     """
@@ -206,7 +206,7 @@ def _diagnosed(
 def _evidence(
     records: Sequence[Record], judges: Sequence[Record], plant: Plant
 ) -> tuple[Evidence, Evidence | None, Noise]:
-    """(evidence for fitting, evidence for judging, noise of the instruments), without outliers."""
+    """Return (evidence for fitting, evidence for judging, noise of the instruments), without outliers."""
     evidence = gather(records, plant)
     judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
     evidence, judge = without_outliers(evidence), judge and without_outliers(judge)
@@ -215,7 +215,7 @@ def _evidence(
 
 
 def _missing(records: Sequence[Record], judges: Sequence[Record]) -> list[str]:
-    """Warnings about missing recordings."""
+    """Return the warnings about missing recordings."""
     warnings = []
     if not judges:
         warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
@@ -239,7 +239,7 @@ def _wanders(theta: Theta) -> bool:
 
 
 def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tuple[list[Record], list[str]]:
-    """(recordings without dead channels, shortened for `quick`; warnings)."""
+    """Return (recordings without dead channels, shortened for `quick`; warnings)."""
     warnings = [assumption_warning(campaign.plant)] if campaign.plant.assumed else []
     warnings += [note for record in records for note in record.notes]
     warnings += inspect(list(records), campaign.plant, campaign.controller)

@@ -1,4 +1,4 @@
-"""What a diagnosis says, and its JSON form (`diagnosis.json`)."""
+"""The result of a diagnosis, and its JSON form (`diagnosis.json`)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One cause."""
+    """A named cause with its parameters, its gain and the causes that fit as well."""
 
     name: str
     sentence: str
@@ -122,12 +122,12 @@ class Diagnosis:
 
     @property
     def offered(self) -> bool:
-        """Whether a twin gains by `extended`: the judge recordings have compared it, and it is not the reference."""
+        """Return whether a twin gains by `extended`: the judge recordings compared it, and it is not the reference."""
         chosen = self.choice
         return chosen is not None and chosen.compared and (bool(self.extended.causes) or chosen.kind == "paper")
 
     def holds(self, cause: Finding) -> bool:
-        """Whether a name is a cause, not a candidate: beside a rest that nobody knows, only what was counted is."""
+        """Return whether a finding is a cause and not a candidate; with an unknown rest, only a counted one is."""
         if self.verdict == "partly-explained" and self.account.leads(cause.name):
             return True
         return self.verdict == "causes-found" or cause.confidence > MAX_CONFIDENCE[self.verdict]
@@ -238,7 +238,7 @@ def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, 
 
 
 def parameters_json(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Parameters as in diagnosis.json."""
+    """Return the parameters as in diagnosis.json."""
     return {
         name: {"value": p.value, "unit": p.unit, "std": p.std, "ci95": list(p.ci95) if p.ci95 else None}
         for name, p in parameters.items()
@@ -246,7 +246,7 @@ def parameters_json(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 
 
 def _extended_model(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """Which model extended_model.json is, and the models that were refused."""
+    """Return which model extended_model.json is, and the models that were refused."""
     choice = diagnosis.choice
     if choice is None:
         return None

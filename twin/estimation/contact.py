@@ -1,8 +1,7 @@
 """Contact of the ball in a recording: held, at rest at a stop, bouncing, or at the end of the sensor's range.
 
-Rule: contact is found from the data and not from the nominal position of a stop, because a sensor with an offset or a
-      wrong scale shows the stops elsewhere.  In open loop the ball is unstable: if it stays within its noise for 50 ms,
-      something holds it.
+Rule: the data show contact, not the nominal position of a stop: a sensor with an offset or a wrong scale shows the
+      stops elsewhere.  In open loop the ball is unstable: if it stays within its noise for 50 ms, something holds it.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ OPEN_LOOP = ("sawtooth", "prbs", "free")
 
 
 def held_samples(record: Record, plant: Plant) -> BoolArray:
-    """Whether the ball is held at each sample, shape (n,): in open loop, x within its noise for 50 ms."""
+    """Return whether the ball is held at each sample, shape (n,): in open loop, x within its noise for 50 ms."""
     n = len(record.t)
     if record.kind not in OPEN_LOOP or n < 2 * HELD_SAMPLES or not record.has("x"):
         return np.zeros(n, np.bool_)
@@ -70,7 +69,7 @@ def _rests(held: BoolArray, x: FloatArray, tolerance_m: float) -> list[slice]:
 
 
 def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> BoolArray:
-    """Where a ball at rest leaves its place briefly, shape (n,), by less than HELD_SCALES allows.
+    """Return where a ball at rest moves briefly, shape (n,), by less than HELD_SCALES allows.
 
     Just before lift-off a changing force raises the ball by some ten micrometres.
     """
@@ -85,12 +84,12 @@ def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> B
 
 
 def line_over(i_c: FloatArray, x: FloatArray) -> np.polynomial.Polynomial:
-    """Line of the readings of a ball at rest over the current, m over A: its slope is the sensor's crosstalk."""
+    """Fit a line to the readings at rest over the current, m over A: its slope is the sensor's crosstalk."""
     return np.polynomial.Polynomial.fit(i_c, x, 1 if np.ptp(i_c) > 0.0 else 0)
 
 
 def bounces(record: Record, plant: Plant) -> BoolArray:
-    """Where the ball reverses faster than its weight allows, shape (n,): it has hit a stop.
+    """Return where the ball reverses faster than its weight allows, shape (n,): it has hit a stop.
 
     A slow or delayed sensor shows such a bounce below the stop; its few readings would dominate the likelihood.
     """
@@ -111,7 +110,7 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
 
 
 def at_converter_end(values: FloatArray) -> BoolArray:
-    """Where so many readings are at the extreme value of the record that noise must be cut off, shape (n,)."""
+    """Return where so many readings share the record's extreme value that noise must be cut off, shape (n,)."""
     cut = np.zeros(len(values), np.bool_)
     if len(values) < HELD_SAMPLES or not np.isfinite(values).any():
         return cut
@@ -122,7 +121,7 @@ def at_converter_end(values: FloatArray) -> BoolArray:
 
 
 def partly_cut_off(values: FloatArray) -> BoolArray:
-    """Where some noise of the (finite) readings is cut off, but too little for `at_converter_end`, shape (n,).
+    """Return where some noise of the (finite) readings is cut off, too little for `at_converter_end`, shape (n,).
 
     The error of their mean is below a tenth of the noise.
     """
@@ -138,7 +137,7 @@ def partly_cut_off(values: FloatArray) -> BoolArray:
 
 
 def noise_of(x: FloatArray) -> float:
-    """Standard deviation of white noise on a smooth signal, from its third difference; 0 for fewer than 8 values."""
+    """Estimate the noise on a smooth signal from its third difference; 0 for fewer than 8 values."""
     if len(x) < 8:
         return 0.0
     third = np.diff(x, 3)
@@ -148,7 +147,7 @@ def noise_of(x: FloatArray) -> float:
 def stop_readings(
     records: Sequence[Record], held: Sequence[BoolArray], plant: Plant, notes: list[str]
 ) -> tuple[float | None, float | None]:
-    """(reading at the lower stop, at the upper stop), m; None if unknown or if the recordings disagree.
+    """Return (reading at the lower stop, at the upper stop), m; None if unknown or if the recordings disagree.
 
     Args:
         records: the recordings.
@@ -174,7 +173,7 @@ def stop_readings(
 
 
 def range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[float]:
-    """Ends of the position sensor's range, m: a ball at rest beyond one gives that reading without noise."""
+    """Return the ends of the position sensor's range, m: a ball at rest beyond one gives that reading without noise."""
     if min_noise(records) < MIN_NOISE_M:
         return []
     blind = set()
@@ -186,7 +185,7 @@ def range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[flo
 
 
 def outside_range(record: Record, held: BoolArray, blind: Sequence[float]) -> BoolArray:
-    """Where the ball is held beyond the range of its sensor (`blind`, of `range_ends`), shape (n,); i_c is valid."""
+    """Return where the ball is held beyond its sensor's range (`blind`, of `range_ends`), shape (n,); i_c is valid."""
     mask = np.zeros(len(record.t), np.bool_)
     at_end = np.isin(record.x, blind)
     for piece in runs(held, HELD_SAMPLES):
@@ -196,7 +195,7 @@ def outside_range(record: Record, held: BoolArray, blind: Sequence[float]) -> Bo
 
 
 def min_noise(records: Sequence[Record]) -> float:
-    """Smallest noise of the position among the recordings, m, without the extreme readings of each."""
+    """Return the smallest noise of the position among the recordings, m, without the extreme readings of each."""
     levels = []
     for x in (record.x[np.isfinite(record.x)] for record in records):
         between = x[(x != x.min()) & (x != x.max())] if len(x) else x
@@ -205,7 +204,7 @@ def min_noise(records: Sequence[Record]) -> float:
 
 
 def converter_step(records: Sequence[Record]) -> float:
-    """Resolution of the position converter, m: the smallest difference of two readings; 0 if all are equal."""
+    """Return the position converter's resolution, m: the smallest difference of two readings; 0 if all are equal."""
     differences = []
     for record in records:
         steps = np.diff(np.unique(record.x[np.isfinite(record.x)]))
@@ -216,7 +215,7 @@ def converter_step(records: Sequence[Record]) -> float:
 def on_stops(
     record: Record, held: BoolArray, low: float | None, high: float | None, plant: Plant
 ) -> tuple[BoolArray, BoolArray]:
-    """Where the ball rests at the (lower, upper) stop, each of shape (n,).
+    """Return where the ball rests at the (lower, upper) stop, each of shape (n,).
 
     Args:
         record: the recording.

@@ -23,7 +23,7 @@ FAMILY_LEVEL = 0.05
 
 
 def holm(chances: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:
-    """Which tests of a family are significant together.
+    """Return which tests of a family are significant together (Holm, 1979).
 
     Args:
         chances: p value of each test; NaN: there is no test.

@@ -1,7 +1,7 @@
 """Innovations of a campaign: flags of the samples, log-likelihood, score and Fisher information.
 
-Flags of a sample: FOLLOWS (the previous sample is one interval earlier), FLIES (the ball is free of the stops), USE_I
-and USE_X (the reading is used), CAPTURED (of a capture).  Without FLIES only i_c is filtered.
+A sample has flags.  FOLLOWS: the previous sample is one interval earlier.  FLIES: the ball is free of the stops, else
+only i_c is filtered.  USE_I, USE_X: the reading is used.  CAPTURED: the sample belongs to a capture.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Series:
 
 @kernel
 def whiten(out: NDArray[np.float64], loglik: NDArray[np.float64], white: NDArray[np.float64]) -> float:
-    """Log-likelihood and whitened innovations of each sample; returns the total log-likelihood without constants.
+    """Compute log-likelihood and whitened innovations of each sample; return their total, without constants.
 
     Args:
         out: output of the filter, shape (n, 5).
@@ -103,7 +103,7 @@ def information(
     scores: NDArray[np.float64],
     fisher: NDArray[np.float64],
 ) -> None:
-    """Score per sample and Fisher information, from the filter's output and its derivatives.
+    """Compute score per sample and Fisher information from the filter's output and its derivatives.
 
     With w the whitened innovations and dw, dS their derivatives in the whitened frame,
         score_a = 1/2 (w' dS_a w - tr dS_a) - w' dnu_a,   F_ab = dnu_a' dnu_b + 1/2 tr(dS_a dS_b).

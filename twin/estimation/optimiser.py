@@ -46,10 +46,10 @@ class Surface(Protocol[P]):
         """The largest move of a coordinate in one pass."""
 
     def visit(self, point: P) -> tuple[float, Any]:
-        """(log-likelihood at the point, data for `slopes` and `exact`)."""
+        """Return (log-likelihood at the point, data for `slopes` and `exact`)."""
 
     def slopes(self, point: P, outputs: Any, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
-        """Derivatives, approximate if that suffices.
+        """Return the derivatives, approximate if that suffices.
 
         Args:
             point: the point.
@@ -60,7 +60,7 @@ class Surface(Protocol[P]):
         """
 
     def exact(self, point: P, outputs: Any, free: Sequence[str]) -> Slopes:
-        """Exact derivatives at this point."""
+        """Return the exact derivatives at this point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +138,7 @@ def climb(
 
 
 def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatArray) -> NDArray[np.bool_]:
-    """Which coordinates may move, shape (count,): all but those at a bound whose score points outwards."""
+    """Return which coordinates may move, shape (count,): all but those at a bound whose score points outwards."""
     return np.array(
         [
             surface.moved(point, name, _NUDGE if score[index] > 0.0 else -_NUDGE) != point
@@ -149,7 +149,7 @@ def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatAr
 
 
 def newton(slopes: Slopes, active: NDArray[np.bool_], damping: float) -> tuple[FloatArray, float]:
-    """Damped Newton step and Newton decrement.
+    """Return the damped Newton step and Newton decrement.
 
     Args:
         slopes: derivatives of the log-likelihood.
@@ -175,7 +175,7 @@ def newton(slopes: Slopes, active: NDArray[np.bool_], damping: float) -> tuple[F
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of an information matrix, shape (count, count), scaled against rounding; inf if it is not finite."""
+    """Invert an information matrix, shape (count, count), scaled against rounding; inf if it is not finite."""
     if not np.isfinite(matrix).all():
         return np.full(matrix.shape, np.inf)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -183,7 +183,7 @@ def inverse(matrix: FloatArray) -> FloatArray:
 
 
 def covariance_of(fisher: FloatArray, active: NDArray[np.bool_]) -> FloatArray:
-    """Inverse information of the active coordinates, shape (count, count); 0 for the others."""
+    """Return the inverse information of the active coordinates, shape (count, count); 0 for the others."""
     covariance = np.zeros_like(fisher)
     if active.any():
         covariance[np.ix_(active, active)] = inverse(fisher[np.ix_(active, active)])

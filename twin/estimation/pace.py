@@ -23,7 +23,7 @@ from twin.model.extended import I_C, PARTS, SHORT_S, WANDER, Base, V, X, has_fir
 
 
 class Reuse(Enum):
-    """What a run of the filter reuses from that of a nearby model."""
+    """The parts of a nearby model's run that a run of the filter reuses."""
 
     NONE = auto()
     SLOPES = auto()  # the Jacobians
@@ -40,7 +40,7 @@ class Pace:
     step_s: float  # the usual interval in flight
 
     def steps(self, base: Base, c: NDArray[np.float64], reuse: Reuse) -> float:
-        """Filter steps of a run.
+        """Return the filter steps of a run.
 
         Args:
             base: the paper's parameters and the plant.
@@ -59,7 +59,7 @@ class Pace:
         return self.samples + pieces * (advances * self.flown[substepped] + held * self.held[substepped])
 
     def steps_ahead(self, base: Base, c: NDArray[np.float64], samples: int) -> float:
-        """Filter steps of `measure.predictions`, `samples` ahead; a periodic force takes a run for each phase."""
+        """Return the steps of `measure.predictions`, `samples` ahead; a periodic force takes a run for each phase."""
         return (PHASES if has_phase(c) else 1) * (
             self.steps(base, c, Reuse.NONE) + samples * self.flown[0 if short(base, c, self.step_s) else 1]
         )

@@ -1,7 +1,7 @@
 """The noise floor: the error of a right model N samples ahead.
 
-A prediction starts from the filter's estimate and uses the recorded u_c.  If the model is right, the variance of its
-error is the covariance P of that estimate, propagated by the Jacobians of the steps, plus the noise of the reading:
+A prediction starts from the filter's estimate and uses the recorded u_c.  Under a right model its error has the
+covariance P of that estimate, propagated by the steps' Jacobians, plus the reading's noise:
 
     var = h (F_N .. F_1 P F_1' .. F_N' + propagated process noise) h' + sigma_x^2
 
@@ -10,10 +10,10 @@ Rule 1: P, F and h are those of the filter along the recorded motion, for the sa
 Rule 2: the caller gives the noise.  Both reports use sensor noise alone, because process noise absorbs errors of the
         model, which a floor must not include.
 
-For recordings simulated with the true model, the floor is right within 1 % beside the sampling error for each cause of
-the catalogue (4 % for dry friction too weak to hold the ball, 40 ms ahead;
-tests/twin/estimation/test_prediction_floor.py).  A linearisation at rest is not enough: its error is up to a factor of
-2.8 under dry friction, 30 % under a slew limit, 10 % with one sample in ten lost and 6 % under drag.
+For recordings simulated with the true model, the floor is right within 1 % and the sampling error for each cause of the
+catalogue.  The exception is dry friction too weak to hold the ball: 4 %, 40 ms ahead
+(tests/twin/estimation/test_prediction_floor.py).  A linearisation at rest is not enough.  It errs by up to a factor of
+2.8 under dry friction and 30 % under a slew limit.  It errs by 10 % with one sample in ten lost and 6 % under drag.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TOLERANCE = 1.05  # error over floor of a right model, with rounding and paramet
 
 
 def floor_rmse(system: System, samples: Samples, ahead: int, predicted: NDArray[np.bool_]) -> float:
-    """Root mean square of x_hat - x of a right model over the predicted samples, m; NaN without any.
+    """Return the root mean square of x_hat - x of a right model over the predicted samples, m; NaN without any.
 
     Args:
         system: the model and the noise.

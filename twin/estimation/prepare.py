@@ -1,4 +1,4 @@
-"""From recordings to one series of flagged samples: gaps, contacts with the stops, clipped readings and outliers.
+"""Turn recordings into one series of flagged samples: gaps, contacts with the stops, clipped readings and outliers.
 
 Rule 1: nothing is interpolated.  Unusable readings are left out of the filter's correction; an unknown input starts a
         new piece.
@@ -33,7 +33,7 @@ _CAPTURE_LEAD = 20  # samples of a capture before the step
 
 @dataclass(slots=True, kw_only=True)
 class Usage:
-    """How the samples of one recording are used."""
+    """The use of one recording's samples."""
 
     name: str
     kind: str
@@ -86,7 +86,7 @@ def prepare(records: list[Record], plant: Plant, *, min_gap_m: float = 0.0) -> t
 
 
 def flights(record: Record, plant: Plant, *, min_samples: int = FLIGHT_SAMPLES) -> list[slice]:
-    """Stretches of at least `min_samples` samples in which the ball is free and no sample is missing."""
+    """Return the stretches of at least `min_samples` samples in which the ball is free and no sample is missing."""
     _, follows = intervals(record.t)
     free = in_flight(record.x, plant) & np.isfinite(record.t)
     return [
@@ -97,7 +97,7 @@ def flights(record: Record, plant: Plant, *, min_samples: int = FLIGHT_SAMPLES) 
 
 
 def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
-    """Whether the ball is free of the stops at each sample, shape (n,); a missing x is taken from the previous one."""
+    """Return whether the ball is free of the stops at each sample, shape (n,); a missing x repeats the previous one."""
     known = np.isfinite(x)
     if not known.any():
         return np.zeros(len(x), np.bool_)
@@ -131,7 +131,7 @@ def _split(follows: BoolArray, min_samples: int) -> list[slice]:
 
 
 def scatter(values: FloatArray) -> float:
-    """Noise of a smooth signal: robust scale of its third difference, over the gain sqrt(20) for white noise."""
+    """Estimate the noise of a smooth signal: robust scale of its third difference over sqrt(20), its gain for noise."""
     if len(values) < 8:
         return 0.0
     third = np.diff(values, 3)
@@ -199,7 +199,7 @@ def _clipped(values: FloatArray) -> BoolArray:
 
 
 def _cut(record: Record) -> BoolArray:
-    """Readings of i_c near its lowest value, if that value is frequent under zero input, shape (n,).
+    """Return the readings of i_c near its lowest value, if that value is frequent under zero input, shape (n,).
 
     A unipolar converter cuts off negative noise, so the mean of its readings at 0 A is not zero and would bias the fit.
     """
@@ -216,7 +216,7 @@ def _cut(record: Record) -> BoolArray:
 
 
 def spikes(x: FloatArray, plant: Plant) -> BoolArray:
-    """Outliers, shape (n,): single readings far off the cubic through their four neighbours, more than these are.
+    """Return outliers, shape (n,): single readings far off the cubic of their four neighbours, more than these are.
 
     Readings near a possible impact are excepted, as an impact is not smooth either.
     """
@@ -238,7 +238,7 @@ def spikes(x: FloatArray, plant: Plant) -> BoolArray:
 
 
 def captured(record: Record) -> int:
-    """Number of samples of its captures in the series; they follow all others."""
+    """Return the number of samples of its captures in the series; they follow all others."""
     return sum(len(capture.i_c_a) - max(capture.step_index - _CAPTURE_LEAD, 0) for capture in record.captures)
 
 

@@ -28,7 +28,7 @@ def copy(to: NDArray[np.float64], of: NDArray[np.float64]) -> None:
 
 @inlined
 def delay_s(c: NDArray[np.float64]) -> float:
-    """Delay from u_c to the readings, s."""
+    """Return the delay from u_c to the readings, s."""
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
 
 
@@ -56,7 +56,7 @@ def propagate(
     Args:
         base: tuple(Base).
         c: the causes' parameters, shape (PLACES,).
-        y: the state at n - 1, shape (7,), updated in place.
+        y: the state at n - 1, shape (STATES,), updated in place.
         u: u_c of each sample, V, shape (n_samples,).
         n: the sample to reach.
         first: sample of the first known input.
@@ -112,7 +112,7 @@ def find_input(
 ) -> None:
     """Set u[lost] to the input that brings i_c from the state `before` at n - 1 to its `reading` at n, A.
 
-    The other arguments are those of `propagate`; `moved`, shape (7,), is a working array.
+    The other arguments are those of `propagate`; `moved`, shape (STATES,), is a working array.
     """
     held = u[lost]
     for _ in range(3):

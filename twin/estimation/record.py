@@ -35,7 +35,7 @@ class Capture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """One recording; all channels have the shape of t, (n,); a missing channel is NaN."""
+    """A recording; all channels have the shape of t, (n,); a missing channel is NaN."""
 
     name: str
     kind: Kind
@@ -56,19 +56,19 @@ class Record:
         return replace(self, **{channel: getattr(self, channel)[which] for channel in channels})
 
     def has(self, *channels: str) -> bool:
-        """Whether each of these channels holds at least one number."""
+        """Return whether each of these channels holds at least one number."""
         return all(bool(np.isfinite(getattr(self, channel)).any()) for channel in channels)
 
     @property
     def interval_s(self) -> float:
-        """Median sampling interval; NaN for fewer than two samples."""
+        """Return the median sampling interval; NaN for fewer than two samples."""
         steps = np.diff(self.t)
         steps = steps[np.isfinite(steps) & (steps > 0)]
         return float(np.median(steps)) if steps.size else float("nan")
 
 
 def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(time since the previous sample in s, whether there is no gap between them), both of shape (n,).
+    """Return (time since the previous sample in s, whether there is no gap between them), both of shape (n,).
 
     Intervals within 1e-3 of the median are set to the median, as a rounded time column jitters.
     """

@@ -1,12 +1,12 @@
 """Prediction of x N samples ahead, from the filter's estimate with the measured u_c.
 
 Rule 1: the prediction of sample k uses the readings up to k - N and the inputs up to k, nothing else.
-Rule 2: the predicted quantity is the reading of the position sensor (with offset, scale and lag), so that it can be
-        compared with the recorded reading.
+Rule 2: the predicted quantity is the reading of the position sensor, with offset, scale and lag.  So it can be compared
+        with the recorded reading.
 Rule 3: with `stops` the predicted ball stays between the stops, as on the rig.  The search compares models without
         stops, because a stop hides the error of a model; reports then print the predictions of `within_reach`.
-Rule 4: there is no prediction for sample k if the ball met a stop or a sample was lost between k - N and k, if x(k) was
-        not read, or if the filter has had less than `settle_s` of the flight to estimate the speed.
+Rule 4: a contact with a stop or a lost sample between k - N and k leaves sample k without a prediction.  So does a
+        missing x(k), or a filter that had less than `settle_s` of the flight to estimate the speed.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def roll_out(
     settle_s: float = SETTLE_S,
     stops: bool = False,
 ) -> NDArray[np.float64]:
-    """`predict_ahead` from given corrected states, shape (n, 7); `stops`: whether the stops limit x."""
+    """Run `predict_ahead` from given corrected states, shape (n, STATES); `stops`: whether the stops limit x."""
     settle = max(round(settle_s / system.noise.tick_s), 2)
     x_hat = np.empty(len(samples.u))
     _roll(memory_for(system), samples, state, ahead, settle, stops, x_hat)
@@ -64,12 +64,12 @@ def roll_out(
 def window(
     system: System, samples: Samples, state: NDArray[np.float64], begin: int, length: int
 ) -> NDArray[np.float64]:
-    """Readings of x predicted from one estimate with u_c alone, with stops.
+    """Return the readings of x predicted from one estimate with u_c alone, with stops.
 
     Args:
         system: the model and its noise.
         samples: of the series.
-        state: corrected states, shape (n, 7).
+        state: corrected states, shape (n, STATES).
         begin: the sample of the estimate.
         length: samples, including `begin`.
 

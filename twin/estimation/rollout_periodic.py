@@ -1,9 +1,10 @@
 """Predictions under a periodic force of unknown phase; the model has only its amplitude and frequency.
 
-Rule 1: a filter runs for each of PHASES phases.  For sample k the most likely phase given the readings up to k - N is
-        used, refined by a parabola through the best phase and its neighbours.  Later readings are not used.
+Rule 1: a filter runs for each of PHASES phases.  Sample k uses the most likely phase given the readings up to k - N.
+        A parabola through the best phase and its neighbours refines it.  Later readings are not used.
 Rule 2: the prediction is a sinusoidal function of the phase, so it is interpolated from three phases.  The nearest of
-        48 phases without interpolation left 3 % of the force: for 8 mN at 7 Hz, 20 ms ahead, 2.7 times the noise floor.
+        48 phases without interpolation left 3 % of the force.  For 8 mN at 7 Hz, 20 ms ahead, that is 2.7 times the
+        noise floor.
 Rule 3: readings older than MEMORY_S have little weight, because the frequency of the model is not exact.
 """
 
@@ -26,12 +27,12 @@ MEMORY_S = 2.0
 
 
 def has_phase(c: NDArray[np.float64]) -> bool:
-    """Whether the causes c, shape (PLACES,), include a periodic force."""
+    """Return whether the causes c, shape (PLACES,), include a periodic force."""
     return bool(c[periodic_disturbance.AMPLITUDE] != 0.0)
 
 
 def predict(system: System, samples: Samples, ahead: int, *, settle_s: float = SETTLE_S) -> NDArray[np.float64]:
-    """`rollout.predict_ahead` for any model, with the phase of a periodic force estimated; arguments as there."""
+    """Run `rollout.predict_ahead` for any model, with the phase of a periodic force estimated; arguments as there."""
     c = system.c
     if not has_phase(c):
         return predict_ahead(system, samples, ahead, settle_s=settle_s)
@@ -49,7 +50,7 @@ def predict(system: System, samples: Samples, ahead: int, *, settle_s: float = S
 
 
 def _at_the_best(explains: NDArray[np.float64], x_hat: NDArray[np.float64]) -> NDArray[np.float64]:
-    """x_hat at the most likely phase, shape (n,), from log-likelihood and x_hat of each phase, shapes (PHASES, n)."""
+    """Return x_hat at the most likely phase, shape (n,); log-likelihood and x_hat of each phase have (PHASES, n)."""
     best = np.argmax(np.where(np.isfinite(explains), explains, -np.inf), axis=0)
     neighbours = [(best + offset) % PHASES for offset in (-1, 0, 1)]
     low, top, high = (np.take_along_axis(explains, row[None, :], 0)[0] for row in neighbours)
@@ -66,7 +67,7 @@ def _at_the_best(explains: NDArray[np.float64], x_hat: NDArray[np.float64]) -> N
 
 @kernel
 def remembered(loglik: NDArray[np.float64], forget: float, ahead: int, total: NDArray[np.float64]) -> None:
-    """Log-likelihood of the readings up to `ahead` samples earlier, with exponential forgetting.
+    """Sum the log-likelihood of the readings up to `ahead` samples earlier, with exponential forgetting.
 
     Args:
         loglik: of each sample, shape (n,).

@@ -5,8 +5,8 @@ Rule 2: the difference is rig - simulation, paired step by step, with Student's 
         has no interval.  All figures of the same steps are one family of tests (`family.py`).
 Rule 3: x is averaged over 10 ms before thresholds are applied.  The settling band is at least 4 standard deviations of
         the effect of noise, so that noise does not end a settling.  The band is reported with the figure.
-Rule 4: with a band wider than 10 % there is no settling time, because the response would be inside before it has risen
-        to 90 %.  So a settling time is never shorter than the rise time.
+Rule 4: with a band wider than 10 % there is no settling time.  The response would be inside before it has risen to
+        90 %.  So a settling time is never shorter than the rise time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FIGURES: dict[str, tuple[str, str, float]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopRun:
-    """One flight in closed loop; arrays have shape (n,), those of the simulation (realisations, n)."""
+    """A flight in closed loop; arrays have shape (n,), those of the simulation (realisations, n)."""
 
     name: str
     t_s: FloatArray
@@ -55,7 +55,7 @@ class LoopRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
-    """One figure over all steps; SI units."""
+    """A figure compared over all steps; SI units."""
 
     name: str
     rig: float
@@ -74,7 +74,7 @@ class Compared:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigFigure:
-    """One figure of the rig over all its steps, without a simulation; SI units."""
+    """A figure of the rig over all its steps, without a simulation; SI units."""
 
     name: str
     rig: float
@@ -96,7 +96,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """One response, scaled to a step from 0 to 1 at t = 0; the simulation is the mean of its realisations."""
+    """A response, scaled to a step from 0 to 1 at t = 0; the simulation is the mean of its realisations."""
 
     t_s: FloatArray
     rig: FloatArray
@@ -104,7 +104,7 @@ class Response:
 
 
 def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
-    """Changes of the reference between constant levels; `sigma_x_m` is the noise of x, m."""
+    """Return the changes of the reference between constant levels; `sigma_x_m` is the noise of x, m."""
     T_s = float(np.median(np.diff(run.t_s)))
     is_constant = np.concatenate(([True], np.abs(np.diff(run.x_ref_m)) < 1e-9))
     levels = runs(np.asarray(is_constant), max(round(DWELL_S / T_s) - 1, 2))
@@ -130,7 +130,7 @@ def responses(loops: Sequence[LoopRun], sigma_x_m: float) -> list[Response]:
 
 
 def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared, ...]:
-    """All figures over all steps of all runs; empty without a step.  `sigma_x_m` is the noise of x, m."""
+    """Compare all figures over all steps of all runs; empty without a step.  `sigma_x_m` is the noise of x, m."""
     rig: list[list[float]] = []
     simulation: list[list[float]] = []
     bands: list[float] = []
@@ -164,7 +164,7 @@ def together(rows: Sequence[Compared]) -> tuple[Compared, ...]:
 
 
 def _widths(bands: Sequence[float]) -> tuple[float, float] | None:
-    """Narrowest and widest band that allowed a settling time."""
+    """Return the narrowest and widest band that allowed a settling time."""
     usable = [band for band in bands if band <= WIDEST_BAND]
     return (min(usable), max(usable)) if usable else None
 
@@ -240,14 +240,14 @@ def measure(
 
 
 def settling_band(size_m: float, noise_m: float) -> float:
-    """Half the width of the settling band, a share of the step; `noise_m`: standard deviation of x, m."""
+    """Return the half the width of the settling band, a share of the step; `noise_m`: standard deviation of x, m."""
     return max(BAND, 4.0 * noise_m / abs(size_m))
 
 
 def definition(
     name: str, bands: tuple[float, float] | None, figures: Mapping[str, tuple[str, str, float]] = FIGURES
 ) -> str:
-    """Title of a figure for a table; `bands`: narrowest and widest of a settling time."""
+    """Return the title of a figure for a table; `bands`: narrowest and widest of a settling time."""
     title = figures[name][0]
     if name != "settling_s":
         return title

@@ -86,11 +86,11 @@ class Steps(NamedTuple):
     """The linearised steps of a run in flight, for runs of nearby models; m active states."""
 
     slopes: NDArray[np.float64]  # Jacobian d state / d previous state, shape (n, m, m)
-    before: NDArray[np.float64]  # states before the correction, shape (n, 7)
-    after: NDArray[np.float64]  # states after the correction, shape (n, 7)
+    before: NDArray[np.float64]  # states before the correction, shape (n, STATES)
+    after: NDArray[np.float64]  # states after the correction, shape (n, STATES)
 
     def part(self, piece: slice) -> Steps:
-        """Those of some samples, as views."""
+        """Return the part that belongs to some samples, as views."""
         return Steps(*(column[piece] for column in self))
 
     @property
@@ -103,12 +103,12 @@ class Results(NamedTuple):
     """Results of a run of the filter."""
 
     innovations: NDArray[np.float64]  # nu_i, nu_x, S_ii, S_ix, S_xx, shape (n, 5), NaN without a prediction
-    state: NDArray[np.float64]  # after the correction, shape (n, 7), NaN while the ball is not in flight
+    state: NDArray[np.float64]  # after the correction, shape (n, STATES), NaN while the ball is not in flight
     spread: NDArray[np.float64]  # covariance of the active states after the correction, shape (n, m, m)
     steps: Steps
 
     def part(self, piece: slice) -> Results:
-        """Those of some samples, as views."""
+        """Return the part that belongs to some samples, as views."""
         return Results(self.innovations[piece], self.state[piece], self.spread[piece], self.steps.part(piece))
 
 
@@ -117,7 +117,7 @@ NO_STEPS = Steps(_NO_MATRIX, _NO_STATE, _NO_STATE)
 
 
 def room_for(n: int, m: int, *, state: bool = False, spread: bool = False, steps: bool = False) -> Results:
-    """Arrays for the results of n samples with m active states; those not requested have length 0."""
+    """Return the arrays for the results of n samples with m active states; those not requested have length 0."""
     return Results(
         innovations=np.empty((n, OUT_COLUMNS)),
         state=np.empty((n, STATES)) if state else _NO_STATE,

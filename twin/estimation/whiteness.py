@@ -31,7 +31,7 @@ class Whiteness:
 
 
 def whiteness(series: Series, white: FloatArray) -> Whiteness:
-    """Ljung-Box test of both channels over all chains; a pair of samples counts only within one chain or flight.
+    """Test both channels over all chains (Ljung and Box, 1978); pairs of samples count within a chain or flight.
 
     Args:
         series: the samples.

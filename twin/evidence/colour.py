@@ -88,7 +88,7 @@ def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | N
 
 
 def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
-    """Mean square of a weighted sum of successive readings over that of white noise of the same level.
+    """Return the mean square of a weighted sum of successive readings over that of white noise of the same level.
 
     Args:
         colour: of the noise.
@@ -121,7 +121,7 @@ def _next(colour: Colour, step_s: float) -> float:
 
 
 def _score(windows: Sequence[_Windows], tau_s: float) -> float:
-    """Score test of a small part of this correlation time in white noise, in standard errors, at little cost."""
+    """Test by its score for a small part of this correlation time in white noise, in standard errors."""
     variance = sum(float(np.sum(part.rows**2)) for part in windows) / sum(part.rows.size for part in windows)
     slope = information = trace = 0.0
     for part in windows:
@@ -172,7 +172,7 @@ def _coloured(windows: Sequence[_Windows]) -> _Fit:
 
 
 def _wandering(windows: Sequence[_Windows]) -> _Fit:
-    """White noise and an offset that wanders."""
+    """Return the white noise and an offset that wanders."""
     values, axes = np.linalg.eigh(_WALK)
     fits = []
     for white in _WHITE.tolist():
@@ -185,7 +185,7 @@ def _wandering(windows: Sequence[_Windows]) -> _Fit:
 
 
 def _likelihood(transformed: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, float]:
-    """(log-likelihood of each window, standard deviation at its maximum) from squares and their relative variances."""
+    """Return (log-likelihood of each window, its maximising standard deviation) from squares and relative variances."""
     squares = [rows / variances for rows, variances in transformed]
     variance = sum(float(values.sum()) for values in squares) / sum(values.size for values in squares)
     each = [
@@ -196,7 +196,7 @@ def _likelihood(transformed: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[F
 
 
 def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
-    """Windows of i_c (column 0) or x under a constant input, with the ball at rest or from captures."""
+    """Return the windows of i_c (column 0) or x under a constant input, with the ball at rest or from captures."""
     values = (series.i, series.x)[column]
     use = (USE_I, USE_X)[column]
     follows = series.flags & FOLLOWS != 0

@@ -22,7 +22,7 @@ _COARSE_S = 2e-4
 
 
 def dead_time(records: Sequence[Record]) -> tuple[float, float] | None:
-    """(delay, T_A), s; None without a step response that is sampled fast enough, or without a delay."""
+    """Return (delay, T_A), s; None without a step response that is sampled fast enough, or without a delay."""
     steps = [step for record in records for step in _fast(record)]
     if not steps:
         return None

@@ -62,7 +62,7 @@ class Evidence:
         return Samples(self.t, s.step, s.u, s.i, s.x, s.flags, self.noise_ratio)
 
     def names(self) -> list[str]:
-        """Names of the recordings."""
+        """Return the names of the recordings."""
         return [record.name for record in self.records]
 
 
@@ -197,7 +197,7 @@ def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint16]]) -> None:
 
 
 def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[float, float]:
-    """(scale, shift) that map the readings at the stops to 0 and the travel, for the search for contact."""
+    """Return (scale, shift) that map the readings at the stops to 0 and the travel, for the search for contact."""
     if low is not None and high is not None:
         return plant.travel_m / (high - low), low
     if low is not None:
@@ -220,5 +220,5 @@ def _join(parts: list[Series]) -> Series:
 
 
 def chains(series: Series) -> FloatArray:
-    """Number of the unbroken chain of each sample, shape (n,)."""
+    """Return the number of the unbroken chain of each sample, shape (n,)."""
     return np.cumsum(series.flags & FOLLOWS == 0)

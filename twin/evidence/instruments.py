@@ -135,7 +135,7 @@ def _windows(
 
 
 def differences(series: Series, column: int) -> FloatArray:
-    """Fifth differences of i_c (column 0) or x of one recording, shape (n,); NaN if a reading is missing."""
+    """Return the fifth differences of i_c (column 0) or x of one recording, shape (n,); NaN if a reading is missing."""
     values, whole = smooth(series, column, before=ORDER)
     result = np.full(len(values), np.nan)
     result[ORDER:] = np.diff(values, ORDER)
@@ -174,7 +174,7 @@ def smooth(series: Series, column: int, *, before: int = 0, around: int = 0) -> 
 
 
 def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
-    """i_c minus its linear regression on filtered u_c, over the samples `used`; all of shape (n,)."""
+    """Return i_c minus its linear regression on filtered u_c, over the samples `used`; all of shape (n,)."""
     before = np.concatenate((u[:1], u[:-1]))
     lagged = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, SHOWS + 1)]
     slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
@@ -235,16 +235,16 @@ class _Group:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation; the mean of the logarithms is 5 % below it, the same for all groups."""
+        """Return the standard deviation; the mean of the logarithms is 5 % below it, the same for all groups."""
         return float(np.sqrt(np.mean(np.exp(2.0 * self.log))))
 
     def separation(self, other: _Group) -> float:
-        """Difference of the levels in standard errors."""
+        """Return the difference of the levels in standard errors."""
         return abs(self.level - other.level) / math.hypot(self.error, other.error)
 
 
 def _groups(windows: _Windows) -> list[_Group]:
-    """Groups of sources that do not differ significantly (hierarchical merging); most windows first."""
+    """Return the groups of sources that do not differ significantly (hierarchical merging); most windows first."""
     present, counts = np.unique(windows.source, return_counts=True)
     groups = [_Group((int(first),), windows.log[windows.source == first]) for first in present[counts >= FEWEST]]
     surely = float(norm.isf(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1)))
@@ -260,7 +260,7 @@ def _groups(windows: _Windows) -> list[_Group]:
 
 
 def _curve(windows: _Windows) -> Channel:
-    """Dependence of the noise on height: tested within flights first, as recordings may differ by instrument."""
+    """Test whether the noise depends on height, within flights first: recordings may differ by instrument."""
     flown = windows.where(windows.flies)
     if len(flown.log) < FEWEST * (_BENDS + 1) or not _fitted(flown, flown.source).bend:
         return Channel()
@@ -306,6 +306,6 @@ def _fitted(windows: _Windows, group: IntArray) -> Channel:
 
 
 def _within(values: FloatArray, group: IntArray) -> FloatArray:
-    """Values minus the mean of their group, shape (n,)."""
+    """Return the values minus the mean of their group, shape (n,)."""
     means = np.bincount(group, values) / np.maximum(np.bincount(group), 1)
     return np.asarray(values - means[group])

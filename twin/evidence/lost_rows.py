@@ -23,7 +23,7 @@ from twin.estimation.record import REGULAR_SHARE, BoolArray, FloatArray, Record
 
 
 def bridged(record: Record) -> tuple[Record, BoolArray]:
-    """(the recording with a row for each single lost sample; which rows those are, shape (n,))."""
+    """Return (the recording with a row for each single lost sample; which rows those are, shape (n,))."""
     steps, interval = np.diff(record.t), record.interval_s
     with np.errstate(invalid="ignore"):
         single = np.flatnonzero(np.abs(steps - 2.0 * interval) <= 2.0 * REGULAR_SHARE * interval)

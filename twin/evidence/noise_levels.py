@@ -64,7 +64,7 @@ class Noise:
         return not any(channel.bend or any(level.ratio != 1.0 for level in channel.levels) for channel in self.channels)
 
     def noise_ratio(self, records: Sequence[Record], series: Series) -> FloatArray:
-        """Variance of the noise of each reading of i_c and x over the reference of its channel, shape (n, 2)."""
+        """Return the noise variance of each reading of i_c and x over its channel's reference, shape (n, 2)."""
         ratio, flies = np.zeros((len(series), 2)), series.flags & FLIES != 0
         for column, channel in enumerate(self.channels):
             for name, samples in parts_of(records, series):
@@ -75,7 +75,7 @@ class Noise:
         return np.asarray(np.exp(2.0 * ratio))
 
     def error(self, records: Sequence[Record], series: Series, column: int) -> float:
-        """Standard error of ln sigma due to the ratios, averaged over the readings of a channel (0: i_c, 1: x)."""
+        """Return the standard error of ln sigma due to the ratios, averaged over a channel (0: i_c, 1: x)."""
         used = series.flags & (USE_I, USE_X)[column] != 0
         flies = series.flags & FLIES != 0
         total = sum(
@@ -134,7 +134,7 @@ def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
 
 
 def parts_of(records: Sequence[Record], series: Series) -> list[tuple[str, slice]]:
-    """(source, its samples) of each recording without its captures, and of each capture.
+    """Return (source, its samples) of each recording without its captures, and of each capture.
 
     The source is the `instrument` of the campaign file, otherwise the recording's name.
     """

@@ -77,13 +77,13 @@ def _wild(series: Series, column: int) -> BoolArray:
 
 
 def _steps(u: FloatArray) -> BoolArray:
-    """Samples after an unusually large step of u_c, shape (n,): the response of i_c can have any shape."""
+    """Mark samples after an unusually large step of u_c, shape (n,): the response of i_c can have any shape."""
     change = np.abs(np.diff(u, prepend=u[:1]))
     far = change > settings.OUTLIER_ERRORS * 1.4826 * float(np.median(change))
     return np.asarray(np.convolve(far, np.ones(SHOWS))[: len(u)] > 0.0)
 
 
 def _count(values: FloatArray) -> float:
-    """Resolution of the converter: the smallest difference of two values; 0 if all are equal."""
+    """Return the resolution of the converter: the smallest difference of two values; 0 if all are equal."""
     steps = np.diff(np.unique(values))
     return float(steps.min()) if len(steps) else 0.0

@@ -16,7 +16,7 @@ _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 
 
 def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
-    """Standard deviations (i_c in A, x in m) of the ball at rest, else of `instruments.py`; None: too few samples."""
+    """Return the noise (i_c in A, x in m) of the ball at rest, else of `instruments.py`; None: too few samples."""
     squares = _rest_squares(evidence)
     result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
     if evidence.noise is not None:
@@ -28,7 +28,7 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
 
 
 def noise_error(evidence: Evidence) -> float:
-    """Standard error of ln sigma for both channels together; sqrt(1 / 2n) each, and that of the noise ratios."""
+    """Return the standard error of ln sigma of both channels: sqrt(1 / 2n) each, and that of the noise ratios."""
     squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
     if evidence.noise is not None:
         coloured = zip(squares, evidence.noise.colours[:2], strict=True)
@@ -41,7 +41,7 @@ def noise_error(evidence: Evidence) -> float:
 
 
 def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
-    """(sum of squares about straight lines at rest, degrees of freedom) for i_c and x.
+    """Return (sum of squares about straight lines at rest, degrees of freedom) for i_c and x.
 
     Windows far noisier than the others are left out: the current still settles there, or the rig was touched.
     """

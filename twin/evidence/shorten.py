@@ -15,7 +15,7 @@ _LONG = ("closed-loop", "prbs", "free")
 
 
 def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
-    """(the recordings, long ones shortened; a sentence about it, empty if none was shortened)."""
+    """Return (the recordings, long ones shortened; a sentence about it, empty if none was shortened)."""
     result, cut = [], 0
     flights = [min(len(record.t), FLIGHT_SAMPLES) for record in records if record.kind in _LONG]
     max_samples = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)

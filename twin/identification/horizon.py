@@ -1,7 +1,7 @@
 """Multi-step prediction error of x(k + N), predicted from the filter's estimate at k with the measured u_c.
 
-Recordings that were not used for fitting, and horizons long compared with the unstable pole's time constant of 13 ms,
-show errors that a fit hides.
+Recordings that were not used for fitting show errors that a fit hides.  So do horizons that are long compared with the
+unstable pole's time constant of 13 ms.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Horizon:
 def horizons(
     records: list[Record], plant: Plant, point: Point, tick_s: float, *, horizons_s: tuple[float, ...] = HORIZONS_S
 ) -> list[Horizon]:
-    """Errors over all flights of the records, one row per horizon.
+    """Return the errors over all flights of the records, one row per horizon.
 
     Args:
         records: in flight, with u_c; usually those with use = "judge".
@@ -64,12 +64,12 @@ def horizons(
 
 
 def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tuple[FloatArray, FloatArray]:
-    """Errors of the prediction of x, and of "x stays where it is", m, each shape (n,), NaN without a prediction.
+    """Return the errors of the prediction of x, and of a constant x, m, each of shape (n,); NaN without one.
 
     Args:
         system: the model and its noise.
         series: the recorded samples.
-        state: corrected states along it, shape (n, 7).
+        state: corrected states along it, shape (n, STATES).
         ahead: horizon N in samples, 1 or more.
     """
     error = series.x - roll_out(system, series.samples, state, ahead, stops=True)

@@ -24,7 +24,7 @@ _FREE = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
 
 
 def input_delay(record: Record, plant: Plant) -> int:
-    """Delay of u_c against its record, samples; 0 if it cannot be determined, as in a ramp."""
+    """Return the delay of u_c against its record, samples; 0 if it cannot be determined, as in a ramp."""
     if record.kind in ("equilibria", "sawtooth") or not record.has("u_c", "i_c") or len(record.t) < 100:
         return 0
     part = replace(record, captures=()).part(slice(0, _SAMPLES))

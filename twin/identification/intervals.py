@@ -16,7 +16,7 @@ _PASSES = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """One parameter's interval in its own unit."""
+    """The interval of one parameter in its own unit."""
 
     std: float
     low: float
@@ -25,7 +25,7 @@ class Interval:
 
 
 def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -> dict[str, Interval]:
-    """Intervals of the free parameters, by name.
+    """Return the intervals of the free parameters, by name.
 
     Args:
         likelihood: of the recordings.
@@ -66,7 +66,7 @@ def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -
 
 
 def _profile(likelihood: Likelihood, fitted: Fit, name: str, side: int, target: float) -> float:
-    """Value at which the signed root of the likelihood ratio reaches `target`; 0 or inf if it does not."""
+    """Return the value at which the signed root of the likelihood ratio reaches `target`; 0 or inf if it does not."""
     mass = likelihood.plant.mass_kg
     std = fitted.std(name, mass)
     value = getattr(fitted.point, name)

@@ -72,7 +72,7 @@ def identify(
 def identify_records(
     campaign: Campaign, records: list[Record], *, progress: Callable[[str], None] = lambda line: None
 ) -> Identification:
-    """`identify` with recordings in memory.  Raises DataError."""
+    """Run `identify` with recordings in memory.  Raises DataError."""
     plant = campaign.plant
     warnings = [assumption_warning(plant)] if plant.assumed else []
     warnings += [note for record in records for note in record.notes]
@@ -160,7 +160,7 @@ def _fitted(
     usages: Sequence[Usage],
     progress: Callable[[str], None],
 ) -> tuple[Likelihood, Fit]:
-    """(the likelihood without outliers, its maximum); their number is added to `usages`."""
+    """Return (the likelihood without outliers, its maximum); their number is added to `usages`."""
     fitted = fit(likelihood, start, free)
     progress(f"fit: {fitted.passes} passes over {len(likelihood.series)} samples")
     gated, dropped = gate(likelihood.series, likelihood.white(fitted.point), len(usages))

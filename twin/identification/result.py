@@ -37,13 +37,13 @@ class Identification:
 
     @property
     def usable(self) -> bool:
-        """Whether a twin can use the model: the fit converged, and K_A and K_c are known."""
+        """Return whether a twin can use the model: the fit converged, and K_A and K_c are known."""
         known = all(self.model.parameters[name].verdict in ("identified", "weak") for name in ("K_A", "K_c"))
         return self.converged and known
 
 
 def noise_of(fitted: Fit | None, records: list[Record]) -> Noise:
-    """Noise levels of the fit without the converters' quantisation, which the twin adds from the board's scalings."""
+    """Return the noise of the fit without the converters' quantisation, which the twin adds from the scalings."""
     values = {name: getattr(_ASSUMED, name) for name in NOISE}
     if fitted is not None:
         known = {name: getattr(fitted.point, name) for name in fitted.free if name in NOISE}
@@ -117,7 +117,7 @@ def _finite(value: object) -> object:
 
 
 def table(result: Identification) -> str:
-    """Parameters, noise, residuals and warnings as lines of text."""
+    """Return the parameters, noise, residuals and warnings as lines of text."""
     lines = [f"{'':4}{'value':>12} {'unit':<10} {'std':>9}  {'95 % interval':<28}{'verdict':<18}how"]
     for name, p in result.model.parameters.items():
         interval = "-"

@@ -31,7 +31,7 @@ def gain(
     shape: Shape | None,
     warnings: list[str],
 ) -> Parameter:
-    """K_A from the steady levels, or from the joint fit if it agrees with them.
+    """Return K_A from the steady levels, or from the joint fit if it agrees with them.
 
     Args:
         fitted: the joint fit; None: there is none.
@@ -81,7 +81,7 @@ def gain(
 def time_constant(
     fitted: Fit | None, intervals: dict[str, Interval], shape: Shape | None, tick_s: float, warnings: list[str]
 ) -> Parameter:
-    """T_A from the steps if they are not first order, are more precise or disagree; otherwise from the joint fit.
+    """Return T_A from the steps if not first order, more precise or in disagreement; else from the joint fit.
 
     Arguments as in `gain`; `tick_s` is the sampling interval, s.
     """
@@ -124,7 +124,7 @@ def force_constant(
     plant: Plant,
     warnings: list[str],
 ) -> Parameter:
-    """K_c from the joint fit if there are flights, otherwise from lift-off or equilibria (8).
+    """Return K_c from the joint fit if there are flights, otherwise from lift-off or equilibria (8).
 
     Args:
         fitted: the joint fit; None: there is none.
@@ -240,7 +240,7 @@ def drag(
 
 
 def _parameter(name: str, value: float, spread: Interval | float, method: str, equation: str) -> Parameter:
-    """Of a value with its interval, or with its standard error."""
+    """Build a parameter from a value with its interval or its standard error."""
     unit, lowest, highest = PARAMETERS[name]
     if isinstance(spread, Interval):
         std, low, high, method = spread.std, spread.low, spread.high, f"{method}; {spread.method}"

@@ -76,5 +76,5 @@ class Budget:
 
     @property
     def used(self) -> float:
-        """Share of the limit."""
+        """Return the share of the limit."""
         return self.spent / self.limit if self.limit > 0.0 else 1.0

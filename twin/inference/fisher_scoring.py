@@ -33,7 +33,7 @@ class Fit:
     ahead: float = 0.0  # log-likelihood that the slope here still promises, were it a parabola
 
     def std(self, name: str, plant: Plant) -> float:
-        """Standard error in the unit of the parameter; inf if it was not free."""
+        """Return the standard error in the unit of the parameter; inf if it was not free."""
         if name not in self.free:
             return math.inf
         index = self.free.index(name)
@@ -46,7 +46,7 @@ class Fit:
 
 
 def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
-    """Standard errors of all free parameters in their own units, from new derivatives."""
+    """Return the standard errors of all free parameters in their own units, from new derivatives."""
     _, score, fisher = criterion.gradient(fit.theta, fit.free)
     active = active_of(_Surface(criterion), fit.theta, fit.free, score)
     at = replace(fit, covariance=covariance_of(fisher, active))
@@ -102,7 +102,7 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
 
 
 def narrowing(free: Sequence[str], covariance: FloatArray) -> float:
-    """Logarithm of how much narrower the shapes are than their priors, not positive.
+    """Return the logarithm of how much narrower the shapes are than their priors, not positive.
 
     Added to the maximum it gives the likelihood with the shapes integrated out, by Laplace's method (R. E. Kass,
     A. E. Raftery, Journal of the American Statistical Association 90, 1995): a cause of many forms is not preferred

@@ -17,7 +17,7 @@ from twin.settings import diagnosis as settings
 
 
 def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
-    """Starting values of the fit of the paper's model; the user gives none.
+    """Return the starting values of the fit of the paper's model; the user gives none.
 
     Raises:
         DataError: no recording has u_c and i_c that move.

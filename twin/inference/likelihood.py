@@ -147,16 +147,16 @@ class Criterion:
 
     @cached_property
     def dead_time(self) -> tuple[float, float] | None:
-        """`dead_time` of the recordings, which no model changes."""
+        """Return `dead_time` of the recordings, which no model changes."""
         return dead_time(self.evidence.records)
 
     def outputs(self, theta: Theta) -> FloatArray:
-        """Innovations and their covariance, shape (n, 5)."""
+        """Return the innovations and their covariance, shape (n, 5)."""
         self.pay(theta)
         return self._outputs(theta)
 
     def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
-        """Paid for; `known`: as `filtered` takes it."""
+        """Run the filter and pay for it; `known`: as `filtered` takes it."""
         results = room_for(len(self.evidence.series), self._states(theta))
         self._fill(theta, slice(0, len(results.innovations)), results, known)
         self.evaluations += 1
@@ -178,7 +178,7 @@ class Criterion:
         fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))
 
     def run(self, theta: Theta) -> Results:
-        """Innovations, with the steps that `derivatives` take over from here."""
+        """Return the innovations, with the steps that `derivatives` take over from here."""
         self.pay(theta)
         results = room_for(len(self.evidence.series), self._states(theta), steps=True)
         list(self._pool.map(lambda part: self._fill(theta, part, results), self.halves))
@@ -203,12 +203,12 @@ class Criterion:
         return list(self._pool.map(lambda theta, mode: self._outputs(theta, steps[mode]), thetas, reuse))
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
-        """`outputs` of each."""
+        """Return `outputs` of each point."""
         self.pay(*thetas)
         return list(self._pool.map(self._outputs, thetas))
 
     def value(self, theta: Theta) -> float:
-        """Log-likelihood with the priors; -inf for impossible parameters."""
+        """Return the log-likelihood with the priors; -inf for impossible parameters."""
         self.pay(theta)
         return self._value(theta)
 
@@ -222,19 +222,19 @@ class Criterion:
 
     @staticmethod
     def mean_square(out: FloatArray) -> float:
-        """Mean square of the whitened innovations: 1 where they are as large as the filter says, inf without any."""
+        """Return the mean square of the whitened innovations: 1 if the filter's size is right, inf without any."""
         white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
         whiten(out, np.empty(len(out)), white)
         known = white[np.isfinite(white)]
         return float(np.mean(known**2)) if len(known) else math.inf
 
     def values(self, thetas: Sequence[Theta]) -> list[float]:
-        """`value` of each, -inf for those that are not finite."""
+        """Return `value` of each point, -inf if it is not finite."""
         self.pay(*thetas)
         return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self._value, thetas)]
 
     def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
-        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
+        """Return (log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
         out = self.outputs(theta)
         loglik, white = np.zeros(len(out)), np.full((len(out), 2), np.nan)
         whiten(out, loglik, white)
@@ -261,7 +261,7 @@ class Criterion:
         return math.sqrt(self.share) * np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
 
     def points(self, theta: Theta) -> float:
-        """Log-likelihood of the lift-off points and equilibria."""
+        """Return the log-likelihood of the lift-off points and equilibria."""
         return -0.5 * float(np.sum(self._statics(theta) ** 2))
 
     def _statics(self, theta: Theta) -> FloatArray:
@@ -278,7 +278,7 @@ class Criterion:
     def derivatives(
         self, theta: Theta, names: Sequence[str], at: Results | None = None, *, rough: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """(outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5)).
+        """Return (outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5)).
 
         Args:
             theta: the model.
@@ -322,14 +322,14 @@ class Criterion:
         change[at_stop & (flags & FLIES == 0), 1] -= reading_above - reading_at_stop
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
-        """(log-likelihood, score, Fisher information) in the coordinates `names`."""
+        """Return (log-likelihood, score, Fisher information) in the coordinates `names`."""
         base, change = self.derivatives(theta, names)
         return self.slopes(theta, names, base, change)
 
     def slopes(
         self, theta: Theta, names: Sequence[str], base: FloatArray, change: FloatArray
     ) -> tuple[float, FloatArray, FloatArray]:
-        """`gradient` from outputs and derivatives; those of a nearby point suffice for the last steps of a climb."""
+        """Compute `gradient` from outputs and derivatives; a nearby point's suffice for the last steps of a climb."""
         n, count = len(base), len(names)
         fisher, each = np.zeros((count, count)), np.empty((n, count))
         total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside(theta)

@@ -37,21 +37,21 @@ class Floor:
 
     @property
     def loglik(self) -> float:
-        """Log-likelihood of a right model."""
+        """Return the log-likelihood of a right model."""
         return sum(self.logliks)
 
     @property
     def readings(self) -> int:
-        """Number of readings."""
+        """Return the number of readings."""
         return sum(self.counts)
 
     @property
     def tolerance(self) -> float:
-        """Log-likelihood per reading by which the noise level may be off."""
+        """Return the log-likelihood per reading by which the noise level may be off."""
         return max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error)
 
     def excess(self, loglik: float) -> float:
-        """Log-likelihood that a model lacks compared with the floor."""
+        """Return the log-likelihood that a model lacks compared with the floor."""
         return self.loglik - loglik
 
     def quiet(self, theta: Theta) -> Theta:
@@ -105,7 +105,7 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
 
 
 def expected(out: FloatArray) -> tuple[tuple[float, float], tuple[int, int]]:
-    """(log-likelihood of innovations that are as large as the filter says, number of readings), each of i_c and x."""
+    """Return (log-likelihood of innovations as large as the filter says, number of readings), each of i_c and x."""
     logs = _log_variances(out)
     counts = np.isfinite(logs).sum(axis=0)
     i_c, x = (-0.5 * (np.nansum(logs, axis=0) + counts)).tolist()
@@ -113,7 +113,7 @@ def expected(out: FloatArray) -> tuple[tuple[float, float], tuple[int, int]]:
 
 
 def part_logliks(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
-    """Log-likelihood of i_c, of x given i_c, and of the points (lift-off, equilibria), shape (3,), for each model."""
+    """Return the log-likelihood of i_c, of x given i_c, and of the points at rest, shape (3,), for each model."""
     return [
         np.append(
             -0.5 * (np.nansum(_log_variances(out), axis=0) + np.nansum(whitened(out) ** 2, axis=0)),
@@ -124,7 +124,7 @@ def part_logliks(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
 
 
 def _log_variances(out: FloatArray) -> FloatArray:
-    """Logarithm of the variance of each innovation of i_c, and of x given i_c, shape (n, 2); NaN without one."""
+    """Return the log variance of each innovation of i_c, and of x given i_c, shape (n, 2); NaN without one."""
     both = np.isfinite(out[:, 2])
     conditional = out[:, 4] - np.where(both, out[:, 3] ** 2 / out[:, 2], 0.0)
     with np.errstate(invalid="ignore"):

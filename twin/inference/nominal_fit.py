@@ -92,7 +92,7 @@ class Fit:
     robust: FloatArray | None = None  # sandwich covariance
 
     def std(self, name: str, mass_kg: float, *, robust: bool = False) -> float:
-        """Standard error in the unit of the parameter; inf if it was not free; `robust`: of the sandwich."""
+        """Return the standard error in the unit of the parameter; inf if it was not free; `robust`: of the sandwich."""
         if name not in self.free:
             return float("inf")
         matrix = self.robust if robust and self.robust is not None else self.covariance
@@ -128,7 +128,7 @@ class Likelihood:
         return total
 
     def white(self, point: Point) -> FloatArray:
-        """Whitened innovations, shape (n, 2), NaN where unused."""
+        """Return the whitened innovations, shape (n, 2), NaN where unused."""
         white = np.full((len(self.series), 2), np.nan)
         for block in self._blocks:
             out = self._filter(point, block)
@@ -138,7 +138,7 @@ class Likelihood:
     def gradient(
         self, point: Point, free: Sequence[str], *, lags: int = 0
     ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """Log-likelihood and its derivatives by the free coordinates.
+        """Return the log-likelihood and its derivatives by the free coordinates.
 
         Args:
             point: the point.
@@ -182,22 +182,22 @@ class Likelihood:
         return _MAX_DRAG_STEP if name == "b" else _MAX_STEP[name]
 
     def visit(self, point: Point) -> tuple[float, None]:
-        """(log-likelihood, None): nothing is stored for the derivatives, to save memory."""
+        """Return (log-likelihood, None): nothing is stored for the derivatives, to save memory."""
         return self.value(point), None
 
     def slopes(
         self, point: Point, outputs: None, free: Sequence[str], before: Slopes | None, decrement: float
     ) -> Slopes:
-        """Exact derivatives; see `exact`."""
+        """Return the exact derivatives; see `exact`."""
         return self.exact(point, outputs, free)
 
     def exact(self, point: Point, outputs: None, free: Sequence[str]) -> Slopes:
-        """Score and Fisher information at this point."""
+        """Return the score and Fisher information at this point."""
         _, score, fisher, _ = self.gradient(point, free)
         return Slopes(score=score, fisher=fisher)
 
     def states(self, point: Point) -> FloatArray:
-        """Corrected states of `extended.py` at each sample, shape (n, 7); NaN while the ball is not in flight."""
+        """Return the corrected states at each sample, shape (n, STATES); NaN while the ball is not in flight."""
         parts = [self._run(point, block, state=True).state for block in self._blocks]
         return np.concatenate(parts) if parts else np.empty((0, STATES))
 
@@ -213,7 +213,7 @@ class Likelihood:
 
 
 def max_drag(plant: Plant) -> float:
-    """Largest b / m, 1/s: the unstable pole sqrt(2 g / gap) in mid-travel, far above the drag of a ball in air."""
+    """Return the largest b / m, 1/s: the unstable pole sqrt(2 g / gap) at mid-travel, far above the drag in air."""
     return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
@@ -253,7 +253,7 @@ def _newey_west(scores: FloatArray, lags: int) -> FloatArray:
 
 
 def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Series, FloatArray]:
-    """(the series without outliers, their number in each recording, shape (recording_count,)).
+    """Return (the series without outliers, their number in each recording, shape (recording_count,)).
 
     An outlier is a whitened innovation beyond GATE whose neighbours are plausible.  A stretch of large innovations is
     retained, as it shows a wrong model or an undetected contact.

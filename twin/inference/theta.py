@@ -159,7 +159,7 @@ def shape_residuals(theta: Theta) -> FloatArray:
 
 
 def prior_spread(name: str) -> float:
-    """Standard deviation of the prior of a coordinate, in its unit; inf where there is none."""
+    """Return the standard deviation of the prior of a coordinate, in its unit; inf where there is none."""
     if "." not in name:
         return math.inf
     parameter = parameter_of(name)
@@ -204,7 +204,7 @@ def reinitialised(theta: Theta) -> Theta:
 
 
 def max_drag(plant: Plant) -> float:
-    """Upper bound of b, N s/m: the drag that equals the unstable pole in the middle of the travel."""
+    """Return the upper bound of b, N s/m: the drag that equals the unstable pole in the middle of the travel."""
     return plant.mass_kg * math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 

@@ -1,1 +1,1 @@
-"""What a live board has just done, as a campaign: the newest minutes of the gateway's log, cut into recordings."""
+"""The newest minutes of a live board as a campaign: the gateway's log, cut into recordings."""

@@ -63,7 +63,7 @@ def write(live: LiveData, pieces: Sequence[Piece], plant: Plant, out: Path, *, s
 
 
 def plant_of(live: LiveData) -> Plant:
-    """Of the model that the live twin runs on; of the nominal CE 152 where no twin is heard.
+    """Return the plant of the live twin's model, or of the nominal CE 152 if no twin is heard.
 
     The nominal model is what a twin runs on before anybody has stated a plant: its plant is assumed.
     """
@@ -90,7 +90,7 @@ def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:
 
 
 def changes_of(parameters: Sequence[pb.Parameters]) -> list[tuple[int, int]]:
-    """(session, tick) from which other values were in force."""
+    """Return (session, tick) from which other values were in force."""
     return [
         (after.session, after.from_tick) for before, after in pairwise(parameters) if after.session == before.session
     ]

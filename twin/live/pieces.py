@@ -36,7 +36,7 @@ _KINDS: dict[int, tuple[str, Kind]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """One recording to be."""
+    """A stretch of samples that will become a recording."""
 
     name: str
     kind: Kind
@@ -46,7 +46,7 @@ class Piece:
 
     @property
     def duration_s(self) -> float:
-        """On the board's clock."""
+        """Return the duration on the board's clock, s."""
         return self.states[-1].t_s - self.states[0].t_s if self.states else 0.0
 
 
@@ -93,7 +93,7 @@ def cut(
 
 
 def moves(pieces: Sequence[Piece]) -> bool:
-    """Whether the reference moves far enough in the flights to be fitted."""
+    """Return whether the reference moves far enough in the flights for a fit."""
     heights = [s.x_ref_m for p in pieces if (p.kind, p.use) == ("closed-loop", "fit") for s in p.states]
     return bool(heights) and max(heights) - min(heights) > MOVES_M
 
@@ -120,7 +120,7 @@ def _spells(states: Sequence[pb.State], changes: set[tuple[int, int]]) -> list[l
 
 
 def _judges(flights: Sequence[list[pb.State]], flown_s: float) -> dict[tuple[int, int], int]:
-    """By (session, tick) of a flight's first sample: the index from which it judges."""
+    """Choose for each flight, by (session, tick) of its first sample, the index from which it judges."""
     target_s, slack_s = (1.0 - JUDGE_SHARE) * flown_s, SLACK_SHARE * flown_s
     starts: dict[tuple[int, int], int] = {}
     best: tuple[float, tuple[int, int], int] | None = None

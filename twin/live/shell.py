@@ -39,7 +39,7 @@ def configure_live(parser: argparse.ArgumentParser) -> None:
 
 
 def check_options(args: argparse.Namespace) -> None:
-    """Either a campaign or --live, and what belongs to it.  Raises UsageError."""
+    """Check that there is either a campaign or --live, with its options.  Raises UsageError."""
     if args.live is None:
         if args.campaign is None:
             raise UsageError("there is nothing to diagnose", remedy="Name a CAMPAIGN, or give --live MINUTES")
@@ -60,7 +60,7 @@ def check_options(args: argparse.Namespace) -> None:
 
 
 def endpoints_of(args: argparse.Namespace) -> tuple[str, ...]:
-    """Where the router listens.  Raises ConfigError."""
+    """Return the endpoints of the router.  Raises ConfigError."""
     return tuple(check_endpoint(endpoint, where="--connect") for endpoint in args.connect or [DEFAULT_ENDPOINT])
 
 

@@ -35,7 +35,7 @@ Progress = Callable[[str], None]
 
 @dataclass(slots=True)
 class LiveData:
-    """Of one board, in the order of time."""
+    """The messages of one board, in the order of time."""
 
     states: deque[pb.State] = field(default_factory=deque)
     captures: list[pb.CaptureRecord] = field(default_factory=list)
@@ -44,7 +44,7 @@ class LiveData:
     where: str = ""
 
     def take(self, topic: str, data: bytes) -> None:
-        """One message; what is no message is left out."""
+        """Store a message; data that cannot be parsed is left out."""
         if topic == "state":
             if (state := parse(pb.State, data)) is not None:
                 self.states.append(state)

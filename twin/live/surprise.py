@@ -1,4 +1,4 @@
-"""How surprised the live twin is: rms of its one-step innovations, before and after another model.
+"""The surprise of the live twin: rms of its one-step innovations, before and after another model.
 
 Rule: only what the twin itself calls valid, and after a hand-over only ticks that the new model answered.
 """
@@ -82,7 +82,7 @@ def hand_over_and_compare(
 
 
 def surprise(messages: list[pb.Divergence]) -> Surprise:
-    """Of the valid ones."""
+    """Return the rms of the valid innovations."""
     valid = [message for message in messages if message.innovation_valid]
     n = len(valid)
     if not n:

@@ -1,4 +1,4 @@
-"""From State and Parameters of one board to twin state, divergence and alarms.  Pure: no clock, no I/O, no threads.
+"""Turn State and Parameters of one board into twin state, divergence and alarms.  No clock, no I/O, no threads.
 
 `Mirror.handle` is the only entry, for a live board, a log and tests: the same messages in the same order give the same
 bits.
@@ -6,9 +6,9 @@ bits.
 Rule 1: the board's tick is the only time.  What happened between two known ticks is either simulated and counted
         (`bridged_ticks`) or not compared at all.
 Rule 2: at most `bridge_ticks_max` lost samples are bridged, and only if x_ref, mode and parameters are equal on both
-        sides (and u_c, where that drives the twin).  Otherwise the twin is out of step: it starts again from the
-        measurement with empty windows and settles.
-Rule 3: a change of mode between two consecutive samples is no loss: the twin starts as the board does (rule 6 of
+        sides.  If u_c drives the twin, u_c must be equal, too.  Otherwise the twin is out of step: it starts again from
+        the measurement with empty windows and settles.
+Rule 3: a change of mode between two consecutive samples is not a loss.  The twin starts as the board does (rule 6 of
         protocol/README.md) and settles, without an alarm.
 Rule 4: without the board's parameters there is no law, hence no free twin; the observer runs all the same.
 Rule 5: a new model is a new twin: it starts with the next sample and settles, and the alarms of the old one end.
@@ -54,7 +54,7 @@ _LOSS_TEXTS = {
 
 
 class Mirror:
-    """One board and its twin.
+    """A board and its twin.
 
     Args:
         model: what the twin believes.

@@ -1,11 +1,11 @@
-"""One-step prediction: the extended Kalman filter, driven by the measured u_c, corrected by the measured i_c and x.
+"""The one-step prediction: an extended Kalman filter, driven by the measured u_c, corrected by the measured i_c and x.
 
-Rule 1: u_c of sample k is in force from tick k to k+1, so sample k+1 is predicted from the estimate at k and u_c(k).
+Rule 1: u_c of sample k is in force from tick k to k+1.  So sample k+1 is predicted from the estimate at k and u_c(k).
         A delay of the model, of input and sensors together, is one of the input.
 Rule 2: near a stop, over a gap and until it has settled, the innovation is not valid.
 Rule 3: prediction, slopes, covariance and correction are those of every other estimate (`twin/estimation/ekf`).
-Rule 4: a tick in which the coil was switched off or the ball hit a stop is predicted with what is unknown about it, the
-        instant or the restitution, as variance (`twin/estimation/ekf/branches.py`).  The ticks after it are judged.
+Rule 4: if the coil was switched off or the ball hit a stop within a tick, the instant or the restitution is unknown.
+        This adds to the predicted variance (`twin/estimation/ekf/branches.py`).  The ticks after it are judged.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
 
 @inlined
 def _predict_and_correct(o: Observer, i: float, x: float) -> float:
-    """One tick on and the readings taken, innovations and their covariance left in `out`; returns the NIS."""
+    """Predict one tick, correct by its readings, write innovations and covariance into `out`, return the NIS."""
     f, n, T_s, out = o.f, len(o.inputs), o.sample_time_s, o.out
     copy(f.previous, f.y)
     advance(f, f.y[:], o.inputs, n, 0.0, T_s, False)

@@ -50,7 +50,7 @@ class BoardRun:
             self.models_logged.append(message)
 
     def summary(self) -> dict[str, Any]:
-        """For people and for --json; a figure that does not exist is None."""
+        """Return the figures for a person and for --json; a figure that does not exist is None."""
 
         def ratio(total: float, count: float) -> float | None:
             return total / count if count else None

@@ -80,13 +80,13 @@ class Output:
 
     @property
     def divergence(self) -> pb.Divergence:
-        """Measured against twin, and the observer's innovation."""
+        """Return the measured against twin, and the observer's innovation."""
         if self._divergence is None:
             self._divergence = self._compared()
         return self._divergence
 
     def judges(self, alarm: str) -> bool:
-        """Whether this sample is evidence for or against an alarm, one of ALARMS."""
+        """Return whether this sample is evidence for or against an alarm, one of ALARMS."""
         answer, row = self._answer, ALARMS.index(alarm)
         if answer is None:
             return False

@@ -56,11 +56,11 @@ class KnownParameters:
         return True
 
     def first(self, session: int) -> bool:
-        """Whether at most one set is known of `session`."""
+        """Return whether at most one set of parameters is known of `session`."""
         return len(self._history.get(session, ())) <= 1
 
     def at(self, session: int, tick: int) -> pb.Parameters | None:
-        """Those in force at `tick`, or None where they are not known."""
+        """Return the parameters in force at `tick`, or None if they are not known."""
         history = self._history.get(session)
         if not history:
             return None
@@ -117,15 +117,15 @@ class Regime:
         self._yardstick = (math.nan, self.sensors_yardstick)
 
     def expectation(self, x_ref: float) -> Expectation:
-        """In closed loop around `x_ref`.
+        """Return the expected errors in closed loop around `x_ref`.
 
-        Where the model calls this loop unstable there is no such thing as an expected error, while the rig may well
-        fly: then the sensor noise is the yardstick, and whatever is left of the twin's flight raises the alarm.
+        If the model calls this loop unstable there is no expected error, although the rig may fly.  Then the sensor
+        noise is the yardstick, and the error of the twin's flight raises the alarm.
         """
         return (self._expected.at(x_ref) if self._expected else None) or self.sensors
 
     def yardstick(self, x_ref: float) -> Packed:
-        """`expectation` and the thresholds of the NIS as `step` takes them; references mostly stay where they are."""
+        """Return `expectation` and the NIS thresholds as `step` takes them, cached: references rarely change."""
         if self._yardstick[0] != x_ref:
             self._yardstick = (x_ref, self._pack(self.expectation(x_ref)))
         return self._yardstick[1]
@@ -134,7 +134,7 @@ class Regime:
         return (*expected.std, *expected.on, *expected.off, self.nis_on, self.nis_off)
 
     def settle_ticks(self, *, closed_loop: bool, x_ref: float) -> int:
-        """Ticks until the effect of the start has decayed."""
+        """Return the ticks until the effect of the start has decayed."""
         seconds = SETTLE_DRIVEN_S
         if closed_loop:
             ticks = self._expected.settle_ticks(x_ref, share=SETTLING_SHARE) if self._expected else None

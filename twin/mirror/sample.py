@@ -13,7 +13,7 @@ CLIPPED = int(Flag.POSITION_RANGE | Flag.CURRENT_RANGE)
 
 
 class Sample(NamedTuple):
-    """One tick of a board; i, x, u, x_ref in A, m, V, m."""
+    """A tick of a board; i, x, u, x_ref in A, m, V, m."""
 
     sequence: int
     tick: int

@@ -1,4 +1,4 @@
-"""One sample through observer, twin, windows and alarms, in one call: each call into compiled code costs about 1 us.
+"""A step of observer, twin, windows and alarms in one call: each call into compiled code costs about 1 us.
 
 Every sample goes this way, ordinary or not, so there is one set of numbers.
 """
@@ -33,7 +33,7 @@ class Twin(NamedTuple):
 
 
 class Yardstick(NamedTuple):
-    """What the comparison is measured by, around one reference."""
+    """The scales by which errors are measured, around one reference."""
 
     std_x: float  # m
     std_i: float  # A
@@ -47,7 +47,7 @@ class Yardstick(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """One sample, and how it stands to those before."""
+    """A sample, and its relation to the previous ones."""
 
     i: float  # measured i_c, A; like the next three NaN where the sample lacks it
     x: float  # measured, m

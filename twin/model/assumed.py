@@ -23,7 +23,7 @@ _FREE_OF_IT = ("amplifier", "timing")
 
 
 def assumption(plant: Plant) -> str:
-    """For which plant a number holds, as the end of a sentence; empty if somebody stated it."""
+    """Name the plant for which a number holds, as the end of a sentence; empty if somebody stated the plant."""
     if not plant.assumed:
         return ""
     return f"for an assumed ball of {plant.mass_kg * 1e3:.3g} g and travel of {plant.travel_m * 1e3:.3g} mm"
@@ -46,7 +46,7 @@ def mark(parameters: Mapping[str, Parameter], plant: Plant, names: tuple[str, ..
 
 
 def rests_on_plant(cause: Cause) -> bool:
-    """Whether the size of a cause depends on mass or travel."""
+    """Return whether the size of a cause depends on mass or travel."""
     if "of-the-gap" in cause.traits:
         return True
     return cause.family not in _FREE_OF_IT and "current sensor" not in cause.acts_on

@@ -88,7 +88,7 @@ def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None
 
 
 def at_rest(p: Base, c: Vector, x_m: float, *, as_reading: bool = False) -> tuple[NDArray[np.float64], float]:
-    """(state of `extended.py`, shape (7,); u_c in V) of a ball that floats at x; arguments as `holding_current`.
+    """Return the state, shape (STATES,), and u_c, V, of a ball that floats at x; arguments as `holding_current`.
 
     If nothing holds the ball there, the input is NaN and the state has no current.
     """
@@ -103,14 +103,14 @@ def at_rest(p: Base, c: Vector, x_m: float, *, as_reading: bool = False) -> tupl
 
 
 def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
-    """(reading of i_c0 in A, u_c0 in V) that hold the ball at the reading `x_m`, (13); NaN if there are none."""
+    """Return (reading of i_c0 in A, u_c0 in V) that hold the ball at the reading `x_m`, (13); NaN if there are none."""
     p, c = base(model), vector(model.causes)
     y, u = at_rest(p, c, x_m, as_reading=True)
     return (float(current_reading(c, y[I_C])), u) if math.isfinite(u) else (math.nan, math.nan)
 
 
 def steady_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
-    """Steady-state i_c under a constant u_c, A, with the ball held at x and the coil at its steady-state warmth.
+    """Return the steady-state i_c under a constant u_c, A, with the ball held at x and the coil at its steady warmth.
 
     It is simulated because some causes of the amplifier appear only in the differential equations.
     """
@@ -128,7 +128,7 @@ def steady_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
 
 @kernel
 def _lift(i: float, base: Packed, c: Vector, x_m: float, as_reading: bool) -> float:
-    """Acceleration of a ball at rest at x under the current i, m/s^2."""
+    """Return the acceleration of a ball at rest at x under the current i, m/s^2."""
     p = Base(*base)
     x = position_of_reading(p, c, x_m, i) if as_reading else x_m
     return acceleration(p, c, i, x, 0.0, 0.0)
@@ -136,7 +136,7 @@ def _lift(i: float, base: Packed, c: Vector, x_m: float, as_reading: bool) -> fl
 
 @kernel
 def _surplus(u: float, base: Packed, c: Vector, i: float, w: float) -> float:
-    """Steady-state current under u minus i, A."""
+    """Return the steady-state current under u minus i, A."""
     return drive(Base(*base), c, u, w) - i
 
 

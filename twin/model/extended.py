@@ -3,15 +3,15 @@
     u_c --delay, dead zone--> target --limits, T_A(x), emf--> i --lag, remanence, saturation--> force --> x', x
     i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
-State y, shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2), the
-rate of the sensor s' (m/s), how far each of `OFFSETS` has wandered (in its unit; the caller adds it to c), and the
-coloured noise of the readings of i_c (A) and x (m), which the caller adds to them.
+The state y has shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2),
+rate of the sensor s' (m/s).  Then follows how far each of `OFFSETS` has wandered, in its unit; the caller adds it to c.
+Last is the coloured noise of the readings of i_c (A) and x (m), which the caller adds to them.
 
 Rule 1: with `catalogue.neutral()` the model is exactly (1) and (6), and f = i_c, s = x.
-Rule 2: within a substep the amplifier is integrated exactly (for any T_A and slew rate), and the ball by Runge-Kutta
-        with the current at start, middle and end.  The first substep is short because the current changes fastest
-        right after a change of u_c.  After 2 ms the error of x is below 60 nm, a hundredth of the sensor noise, and
-        0.2 um for jumps of 1 A with the coil's plane at the stop (tests/twin/model/test_simulate.py).
+Rule 2: within a substep the amplifier is integrated exactly for any T_A and slew rate.  The ball is integrated by
+        Runge-Kutta with the current at start, middle and end.  The first substep is short because the current changes
+        fastest right after a change of u_c.  After 2 ms the error of x is below 60 nm, a hundredth of the sensor
+        noise.  It is 0.2 um for jumps of 1 A with the coil's plane at the stop (tests/twin/model/test_simulate.py).
 Rule 3: delays are applied by the caller, who chooses the u_c in force (twin/estimation/propagate.py).
 Rule 4: stops are inelastic, as in `simulate.py`, and apply only if the caller asks for them.
 """
@@ -82,7 +82,7 @@ class Base(NamedTuple):
 
 @kernel
 def drive(p: Base, c: Vector, u: float, w: float) -> float:
-    """Steady-state current of the amplifier under u_c = u, A: K_A u of (1) with the amplifier's causes."""
+    """Return the steady-state current of the amplifier under u_c = u, A: K_A u of (1) with the amplifier's causes."""
     target = p.K_A * amplifier_gain_drift.gain(c, w) * amplifier_dead_zone.effective_input(c, u)
     if c[curve.DRIVE_OVER_U + 1] > c[curve.DRIVE_OVER_U]:
         target += mid_current(p) * curve.value(c, curve.DRIVE_OVER_U, u)
@@ -97,7 +97,7 @@ def mid_current(p: Base) -> float:
 
 @kernel
 def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
-    """F_m of (3), N."""
+    """Return F_m of (3), N."""
     i = core_saturation.field(c, residual_magnetism.field(c, field))
     gap = max(air_gap_offset.gap_m(c, p.x_max_m - x), GAP_MIN_SHARE * p.travel_m)
     factor = force_exponent.factor(c, gap, p.x_max_m - 0.5 * p.travel_m)
@@ -107,7 +107,7 @@ def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
 
 @kernel
 def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float) -> float:
-    """Acceleration x'' of (6) away from the stops and without dry friction, m/s^2."""
+    """Return the acceleration x'' of (6) away from the stops and without dry friction, m/s^2."""
     force = magnetic_force(p, c, field, x) - p.b * v - quadratic_drag.drag_n(c, v)
     force += constant_force.force_n(c) + periodic_disturbance.force_n(c, t)
     weights = curve.value(c, curve.FORCE_OVER_X, x) + curve.value(c, curve.FORCE_OVER_V, v) - 1.0
@@ -116,7 +116,7 @@ def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float)
 
 @kernel
 def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
-    """Steady-state reading of the position sensor, m."""
+    """Return the steady-state reading of the position sensor, m."""
     bent = position_sensor_nonlinearity.bent(c, x, p.travel_m) + p.travel_m * curve.value(c, curve.SENSOR_OVER_X, x)
     shifted = position_sensor_offset.shifted(c, position_sensor_gain.scaled(c, bent))
     return sensor_crosstalk.disturbed(c, shifted, i)
@@ -130,13 +130,13 @@ def sensor_lag_s(c: Vector) -> float:
 
 @kernel
 def lagging_reading(c: Vector, s: float, rate: float, steady: float, h: float) -> tuple[float, float]:
-    """(output of the sensor in m, its rate in m/s) after h s from s and rate, with the steady state `steady`, m."""
+    """Return (sensor output in m, its rate in m/s) after h s from s and rate, with the steady state `steady`, m."""
     return position_sensor_lag.lagged(c, s, rate, steady, steady, h)
 
 
 @kernel
 def current_reading(c: Vector, i: float) -> float:
-    """Reading of the current sensor, A."""
+    """Return the reading of the current sensor, A."""
     return current_sensor_offset.shifted(c, current_sensor_gain.scaled(c, i))
 
 
@@ -266,13 +266,13 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
 
 @kernel
 def short(p: Base, c: Vector, duration: float) -> bool:
-    """Whether an interval is one substep; not for a ball that may stick, which has to be seen when it stops."""
+    """Return whether an interval is one substep; never for a ball that may stick, whose stop must be seen."""
     return duration < SHORT_S or (duration < SLOW_SHARE * p.T_A and c[coulomb_friction.FORCE] == 0.0)
 
 
 @kernel
 def has_first_order_current(c: Vector) -> bool:
-    """Whether the current of a held ball responds as a first-order lag, so that it needs no integration."""
+    """Return whether the current of a held ball responds as a first-order lag, which needs no integration."""
     straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0
     return straight and c[freewheel_diode.DROP] == 0.0
 
@@ -311,7 +311,7 @@ def held_current(p: Base, c: Vector, i: float, w: float, x: float, u: float, dur
 
 @kernel
 def over(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
-    """`advance` for any duration, in steps of at most LONGEST_STEP_S; the arguments are the same."""
+    """Run `advance` for any duration, in steps of at most LONGEST_STEP_S; the arguments are the same."""
     if duration <= 1.01 * LONGEST_STEP_S:
         advance(base, c, y, u, t, duration, stops)
         return

@@ -40,7 +40,7 @@ def base(model: Model) -> Base:
 
 
 def sentences(model: Model) -> list[str]:
-    """One line per cause: name, title, parameters."""
+    """Return one line per cause: name, title, parameters."""
     lines = []
     for cause in model.causes:
         known = BY_NAME[cause.name]

@@ -52,23 +52,23 @@ _DELTA_U = 1e-4  # V
 
 
 def delay_s(model: Model) -> float:
-    """Delay from u_c to the readings, s: the sum of both delays."""
+    """Return the delay from u_c to the readings, s: the sum of both delays."""
     c = vector(model.causes)
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
 
 
 def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Jacobians (14) of the model with its causes but without delays, at the equilibrium with the reading `x_m`.
+    """Return the Jacobians (14) of the model with causes, without delays, at the equilibrium with the reading `x_m`.
 
     Returns:
-        A, shape (n, n), and B, shape (n, 1), for [i_c, x, x', ..] as readings in A, m, m/s and the input u_c in V; NaN
+        A, shape (n, n), and B, shape (n, 1), for readings [i_c, x, x', ..] in A, m, m/s and u_c in V; NaN
         if there is no equilibrium.
     """
     return linearised(base(model), vector(model.causes), x_m)
 
 
 def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`linearise` for parameters and causes in the form of the kernels; c has shape (PLACES,)."""
+    """Linearise by (14), for parameters and causes in the form of the kernels; c has shape (PLACES,)."""
     c = c.copy()
     c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = 0.0
     eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
@@ -106,7 +106,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
 def measured(
     p: Base, c: NDArray[np.float64], x_m: float, sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(15) for the readings of i_c and x and the speed, shapes (3, 3) and (3, 1), without delays and sensor lag.
+    """Return (15) for the readings of i_c and x and the speed, (3, 3) and (3, 1), without delays and sensor lag.
 
     A lagging field, which is not measured, is assumed settled at the measured current.
     """
@@ -119,7 +119,7 @@ def measured(
 
 
 def _logarithm(block: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Logarithm of a matrix near identity; by eigenvectors if well-conditioned, as `logm` takes 50 ms."""
+    """Return the logarithm of a matrix near identity; by eigenvectors if well-conditioned, as `logm` takes 50 ms."""
     values, vectors = np.linalg.eig(block)
     if np.linalg.cond(vectors) < 1e6:
         return np.asarray(np.real((vectors * np.log(values.astype(complex))) @ np.linalg.inv(vectors)))
@@ -147,7 +147,7 @@ def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int])
 def discretised(
     A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(15) with u_c delayed by `delay_s`: exact, with past inputs as states and the hold split for a part of a tick.
+    """Discretise by (15) with u_c delayed by `delay_s`: past inputs are states, the hold is split for part of a tick.
 
     Args:
         A: shape (n, n).

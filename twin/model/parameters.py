@@ -1,7 +1,7 @@
 """Model files: read, check, write.  `board51 identify` writes this format and every twin command reads it.
 
 Rule 1: reading is strict.  A missing key, another unit, a number that is not finite or not physical is an error that
-        names the key: with a guessed parameter the twin would report its own error as one of the rig.
+        names the key.  With a guessed parameter the twin would report its own error as one of the rig.
 Rule 2: units are always the ones below; nothing is converted.
 Rule 3: each entry of `causes` is in the catalogue and has all its parameters, in their units and physical ranges.
         Only shape parameters may be left out; they are then those of the usual form.  An empty list is the paper's
@@ -41,7 +41,7 @@ REMEDY = "Give a model.json as `identify` writes it"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
-    """One parameter: value, unit, uncertainty, verdict and origin."""
+    """A parameter: value, unit, uncertainty, verdict and origin."""
 
     __pydantic_config__ = KEYS
 
@@ -205,22 +205,22 @@ class Model:
 
     @property
     def K_A(self) -> float:
-        """Gain of the amplifier (1), A/V."""
+        """Return the gain of the amplifier (1), A/V."""
         return self.parameters["K_A"].value
 
     @property
     def T_A(self) -> float:
-        """Time constant of the amplifier (1), s."""
+        """Return the time constant of the amplifier (1), s."""
         return self.parameters["T_A"].value
 
     @property
     def K_c(self) -> float:
-        """Force constant of (3), N m^2/A^2."""
+        """Return the force constant of (3), N m^2/A^2."""
         return self.parameters["K_c"].value
 
     @property
     def b(self) -> float:
-        """Linear drag of (5), N s/m."""
+        """Return the linear drag of (5), N s/m."""
         return self.parameters["b"].value
 
 

@@ -7,9 +7,9 @@ Rule 3: `actuation-delay` delays u_c, `sampling-delay` the readings.  Readings i
 Rule 4: the phase of a periodic force is unknown, so the simulation leaves that force out and `left_out` reports it.
         Lost samples belong to the serial line and are not simulated either.
 
-Memory of a simulated rig, shape (`places`,): the state of `extended.py` (0..6), the readings of this tick (I_READ,
-X_READ), two places for the control law (INTEGRAL, X_BEFORE), the delayed inputs, newest first, then the pairs of
-delayed readings.
+The memory of a simulated rig has shape (`places`,).  It begins with the state of `extended.py` and the readings of this
+tick (I_READ, X_READ).  Two numbers of the control law (INTEGRAL, X_BEFORE) follow, then the delayed inputs, newest
+first, then the pairs of delayed readings.
 """
 
 from __future__ import annotations
@@ -85,20 +85,20 @@ def _ticks(delay_s: float, sample_time_s: float) -> tuple[int, float]:
 
 
 def left_out(model: Model) -> list[str]:
-    """Sentences on the causes that a simulation leaves out, with the reason."""
+    """Return the sentences on the causes that a simulation leaves out, with the reason."""
     why = {cause.name: BY_NAME[cause.name].not_simulated for cause in model.causes}
     return [f"{name} is not simulated: {reason}" for name, reason in why.items() if reason]
 
 
 def places(plant: PlantNumbers) -> int:
-    """Length of a simulated rig's memory."""
+    """Return the length of a simulated rig's memory."""
     return LINES + plant.act_whole + 2 + 2 * (plant.sense_whole + 1)
 
 
 def rig_at(
     plant: PlantNumbers, *, i: float, x: float, v: float, u: float, warmth: float | None = None
 ) -> NDArray[np.float64]:
-    """Memory of a rig with given readings and speed after a long time under constant input.
+    """Return the memory of a rig with given readings and speed after a long time under constant input.
 
     Args:
         plant: of `plant_numbers`.

@@ -1,1 +1,1 @@
-"""What the reports share: a base template with its stylesheet, one style of figures."""
+"""The common parts of the reports: a base template with its stylesheet, one style of figures."""

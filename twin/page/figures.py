@@ -58,7 +58,7 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 def grid(
     rows: int, columns: int, *, height: float, width: float = 11.0, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Axes in rows and columns, those of a column over one x; sizes in inches."""
+    """Return the axes in rows and columns, those of a column over one x; sizes in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     made = figure.subplots(rows, columns, squeeze=False, sharex="col", height_ratios=ratios)
     return figure, [list(row) for row in made]
@@ -79,7 +79,7 @@ def legend_above(ax: Axes) -> None:
 
 
 def ticks_125(ax: Axes, low: float, high: float) -> None:
-    """Ticks of a logarithmic y axis at 1, 2, 5, 10 ... from `low` to `high`; at the powers of 10 where it is long."""
+    """Set ticks of a logarithmic y axis at 1, 2, 5, 10 ... from `low` to `high`; at powers of 10 if it is long."""
     steps = (1, 2, 5) if high / max(low, 1e-12) < 300 else (1,)
     ticks = [m * 10.0**k for k in range(-7, 8) for m in steps if low <= m * 10.0**k <= high]
     ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
@@ -88,7 +88,7 @@ def ticks_125(ax: Axes, low: float, high: float) -> None:
 
 @styled
 def inline(figure: Figure, caption: str, kind: Literal["png", "svg"] = "svg") -> Picture:
-    """Inside the page; the same numbers give the same bytes."""
+    """Embed a figure in the page; the same numbers give the same bytes."""
     out = io.BytesIO()
     nameless = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
     figure.savefig(out, format=kind, metadata=nameless)

@@ -29,7 +29,7 @@ class Mark:
 
 
 def yes_or_no(good: bool) -> Mark:
-    """Green yes, red no."""
+    """Return a green "yes" or a red "no"."""
     return Mark("yes" if good else "no", good)
 
 

@@ -29,7 +29,7 @@ _ON_A_TICK = 1e-3  # of a tick: an instant nearer to one is on it
 
 
 def read_campaign(campaign: Campaign, *, use: str = "fit", data: Path | None = None) -> list[Record]:
-    """All recordings of one use (`fit` | `judge`), in the order of the file.
+    """Read all recordings of one use (`fit` | `judge`), in the order of the file.
 
     Raises:
         DataError: a recording is missing or unreadable.

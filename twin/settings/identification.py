@@ -1,4 +1,4 @@
-"""All thresholds of `identify`, each with its meaning and its origin.
+"""The thresholds of `identify`, each with its meaning and its origin.
 
 The origins are marked as in `twin/settings/diagnosis.py`: *level* follows from the stated error rate; *reasoned* is an
 engineer's judgement.  The optimiser's limits are in `fit.py`, those of flights in `twin/estimation/prepare.py`.

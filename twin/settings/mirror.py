@@ -1,11 +1,11 @@
-"""Every number by which the live twin decides: those that a user may choose, and the others.
+"""The numbers by which the live twin decides: those that a user may choose, and the others.
 
-Apart from the numerics, so that `--help` need not import them.  The origins are marked as in
-`twin/settings/diagnosis.py`: *level* follows from an error rate, which is stated; *reasoned* is an engineer's
+They stand apart from the numerics, so that `--help` need not import those.  The origins are marked as in
+`twin/settings/diagnosis.py`.  *level* follows from an error rate, which is stated.  *reasoned* is an engineer's
 judgement.
 
-The alarms have one error rate, `false_alarms_per_day` of each of the three under a right model, so at most three times
-that a day together: the probability of one decision is that rate over the number of windows in a day, and the
+The alarms have one error rate: `false_alarms_per_day` of each of the three under a right model, so together at most
+three times that a day.  The probability of one decision is that rate over the number of windows in a day.  The
 thresholds are quantiles at that probability (docs/theory/statistics.md, 8).
 """
 

@@ -35,7 +35,7 @@ CURRENT_FIGURES: dict[str, tuple[str, str, float]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmplifierTrace:
-    """One stretch, measured and simulated, arrays of shape (n,); time from its beginning."""
+    """A stretch, measured and simulated; arrays of shape (n,); time from its beginning."""
 
     name: str
     t_s: FloatArray
@@ -58,7 +58,7 @@ class Amplifier:
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
-    """NRMSE fit in percent, as `compare` of MATLAB; NaN for a constant signal."""
+    """Return the NRMSE fit in percent, as `compare` of MATLAB; NaN for a constant signal."""
     spread = float(np.linalg.norm(measured - measured.mean()))
     return 100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread) if spread > 0 else float("nan")
 
@@ -90,7 +90,7 @@ def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
 
 
 def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, ...]:
-    """Rise time, settling time, overshoot and IAE of every step of u_c between two constant levels.
+    """Return the rise time, settling time, overshoot and IAE of every step of u_c between two constant levels.
 
     Sensor noise is added to the simulation, because noise increases overshoot and IAE.
     """

@@ -1,6 +1,6 @@
 """The paper's figure 8, and multi-step prediction errors: the ball predicted from the filter's estimate by u_c alone.
 
-The ball is unstable (an error grows by a factor of e in about 13 ms on a CE 152), so open loop means short windows.
+The ball is unstable: an error grows by a factor of e in about 13 ms on a CE 152.  So open loop means short windows.
 
 The noise floor is the error of a right model under the sensor noise alone (`twin/estimation/prediction_floor.py`).
 """
@@ -55,7 +55,7 @@ class Windows:
 
 
 def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
-    """Errors over all flights, compared with the floor, by horizon; empty without predictions."""
+    """Return the errors over all flights, compared with the floor, by horizon; empty without predictions."""
     rows = []
     for nominal_s in HORIZONS_S:
         errors: list[FloatArray] = []
@@ -103,7 +103,7 @@ def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
 
 
 def _effective(error: FloatArray, count: int) -> float:
-    """Effective number of independent errors: count over the sum of squared autocorrelations."""
+    """Return the effective number of independent errors: count over the sum of squared autocorrelations."""
     filled = np.where(np.isfinite(error), error, 0.0)
     power = float(filled @ filled)
     total = 1.0

@@ -41,7 +41,7 @@ def system_of(model: Model, record: Record) -> System:
 
 
 def as_readings(state: FloatArray, model: Model) -> FloatArray:
-    """Readings of i_c and x, and the speed, of states of shape (n, 7); shape (n, 3), in A, m, m/s."""
+    """Turn states, shape (n, STATES), into readings of i_c and x, and the speed; shape (n, 3), in A, m, m/s."""
     c = plant_numbers(model, 1e-3).c
     readings = np.empty((len(state), 3))
     readings[:, 0] = [current_reading(c, i) for i in state[:, I_C].tolist()]
@@ -52,7 +52,7 @@ def as_readings(state: FloatArray, model: Model) -> FloatArray:
 def current(
     u: FloatArray, step: FloatArray, start_a: float, x: FloatArray, model: Model, *, captured: bool
 ) -> FloatArray:
-    """Reading of i_c under u_c with the ball at its recorded positions, A, shape (n,).
+    """Return the reading of i_c under u_c with the ball at its recorded positions, A, shape (n,).
 
     Args:
         u: u_c from each sample on, V, shape (n,).

@@ -22,7 +22,7 @@ MAX_TRACES = 3
 
 @styled
 def amplifier_figure(result: Amplifier, time_constant_s: float) -> Figure:
-    """Figure 7."""
+    """Draw the paper's figure 7: the amplifier."""
     traces = sorted(result.traces, key=lambda t: -float(np.ptp(t.u_c_v)))[:MAX_TRACES]
     figure, axes = grid(2, len(traces), height=5.0, ratios=[2.2, 1.0])
     for n, trace in enumerate(traces):
@@ -41,7 +41,7 @@ def amplifier_figure(result: Amplifier, time_constant_s: float) -> Figure:
 
 @styled
 def ball_figure(result: Windows, travel_m: float) -> Figure:
-    """Figure 8, in windows."""
+    """Draw the paper's figure 8, the ball, in windows."""
     figure, axes = grid(2, 1, height=5.0, ratios=[2.4, 1.0])
     top, bottom = axes[0][0], axes[1][0]
     top.plot(result.t_s, result.measured_m * 1e3, color=MEASURED, lw=2.6, alpha=0.55, label="measured")
@@ -59,7 +59,7 @@ def ball_figure(result: Windows, travel_m: float) -> Figure:
 
 @styled
 def ahead_figure(rows: Sequence[Ahead]) -> Figure:
-    """Errors over the horizon."""
+    """Draw the errors over the horizon."""
     figure, axes = grid(1, 1, height=3.6, width=6.4)
     ax = axes[0][0]
     h = np.array([row.horizon_s for row in rows]) * 1e3
@@ -77,7 +77,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
 
 @styled
 def residual_figure(channels: Sequence[Channel]) -> Figure:
-    """Auto- and cross-correlation with their 99 % bounds."""
+    """Draw auto- and cross-correlation with their 99 % bounds."""
     figure, axes = grid(2, len(channels), height=5.0)
     for n, channel in enumerate(channels):
         for row, values, title in (
@@ -101,7 +101,7 @@ def residual_figure(channels: Sequence[Channel]) -> Figure:
 
 @styled
 def loop_figure(run: LoopRun, travel_m: float) -> Figure:
-    """Figures 11 and 12 over one another."""
+    """Draw the paper's figures 11 and 12 over one another."""
     part = _busiest(run)
     t = run.t_s[part]
     figure, axes = grid(4, 1, height=8.4, ratios=[2.4, 1.2, 1.2, 1.0])
@@ -134,7 +134,7 @@ def loop_figure(run: LoopRun, travel_m: float) -> Figure:
 
 @styled
 def step_figure(responses: Sequence[Response]) -> Figure:
-    """All reference steps over one another, each as a share of itself: which of the two is later, and by how much."""
+    """Draw all reference steps over one another, each scaled to 1, to show which of the two is later."""
     figure, axes = grid(2, 1, height=5.6, width=8.0, ratios=[2.0, 1.0])
     top, bottom = axes[0][0], axes[1][0]
     n = min(len(r.t_s) for r in responses)
@@ -161,14 +161,14 @@ def step_figure(responses: Sequence[Response]) -> Figure:
 
 
 def _within_travel(ax: Axes, travel_m: float) -> None:
-    """No more of the position axis than the ball can reach, and a little."""
+    """Limit the position axis to the travel and 5 % of it at each end."""
     low, high = ax.get_ylim()
     room = 0.05 * travel_m * 1e3
     ax.set_ylim(max(low, -room), min(high, travel_m * 1e3 + room))
 
 
 def _extend_to_two_ticks(ax: Axes) -> None:
-    """From one of 1, 2, 5, 10 ... below the values to one above."""
+    """Extend a logarithmic axis from a tick (1, 2, 5, 10 ...) below the values to one above."""
     steps = [m * 10.0**k for k in range(-4, 8) for m in (1, 2, 5)]
     low, high = ax.dataLim.intervaly
     below = max((s for s in steps if s < low), default=steps[0])

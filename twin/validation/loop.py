@@ -82,7 +82,7 @@ def simulate_loop(
 
 
 def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> tuple[list[LoopRun], list[str]]:
-    """(all flights that can be simulated, sentences on why the others cannot); `seed`: of the noise."""
+    """Return (all flights that can be simulated, sentences on why the others cannot); `seed`: of the noise."""
     flights: list[LoopRun] = []
     why: dict[str, list[str]] = {}
     for n, run in enumerate(runs_):
@@ -94,7 +94,7 @@ def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> t
 
 
 def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], str]:
-    """(the simulated flights of one recording, why some or all are left out)."""
+    """Return (the simulated flights of one recording, why some or all are left out)."""
     record, c = run.source.record, run.source.law
     if c is None:
         return [], run.source.without_law
@@ -160,7 +160,7 @@ def measured_loops(run: Filtered) -> list[LoopRun]:
 
 
 def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> float:
-    """Part of the changes of u_c that the law does not explain from the recorded samples (ratio of 90 % quantiles).
+    """Return the part of the changes of u_c that the law does not explain (ratio of 90 % quantiles).
 
     Args:
         source: the recording.
@@ -195,7 +195,7 @@ def _flown(run: Filtered, c: LawNumbers) -> list[slice]:
 
 
 def _begin(run: Filtered, c: LawNumbers, piece: slice) -> tuple[int, float] | None:
-    """(sample, integral) of the first sample after settling at which u_c determines the law's integral."""
+    """Return (sample, integral) of the first sample after settling at which u_c determines the law's integral."""
     r = run.source.record
     settle = round(SETTLE_S / c.sample_time_s)
     for k in range(piece.start + settle, piece.stop - round(SHORTEST_S / c.sample_time_s) + settle):

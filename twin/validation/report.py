@@ -87,7 +87,7 @@ def to_html(result: Validation, *, title: str) -> str:
 
 
 def _pictures(result: Validation) -> dict[str, Picture]:
-    """By the part of the page, of what is testable."""
+    """Draw the figures of all testable parts, by the part of the page."""
     drawn = {}
     if not isinstance(result.amplifier, str):
         figure = figures.amplifier_figure(result.amplifier, result.model.T_A)
@@ -105,7 +105,7 @@ def _pictures(result: Validation) -> dict[str, Picture]:
 
 
 def _loops(result: Validation) -> list[Picture]:
-    """Of the first recordings: rig and simulation, or the rig alone where no law is known to simulate it under."""
+    """Draw rig and simulation for the first recordings, or the rig alone if its control law is unknown."""
     what, runs = "measured closed loop", result.measured
     if isinstance(result.loop, str):
         runs = tuple(run for k, run in enumerate(runs) if run.name not in {earlier.name for earlier in runs[:k]})
@@ -158,7 +158,7 @@ def _rig_row(row: RigFigure) -> list[str]:
 
 
 def _amplifier_steps(result: Validation) -> list[list[str | Mark]]:
-    """Empty where no step has a figure."""
+    """Return the rows of the step responses; empty if no step has a figure."""
     if isinstance(result.amplifier, str) or not any(row.count for row in result.amplifier.steps):
         return []
     return [_step_row(row, CURRENT_FIGURES) for row in result.amplifier.steps]

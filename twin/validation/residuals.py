@@ -43,12 +43,12 @@ class Channel:
 
     @property
     def passed(self) -> bool:
-        """Whether all three tests are passed."""
+        """Return whether all three tests are passed."""
         return self.white and self.independent and self.size_right
 
 
 def residuals(runs: Sequence[Filtered]) -> tuple[Channel, ...]:
-    """Tests of i_c and x over all recordings together; a channel without enough samples is left out."""
+    """Return the tests of i_c and x over all recordings together; a channel without enough samples is left out."""
     channels = (_channel(runs, column, name) for column, name in ((0, "i_c"), (1, "x")))
     return tuple(channel for channel in channels if channel is not None)
 
@@ -113,7 +113,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
 
 
 def _aligned(run: Filtered, column: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(whitened innovations, NaN while the filter settles; u_c; number of the unbroken stretch), each of shape (n,)."""
+    """Return (whitened innovations, NaN while the filter settles; u_c; number of the stretch), each of shape (n,)."""
     s = run.series
     broken = (s.flags & FOLLOWS) == 0
     broken |= np.diff((s.flags & FLIES).astype(np.int8), prepend=np.int8(0)) != 0

@@ -46,7 +46,7 @@ LIMIT_SAMPLES = 5  # equal extreme inputs in a row that show a limit of the inpu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """One recording, with its control law and the delay of its input."""
+    """A recording with its control law and the delay of its input."""
 
     record: Record  # as recorded
     law: LawNumbers | None = None
@@ -69,13 +69,13 @@ class Filtered:
     series: Series
     white: FloatArray  # whitened innovations (i_c, x), shape (n, 2)
     system: System
-    state: FloatArray  # corrected states of `extended.py`, shape (n, 7)
+    state: FloatArray  # corrected states of `extended.py`, shape (n, STATES)
     readings: FloatArray  # readings of i_c and x of these states, and x', shape (n, 3)
     wild: int  # number of outliers left out
 
 
 def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) -> tuple[list[Source], list[str]]:
-    """(the recordings of the campaign that can be used, in its order; sentences about them).
+    """Return (the recordings of the campaign that can be used, in its order; sentences about them).
 
     Raises:
         DataError: a recording is missing, unreadable or implausible.
@@ -106,7 +106,7 @@ def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) ->
 def source_of(
     record: Record, model: Model, *, controller: Controller | None = None, announced: Sequence[pb.Parameters] = ()
 ) -> Source:
-    """One recording with its law.
+    """Pair a recording with its control law.
 
     Args:
         record: of a rig.
@@ -131,7 +131,7 @@ def source_of(
 
 
 def chosen(sources: Sequence[Source]) -> tuple[list[Source], bool]:
-    """(the sources to use, whether they are those with use "fit" because there are no others)."""
+    """Return (the sources to use, whether they are those with use "fit" because there are no others)."""
     judges = [s for s in sources if s.record.use == "judge"]
     return (judges, False) if judges else (list(sources), bool(sources))
 
@@ -162,7 +162,7 @@ def filtered(source: Source, model: Model) -> Filtered | None:
 
 
 def _without_wild(source: Source, series: Series) -> tuple[Source, int]:
-    """(the recording without the readings in flight that the filter did not use, their number)."""
+    """Return (the recording without the readings in flight that the filter did not use, their number)."""
     r = source.record
     flies = (series.flags & FLIES) != 0
     i = flies & ((series.flags & USE_I) == 0) & np.isfinite(r.i_c)
@@ -172,7 +172,7 @@ def _without_wild(source: Source, series: Series) -> tuple[Source, int]:
 
 
 def _known_delay(model: Model) -> int:
-    """Median delay of u_c in the recordings that the model was identified from, samples."""
+    """Return the median delay of u_c in the recordings that the model was identified from, samples."""
     delays = [
         delay
         for usage in _usages(model)

@@ -1,4 +1,4 @@
-"""All parts of a validation, and its verdict in one sentence.
+"""The parts of a validation, and its verdict in one sentence.
 
 Rule: a part that the campaign cannot test is a string with the reason; it is never counted as passed.
 """
@@ -66,13 +66,13 @@ class Validation:
 
     @property
     def passed(self) -> bool | None:
-        """Whether all testable parts agree with the model; None if there is no flight or none is long enough."""
+        """Return whether all testable parts agree with the model; None without a flight that is long enough."""
         if isinstance(self.channels, str) and isinstance(self.loop, str):
             return None
         return not self.failures()
 
     def failures(self) -> list[str]:
-        """Clauses on the contradictions to the model, most important first."""
+        """Return the clauses on the contradictions to the model, most important first."""
         messages = []
         if bad := [row for row in self.ahead if not row.at_floor]:
             row = max(bad, key=lambda r: r.ratio)
@@ -172,7 +172,7 @@ _PACE = ("rise_s", "settling_s")
 
 
 def _weight(row: Compared) -> float:
-    """Relative size of a difference: overshoot as a share of the step, others as a share of the larger value."""
+    """Return the relative difference: overshoot as a share of the step, others as a share of the larger value."""
     if row.name == "overshoot":
         return abs(row.difference)
     larger = max(abs(row.rig), abs(row.simulation))
@@ -225,7 +225,7 @@ def validate_sources(
     messages: Sequence[str] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> Validation:
-    """`validate` with recordings in memory; the notes begin with `messages`."""
+    """Run `validate` with recordings in memory; the notes begin with `messages`."""
     notes = [assumption_warning(model.plant)] if model.plant.assumed else []
     notes += [*messages, *(note for source in sources for note in source.record.notes), *left_out(model)]
     notes += [

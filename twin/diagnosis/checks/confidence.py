@@ -23,7 +23,7 @@ MAX_CONFIDENCE: dict[Verdict, float] = {
 
 
 def confidence_of(selection: Selection, cause: str, verdict: Verdict) -> float:
-    """Probability that the truth is `cause` or in its class.
+    """Return the probability that the truth is `cause` or in its class.
 
     Args:
         selection: result of the search.

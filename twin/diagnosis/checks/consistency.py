@@ -129,7 +129,7 @@ def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Be
 
 
 def _split(values: FloatArray, weights: FloatArray) -> tuple[int, float, float, float]:
-    """(first block after the best split, gain of log-likelihood, weighted mean before, after)."""
+    """Return (first block after the best split, gain of log-likelihood, weighted mean before, after)."""
     total_w, total = weights.cumsum(), (weights * values).cumsum()
     best = (1, -math.inf, 0.0, 0.0)
     for index in range(1, len(values)):
@@ -148,7 +148,7 @@ def _blocks(
     flags: np.ndarray[tuple[int], np.dtype[np.uint16]],
     step: FloatArray,
 ) -> list[slice]:
-    """Pieces of about `BLOCK_S`, never across recordings or gaps."""
+    """Return the pieces of about `BLOCK_S`, never across recordings or gaps."""
     edges = np.flatnonzero((flags & FOLLOWS == 0) | np.append(True, np.diff(recording) != 0))
     pieces = []
     for a, b in zip(edges, np.append(edges[1:], len(flags)), strict=True):

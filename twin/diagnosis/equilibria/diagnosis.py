@@ -1,8 +1,8 @@
 """The diagnosis of a campaign that has points of rest alone: verdict, class, what would split it, diagnosis.json.
 
 Rule 1: causes whose best fits leave as much as the best one, within what chance does to so few points, are one class.
-Rule 2: members of a class are told apart by what else they say of the rig: the unstable pole at mid-travel, which any
-        closed-loop flight shows.  Members of equal pole need an instrument beside the board.
+Rule 2: members of a class differ in the unstable pole at mid-travel, which any closed-loop flight shows.  Members of
+        equal pole need another instrument.
 Rule 3: there is no motion, so no prediction of 20 ms: the gain is of each point predicted from the others.
 """
 
@@ -49,7 +49,7 @@ Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explanation:
-    """One cause that puts the balance right."""
+    """A cause that puts the balance right."""
 
     name: str
     fit: StaticFit
@@ -63,7 +63,7 @@ class Explanation:
 
     @property
     def value(self) -> float:
-        """Its strength."""
+        """Return the fitted strength of the cause, in the unit of its first parameter."""
         return self.fit.theta.value(f"{self.name}.{BY_NAME[self.name].strength.name}")
 
 
@@ -181,20 +181,20 @@ def pole(theta: Theta, plant: Plant, reading_m: float) -> float:
 
 
 def rounding_of(points: Points, computed_a_v: float | None) -> float:
-    """Standard deviation of i_c by the digits that it, or the u_c behind it, was written with, A."""
+    """Return the standard deviation of i_c by the digits that it, or the u_c behind it, was written with, A."""
     if computed_a_v is not None and points.u_c_v is not None:
         return computed_a_v * rounding(points.u_c_v) / math.sqrt(12.0)
     return rounding(points.i_c_a) / math.sqrt(12.0)
 
 
 def separation(first: Explanation, second: Explanation) -> float:
-    """Standard errors by which a measured pole would tell the two apart."""
+    """Return the standard errors by which a measured pole would tell the two apart."""
     spread = math.hypot(first.pole_std_per_s, second.pole_std_per_s, 0.01 * first.pole_per_s)
     return abs(first.pole_per_s - second.pole_per_s) / spread
 
 
 def proposal_for(first: Explanation, second: Explanation) -> tuple[str, float, str]:
-    """(what to measure, separation in standard errors, command) to tell two members apart."""
+    """Return (what to measure, separation in standard errors, command) to tell two members apart."""
     z = separation(first, second)
     if z >= settings.STATIC_Z:
         what = (
@@ -246,7 +246,7 @@ def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) 
 def _verdict(
     possible: Sequence[Explanation], base: StaticFit, round_a: float, tests: int
 ) -> tuple[list[Explanation], Verdict, float]:
-    """(members of the class, verdict, confidence that it is one of them)."""
+    """Return (members of the class, verdict, confidence that it is one of them)."""
     if not possible or possible[0].p * tests > settings.STATIC_LEVEL:
         # Nothing earns a name.  (3) is only known to be wrong where it is off by more than rounding.
         rough = base.std_a > 3.0 * round_a > 0.0 and base.freedom > 0
@@ -301,7 +301,7 @@ def _predicts_better(
     plant: Plant,
     base: StaticFit,
 ) -> bool:
-    """Whether a cause makes the error of points that were not used smaller: of the judges, else of each left out."""
+    """Return whether a cause reduces the error of unused points: the judges, else each point left out in turn."""
     before, after = judge or (left_out(points, plant, base), first.left_out_a)
     return float(np.sum(after**2)) < float(np.sum(before**2))
 
@@ -327,7 +327,7 @@ def _extended(
     computed: float | None,
     base: StaticFit,
 ) -> tuple[file.Model, list[str]]:
-    """(the model with the first member, what in it was not measured)."""
+    """Return (the model with the first member, what in it was not measured)."""
     plant = campaign.plant
     like = model or nominal()
     origin = "of the model that was given" if model else "of the shipped CE 152"
@@ -375,7 +375,7 @@ def _extended(
 
 
 def parameters_of(explanation: Explanation) -> dict[str, file.Parameter]:
-    """Of its cause: the strength as fitted, others at their usual values."""
+    """Return the cause's parameters: the strength as fitted, the others at their usual values."""
     parameters = {}
     for n, entry in enumerate(BY_NAME[explanation.name].parameters):
         if n:

@@ -13,7 +13,7 @@ from twin.page.render import render
 
 
 def page(diagnosis: StaticDiagnosis, title: str) -> str:
-    """Self-contained HTML."""
+    """Return the self-contained HTML."""
     points, base, members = diagnosis.points, diagnosis.base, diagnosis.members
     best = members[0] if members else None
     columns = (
@@ -76,7 +76,7 @@ def _proposal(first: Explanation, other: Explanation) -> str:
 
 @styled
 def figure(diagnosis: StaticDiagnosis) -> Figure:
-    """Currents over x, errors over x."""
+    """Return the currents over x, errors over x."""
     drawn = Figure(figsize=(9.6, 3.8), layout="constrained")
     left, right = drawn.subplots(1, 2)
     plant, points = diagnosis.plant, diagnosis.points

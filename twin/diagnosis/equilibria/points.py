@@ -1,7 +1,7 @@
 """Points of rest alone: what the force balance gets wrong, and which causes would put it right.
 
 A campaign of kind `equilibria` has currents i_c at which the ball rested at heights x.  There m g = F_m (i_c, x)
-by (3), and nothing moves: what is tested is the balance, and the sensors through which it is seen.
+by (3), and nothing moves.  The points test the balance, and the sensors through which it is seen.
 
 Rule 1: the residual is in i_c, at the x that was read, A.  x was chosen, i_c is what the rig answered.
 Rule 2: the noise is unknown and the points are few: F tests and intervals that are exact for that, never a chi-square.
@@ -44,7 +44,7 @@ class Points:
         return len(self.x_m)
 
     def without(self, row: int) -> Points:
-        """All rows but one."""
+        """Return all rows but one."""
         keep = np.arange(len(self)) != row
         return Points(
             x_m=self.x_m[keep],
@@ -67,7 +67,7 @@ class StaticFit:
 
     @property
     def std_a(self) -> float:
-        """What the residuals say of the noise, A."""
+        """Estimate the standard deviation of the noise from the residuals, A."""
         return math.sqrt(self.rss_a2 / self.freedom) if self.freedom > 0 else math.nan
 
 
@@ -106,7 +106,7 @@ def points_of(records: Sequence[Record], plant: Plant, min_points: int = setting
 
 
 def start(points: Points, plant: Plant) -> Theta:
-    """(3) through the point in the middle; numbers that points of rest do not hold are only there to be complete."""
+    """Return (3) through the point in the middle; numbers that points of rest do not determine only fill the model."""
     gap = np.maximum(plant.x_max_m - points.x_m, 1e-3 * plant.travel_m)
     K_c = plant.mass_kg * plant.gravity_m_s2 * float(np.median(gap / points.i_c_a)) ** 2
     K_A = 1.0 if points.u_c_v is None else float(np.median(points.i_c_a / points.u_c_v))
@@ -130,7 +130,7 @@ def holding_currents(theta: Theta, plant: Plant, x_m: FloatArray) -> FloatArray:
 
 
 def added_current(theta: Theta) -> float:
-    """What an amplifier adds, A: it flows, but a current that was computed as K_A u_c has none of it."""
+    """Return the current that an amplifier adds, A: it flows, but a current computed as K_A u_c lacks it."""
     return sum(
         cause.added_a(theta.value(_coordinate(cause.name)), theta.K_A)
         for cause in CATALOGUE
@@ -139,7 +139,7 @@ def added_current(theta: Theta) -> float:
 
 
 def fit_static(points: Points, plant: Plant, cause: str = "") -> StaticFit:
-    """K_c and the strength of one cause by least squares in i_c."""
+    """Return K_c and the strength of one cause by least squares in i_c."""
     begin = start(points, plant)
     if not cause:
         return _climb(points, plant, begin, cause, (math.log(begin.K_c),))
@@ -163,14 +163,14 @@ def refit(points: Points, plant: Plant, initial: StaticFit) -> StaticFit:
 
 
 def fit_gain(points: Points, plant: Plant, cause: str, value: float, initial: Theta) -> StaticFit:
-    """K_c alone, the cause's strength held at `value`."""
+    """Return K_c alone, the cause's strength held at `value`."""
     at = initial.having(_coordinate(cause), value)
     fit = _climb(points, plant, at, cause, (math.log(initial.K_c),))
     return replace(fit, freedom=len(points) - 2)
 
 
 def is_absorbed(points: Points, plant: Plant, base: StaticFit, cause: str) -> bool:
-    """Whether K_c makes up for any strength of this cause: the points then say nothing of it."""
+    """Return whether K_c makes up for any strength of this cause: the points then say nothing about it."""
     strength = BY_NAME[cause].strength
     values = [strength.value(step * _unit(cause)) for step in (-10.0, 10.0)]
     held = [fit_gain(points, plant, cause, value, base.theta).rss_a2 for value in values if value != _neutral(cause)]
@@ -178,7 +178,7 @@ def is_absorbed(points: Points, plant: Plant, base: StaticFit, cause: str) -> bo
 
 
 def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float]:
-    """Exact-level 95 % interval of the cause's strength by its profile: unknown noise, F(1, n - 2).
+    """Return the exact-level 95 % interval of the cause's strength by its profile: unknown noise, F(1, n - 2).
 
     An end is the physical range's where the data set none before it.
     """
@@ -203,7 +203,7 @@ def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float
 
 
 def standard_error(points: Points, plant: Plant, fit: StaticFit, *, of_gain: bool = False) -> float:
-    """Of the cause's strength in its own unit, or of ln K_c: linear, at what the residuals say of the noise."""
+    """Return the standard error of the cause's strength in its own unit, or of ln K_c; linearised."""
     moves = [replace(fit.theta, K_c=fit.theta.K_c * (1.0 + 1e-4))]
     steps = [1e-4]
     if fit.cause:
@@ -225,7 +225,7 @@ def standard_error(points: Points, plant: Plant, fit: StaticFit, *, of_gain: boo
 
 
 def f_test(base: StaticFit, fit: StaticFit) -> tuple[float, float]:
-    """(F, probability that chance alone gains as much) of one more parameter under unknown Gaussian noise."""
+    """Return (F, probability that chance alone gains as much) of one more parameter under unknown Gaussian noise."""
     if fit.freedom <= 0:
         return math.nan, 1.0
     ratio = (base.rss_a2 - fit.rss_a2) / max(fit.rss_a2 / fit.freedom, 1e-300)
@@ -233,7 +233,7 @@ def f_test(base: StaticFit, fit: StaticFit) -> tuple[float, float]:
 
 
 def left_out(points: Points, plant: Plant, whole: StaticFit) -> FloatArray:
-    """i_c measured - predicted of each point by the model fitted to the others, A, shape (n,)."""
+    """Return i_c measured - predicted of each point by the model fitted to the others, A, shape (n,)."""
     errors = np.full(len(points), np.nan)
     for row in range(len(points)):
         fit = refit(points.without(row), plant, whole)

@@ -13,7 +13,7 @@ from twin.readers.campaign import read_campaign
 
 
 def is_static(campaign: Campaign) -> bool:
-    """Whether every recording for fitting is of kind `equilibria`."""
+    """Return whether every recording for fitting is of kind `equilibria`."""
     kinds = {recording.kind for recording in campaign.recordings if recording.use == "fit"}
     return kinds == {"equilibria"}
 

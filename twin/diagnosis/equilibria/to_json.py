@@ -1,4 +1,4 @@
-"""What a diagnosis from points of rest says: sentences, and its form in diagnosis.json."""
+"""The sentences of a diagnosis from points of rest, and its form in diagnosis.json."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def _cause(diagnosis: StaticDiagnosis, first: Explanation, share: float) -> dict
 
 
 def _rows(diagnosis: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
-    """Point by point: what was read, and what each model gets wrong."""
+    """List each point with its readings and the error of each model."""
     base, first = diagnosis.base, diagnosis.members[0] if diagnosis.members else None
     return {
         "x_m": diagnosis.points.x_m.tolist(),
@@ -159,7 +159,7 @@ def _rows(diagnosis: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
 
 
 def not_testable(diagnosis: StaticDiagnosis) -> list[tuple[str, str]]:
-    """(name, why) of every cause of the catalogue that points of rest do not show."""
+    """Return (name, why) of every cause of the catalogue that points of rest do not show."""
     entries = []
     tested = {explanation.name for explanation in (*diagnosis.members, *diagnosis.rejected)}
     for cause in CATALOGUE:
@@ -178,7 +178,7 @@ def not_testable(diagnosis: StaticDiagnosis) -> list[tuple[str, str]]:
 
 
 def why_not(diagnosis: StaticDiagnosis, explanation: Explanation) -> str:
-    """Why a cause that was tried is not in the class."""
+    """Say why a cause that was tried is not in the class."""
     left = f"leaves {1e3 * rms(explanation.fit.residual_a):.3g} mA rms"
     strength = BY_NAME[explanation.name].strength
     if explanation.fit.at_bound:
@@ -210,5 +210,5 @@ def _best_proposal(proposals: Sequence[tuple[str, float, str]]) -> dict[str, Any
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values**2)))

@@ -67,7 +67,7 @@ def run(
     floor_m: float | None = None,
     captured: bool = False,
 ) -> None:
-    """`play` with the noise of theta; out, shape (n, 4), receives u_c, the readings of i_c and x, and the true x.
+    """Run `play` with the noise of theta; out, shape (n, 4), receives u_c, the readings of i_c and x, and the true x.
 
     Args:
         theta: the rig.
@@ -76,7 +76,7 @@ def run(
         steps: of the converters.
         t: times, s, shape (n,).
         command: x_ref in m under a law, otherwise u_c in V, shape (n,).
-        y: the state at the first sample, shape (7,), changed in place.
+        y: the state at the first sample, shape (STATES,), changed in place.
         s: the integral of the law at the first sample, m s.
         speed: of the reading at the first sample, m/s.
         tick_s: interval of the process noise, s.
@@ -148,7 +148,7 @@ def play(
         command: of each sample, in force until the next, shape (n,).
         noise: added at each sample to the readings of i_c and x and to i_c, and an acceleration during the previous
             interval; A, m, A, m/s^2, shape (4, n).
-        y: the state at the first sample, shape (7,), changed in place.
+        y: the state at the first sample, shape (STATES,), changed in place.
         s: the integral of the law at the first sample, m s.
         speed: of the reading at the first sample, m/s.
         out: receives the result.
@@ -199,7 +199,7 @@ def play(
 
 
 def twelve_bits(theta: Theta, plant: Plant) -> Converters:
-    """12-bit converters for the rig: x over 1.25 times the travel, i_c and u_c over 1.25 times those of lift-off."""
+    """Return 12-bit converters: x over 1.25 times the travel, i_c and u_c over 1.25 times those of lift-off."""
     i = holding_current(theta.base(plant), theta.vector(), 0.0)
     i = i if math.isfinite(i) else 1.0
     return Converters(

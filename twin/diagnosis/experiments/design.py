@@ -64,7 +64,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proposal:
-    """One experiment, and the pairs of causes that it separates."""
+    """An experiment, and the pairs of causes that it separates."""
 
     name: str
     what: str  # instruction for the user
@@ -137,7 +137,7 @@ def rank(
     members: Sequence[Fit],
     budget: Budget | None = None,
 ) -> list[tuple[Experiment, tuple[float, ...]]]:
-    """Each possible experiment, with the separation z from every member after adding it.
+    """Return each possible experiment with the separation z from every member after adding it.
 
     Args:
         criterion: of the recordings so far.
@@ -220,7 +220,7 @@ def _gathered(records: Sequence[Record], criterion: Criterion, experiment: Exper
 def _separations(
     trial: Criterion, named_fit: Fit, members: Sequence[Fit], held: Sequence[_Tied], times: float
 ) -> tuple[float, ...]:
-    """Separation z of each member with this experiment added; `times`: weight of its information."""
+    """Return the separation z of each member with this experiment added; `times`: weight of its information."""
     plant, series = trial.plant, trial.evidence.series
     if not len(series):
         return tuple(math.sqrt(tied.lead) for tied in held)

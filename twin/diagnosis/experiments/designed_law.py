@@ -46,7 +46,7 @@ def law_of(controller: Controller | None, theta: Theta, plant: Plant, tick_s: fl
 
 
 def designed(theta: Theta, plant: Plant, tick_s: float) -> Controller:
-    """LQI for mid-travel, (13)-(18), with the weights of Bryson's rule as in `twin/control_design/gains.py`.
+    """Design an LQI for mid-travel, (13)-(18), with the weights of Bryson's rule as in `twin/control_design/gains.py`.
 
     If the ball has no equilibrium there or the Riccati equation no solution, all gains are 0; the caller then sees that
     the ball does not fly.

@@ -25,7 +25,7 @@ MENU = tuple(experiment for experiment in experiments.MENU if experiment.use == 
 
 
 def schedule_of(experiment: Experiment, *, lift_off_v: float, travel_m: float, tick_s: float) -> tuple[Schedule, float]:
-    """(the simulated commands, duration of the experiment over that of the simulation).
+    """Return (the simulated commands, duration of the experiment over that of the simulation).
 
     Args:
         experiment: of the menu.

@@ -232,7 +232,7 @@ def _steady(theta: Theta, plant: Plant, record: Record, rng: np.random.Generator
 def _start(
     theta: Theta, plant: Plant, record: Record, piece: slice, clamped: bool
 ) -> tuple[NDArray[np.float64], float]:
-    """(state from the first samples of a piece, shape (7,); speed of the reading there, m/s)."""
+    """Return the state from the first samples of a piece, shape (STATES,), and the speed of the reading, m/s."""
     p, c = theta.base(plant), theta.vector()
     head = slice(piece.start, min(piece.start + _HEAD, piece.stop))
     y, speed = np.zeros(STATES), 0.0
@@ -256,7 +256,7 @@ def _start(
 
 
 def _pieces(record: Record) -> list[slice]:
-    """Stretches without a gap over BRIDGING_S."""
+    """Return the stretches without a gap over BRIDGING_S."""
     _, follows = intervals(record.t)
     steps = np.diff(record.t, prepend=np.nan)
     broken = np.flatnonzero(~(follows | ((steps > 0.0) & (steps <= BRIDGING_S)))).tolist()
@@ -279,7 +279,7 @@ def _bridged(t: FloatArray) -> FloatArray:
 
 
 def _held(values: FloatArray, rows: NDArray[np.int64], n: int) -> FloatArray:
-    """Values at the rows of a grid of n ticks, each held until the next finite value, shape (n,)."""
+    """Return the values at the rows of a grid of n ticks, each held until the next finite value, shape (n,)."""
     at = np.full(n, np.nan)
     at[rows] = values
     known = np.isfinite(at)

@@ -24,7 +24,7 @@ _PENALTIES = tuple(10.0**power for power in range(-6, 3))
 
 
 def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> FloatArray:
-    """x_hat - x of every sample of the judges, shape (n,), m; NaN where there is no window of flight before it.
+    """Return x_hat - x of every sample of the judges, shape (n,), m; NaN where there is no window of flight before it.
 
     Args:
         fit: recordings to train on; a fifth of their windows chooses the penalty.
@@ -69,7 +69,7 @@ def _missed(
 def _windows(
     evidence: Evidence, samples: int
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], FloatArray, FloatArray]:
-    """(sample that is predicted, shape (w,); readings and inputs, shape (w, columns); displacement until it, m)."""
+    """Return (predicted sample, shape (w,); readings and inputs, shape (w, columns); displacement until it, m)."""
     series = evidence.series
     linked = (series.flags & (FLIES | FOLLOWS) == FLIES | FOLLOWS).astype(int)
     length = PAST + samples - 1  # steps from the first reading to the last

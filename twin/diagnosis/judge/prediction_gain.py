@@ -45,24 +45,24 @@ class Gain:
 
     @property
     def ratio(self) -> float:
-        """Extended error over baseline error."""
+        """Return the extended error over baseline error."""
         return self.extended_rmse_m / max(self.baseline_rmse_m, 1e-300)
 
     @property
     def tick_s(self) -> float:
-        """Sampling interval, s."""
+        """Return the sampling interval, s."""
         return self.horizon_s / self.samples
 
     @property
     def removed(self) -> float:
-        """Removed share of the mean square error above the floor, at most 1; NaN if there was none."""
+        """Return the removed share of the mean square error above the floor, at most 1; NaN if there was none."""
         excess = self.baseline_rmse_m**2 - self.floor_m**2
         reduction = self.baseline_rmse_m**2 - self.extended_rmse_m**2
         return min(reduction / excess, 1.0) if excess > 0.0 else math.nan
 
 
 def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, samples: int) -> FloatArray:
-    """x_hat, shape (n,), of every sample `samples` ahead; NaN where there is none."""
+    """Return x_hat, shape (n,), of every sample `samples` ahead; NaN where there is none."""
     system = theta.system(plant, tick_s)
     x_hat = predict(system, evidence.samples, samples)
     return within_reach(x_hat, theta.base(plant), system.c, system.stops)
@@ -97,7 +97,7 @@ def gain(
 
 
 def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> tuple[float, float]:
-    """95 % interval of the ratio of root mean squares, second over first, by blocks."""
+    """Return the 95 % interval of the ratio of root mean squares, second over first, by blocks."""
     count = max(len(first) // block, 1)
     edges = np.linspace(0, len(first), count + 1).astype(int)
     sums = np.array([[first[a:b].sum(), second[a:b].sum()] for a, b in pairwise(edges)])

@@ -1,1 +1,1 @@
-"""What no cause explains, modelled: curves through what is left, chosen and measured on recordings that no fit saw."""
+"""Models of what no cause explains: curves, chosen and measured on recordings that no fit saw."""

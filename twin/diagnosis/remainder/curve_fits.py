@@ -25,7 +25,7 @@ _OVERSHOOT = 0.5  # of the linear step: where to begin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurveScore:
-    """What a curve would gain by the score test: all its coefficients at once."""
+    """The gain of a curve by the score test (Rao, 1948), all its coefficients at once."""
 
     curve: Cause
     evidence: float  # gain of log-likelihood with the coefficients integrated out, by Laplace's method
@@ -38,7 +38,7 @@ def coefficients(curve: Cause) -> tuple[str, ...]:
 
 
 def visited(evidence: Evidence) -> dict[str, FloatArray]:
-    """x, v, i and u of the samples in flight, each of shape (n,) with its own n: what curves are functions of.
+    """Return x, v, i and u of the samples in flight, each of shape (n,) with its own n: what curves are functions of.
 
     The speed is a difference of readings a few samples apart, where they follow one another.
     """
@@ -58,7 +58,7 @@ def visited(evidence: Evidence) -> dict[str, FloatArray]:
 
 
 def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
-    """With a curve that is 0 over the range of these values."""
+    """Return theta with a curve that is 0 over the range of these values."""
     ends = np.nanquantile(values, (_OUTER, 1.0 - _OUTER)).tolist()
     for parameter, end in zip(curve.parameters[:2], ends, strict=True):
         theta = theta.having(f"{curve.name}.{parameter.name}", float(end))
@@ -101,7 +101,7 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
 
 
 def roughly_fitted(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
-    """`at` with a curve, everything fitted again, not to the end: near enough to tell which predicts better."""
+    """Fit `at` with a curve again, not to the end: near enough to decide which predicts better."""
     fit = approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
     return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, approximate=True)
 
@@ -112,15 +112,15 @@ def fully_fitted(criterion: Criterion, fit: Fit) -> Fit:
 
 
 def band(fit: Fit, curve: Cause, at: FloatArray, weights_at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(g, its standard error), each of shape (n,), about its mean over the values that were visited.
+    """Return g and its standard error, each of shape (n,), about its mean over the values that were visited.
 
-    A constant share of the magnetic force is K_c under another name, and one of the weight is nearly so: what a curve
-    says is how it varies.
+    A constant share of the magnetic force is K_c under another name, and one of the weight nearly is.  So only the
+    variation of a curve means anything.
 
     Args:
-        fit: with the curve free.
-        curve: which.
-        at: where, shape (n,), in the unit of what it is a function of.
+        fit: the fit with the curve free.
+        curve: the curve.
+        at: the arguments of the curve, shape (n,), in their unit.
         weights_at: the values that were visited.
     """
     low, high = (fit.theta.value(f"{curve.name}.{parameter.name}") for parameter in curve.parameters[:2])

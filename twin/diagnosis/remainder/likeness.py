@@ -1,7 +1,7 @@
-"""Which cause of the catalogue would make a curve like this one?  It is proposed, with a test of its own.
+"""The search for the cause of the catalogue that would make a given curve.  It is proposed, with a test.
 
-A curve that takes up nearly all that the recordings could show of a cause has that cause's form: with the curve free,
-the information about the cause is gone.
+A curve has a cause's form if it takes up nearly all that the recordings could show of the cause.  With the curve free,
+the information about the cause is then gone.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Substitute:
 def substitutes(
     criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: Sequence[Cause]
 ) -> list[Substitute]:
-    """Causes whose form the curve has, fitted beside the other causes; those that gain most first.
+    """Return the causes whose form the curve has, fitted beside the other causes; those that gain most first.
 
     Args:
         criterion: of the recordings for fitting.

@@ -1,13 +1,13 @@
 """The remainder: curves through what is left, a cause that has their form, and what they are worth.
 
-Rule 1: a curve is fitted to the recordings for fitting; which one is taken is decided by the error of x 20 ms ahead on
-        the first half of each judge recording, and what it is worth is measured on the second.
+Rule 1: a curve is fitted to the recordings for fitting.  The error of x 20 ms ahead on the first half of each judge
+        recording chooses the curve; the second half measures its worth.
 Rule 2: a curve is taken only if that error surely falls by more than 5 %, so that noise gets none.
-Rule 3: a cause of the catalogue with the curve's form takes its place where it predicts as well: it has fewer numbers
-        and holds outside the range.  It is a candidate all the same: the search did not find enough for a name.
-Rule 4: names beside a rest may only imitate an unknown cause.  So a curve is also tried beside the paper's model alone:
-        where that predicts as well, and is at least as likely as the names are without a curve, the names are left out
-        of the extended model, and none of them holds.
+Rule 3: a cause of the catalogue with the curve's form takes its place if it predicts as well.  It has fewer numbers and
+        holds outside the range.  It stays a candidate: the search did not find enough for a name.
+Rule 4: named causes may only imitate an unknown cause if a rest is left.  So a curve is also tried with the paper's
+        model alone.  That may predict as well, and be at least as likely as the names without a curve.  Then the names
+        are left out of the extended model, and none of them holds.
 Rule 5: no other verdict and no confidence follows from it.
 """
 
@@ -76,14 +76,14 @@ class Improvement:
 
     @property
     def removed(self) -> float:
-        """Share of the mean square error above the floor that the remainder removes; NaN if there was none."""
+        """Return the share of the squared error above the floor that the remainder removes; NaN if there was none."""
         above = self.causes_rmse_m**2 - self.floor_m**2
         return min((self.causes_rmse_m**2 - self.extended_rmse_m**2) / above, 1.0) if above > 0.0 else math.nan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Remainder:
-    """What is left, as curves or as causes in their place; neither where nothing predicts better."""
+    """The model of what is left: curves, or causes in their place; neither if nothing predicts better."""
 
     fit: Fit  # of the extended model
     extends: Literal["causes", "paper"]  # what it extends: the model with its causes, or the paper's
@@ -108,7 +108,7 @@ class _Judge:
             self.chooses[rows[: len(rows) // 2]] = True
 
     def squares(self, theta: Theta) -> FloatArray:
-        """Square errors, shape (n,), m^2; NaN without a prediction.  Raises `Spent`."""
+        """Return the square errors, shape (n,), m^2; NaN without a prediction.  Raises `Spent`."""
         plant, tick_s = self.criterion.plant, self.criterion.tick_s
         pace = pace_of(self.judge.series)
         self.criterion.budget.take(pace.steps_ahead(theta.base(plant), theta.vector(), self.samples))
@@ -116,19 +116,19 @@ class _Judge:
         return np.asarray((x_hat - self.judge.series.x) ** 2)
 
     def choosing(self, squares: FloatArray) -> float:
-        """Root mean square of the half that chooses; inf where it predicts nothing."""
+        """Return the root mean square of the half that chooses; inf where it predicts nothing."""
         known = squares[self.chooses & np.isfinite(squares)]
         return math.sqrt(float(known.mean())) if len(known) else math.inf
 
     def ratio(self, before: FloatArray, after: FloatArray, where: BoolArray) -> tuple[float, float]:
-        """95 % interval of the ratio of root mean squares."""
+        """Return the 95 % interval of the ratio of root mean squares."""
         both = where & np.isfinite(before) & np.isfinite(after)
         if both.sum() < settings.ERROR_BLOCKS * self.block:
             return math.nan, math.nan
         return bootstrap(before[both], after[both], self.block, self.seed)
 
     def improvement(self, before: FloatArray, after: FloatArray, theta: Theta, floor: Floor) -> Improvement:
-        """Errors of the half that measures."""
+        """Return the errors of the half that measures."""
         plant, tick_s = self.criterion.plant, self.criterion.tick_s
         where = ~self.chooses & np.isfinite(before) & np.isfinite(after)
         flexible = flexible_errors(self.criterion.evidence, self.judge, self.samples, self.seed) ** 2
@@ -167,7 +167,7 @@ def remainder_of(
     *,
     seed: int,
 ) -> Remainder | None:
-    """Model what `found` leaves; None where too little was flown to choose.
+    """Return the model what `found` leaves; None where too little was flown to choose.
 
     Args:
         criterion: of the recordings for fitting.

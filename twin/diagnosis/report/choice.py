@@ -1,4 +1,4 @@
-"""What is said of the model that was written: its sentence, and its provenance in the file."""
+"""The sentence on the model that was written, and its provenance in the file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def written_model(choice: Choice, model: Model) -> Model:
 
 
 def choice_sentence(diagnosis: Diagnosis) -> str:
-    """What extended_model.json is where a model was refused, with the error that decided; else empty."""
+    """Say what extended_model.json is if a model was refused, with the error that decided; else empty."""
     choice = diagnosis.choice
     if choice is None or not choice.refused:
         return ""
@@ -42,7 +42,7 @@ def choice_sentence(diagnosis: Diagnosis) -> str:
 
 
 def harm_sentence(refusal: Refusal) -> str:
-    """How much worse the judge recordings are predicted with these causes."""
+    """Say how much worse these causes predict the judge recordings."""
     assert refusal.gain is not None
     return f"{ON_JUDGES}: {_errors(refusal)}"
 

@@ -32,7 +32,7 @@ _SCALES = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "N": (1e3, "mN")}
 
 @styled
 def ahead_figure(rows: Sequence[Ahead]) -> Figure:
-    """Errors over the horizon."""
+    """Draw the errors over the horizon."""
     figure, ax = _panel()
     h = np.array([row.horizon_s for row in rows]) * 1e3
     for name, colour, estimates in _sides([row.baseline for row in rows], [row.extended for row in rows]):
@@ -51,7 +51,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
 
 @styled
 def piece_figure(piece: Piece) -> Figure:
-    """What x did, and what both models had said."""
+    """Draw x as measured and as both models predicted it."""
     figure, ax = _panel()
     t = piece.t_s - piece.t_s[0]
     ax.plot(t, piece.baseline_m * 1e3, color=BASELINE, lw=1.0, label="baseline")
@@ -66,7 +66,7 @@ def piece_figure(piece: Piece) -> Figure:
 
 @styled
 def error_figure(piece: Piece, floor_m: float) -> Figure:
-    """Both errors over the same time."""
+    """Draw the errors of both models over the same time."""
     figure, ax = _panel()
     t = piece.t_s - piece.t_s[0]
     if np.isfinite(floor_m):
@@ -82,7 +82,7 @@ def error_figure(piece: Piece, floor_m: float) -> Figure:
 
 @styled
 def regime_figure(regime: Regime, floor_m: float) -> Figure:
-    """Errors in each group."""
+    """Draw the errors in each group."""
     named = not regime.unit
     count = len(regime.bins)
     figure, ax = _panel(height=max(2.4, 1.2 + 0.34 * count) if named else 3.4, left=0.36 if named else 0.15)
@@ -135,7 +135,7 @@ def curve_figure(curve: Curve) -> Figure:
 
 @styled
 def spectrum_figure(spectrum: Spectrum) -> Figure:
-    """Densities of the error one sample ahead."""
+    """Draw the densities of the error one sample ahead."""
     figure, ax = _panel()
     for name, colour, density in _traces(spectrum.baseline, spectrum.extended):
         low, high = (density * factor * 1e6 for factor in spectrum.spread)
@@ -153,7 +153,7 @@ def spectrum_figure(spectrum: Spectrum) -> Figure:
 
 @styled
 def steps_figure(steps: Steps) -> Figure:
-    """Mean step of the rig and of both simulations."""
+    """Draw the mean step of the rig and of both simulations."""
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(1.0, color=REFERENCE, lw=0.8, ls=":")
@@ -167,7 +167,7 @@ def steps_figure(steps: Steps) -> Figure:
 
 @styled
 def step_difference_figure(steps: Steps) -> Figure:
-    """Rig minus simulation."""
+    """Draw rig minus simulation."""
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(0.0, color="black", lw=0.6)
@@ -181,7 +181,7 @@ def step_difference_figure(steps: Steps) -> Figure:
 
 @styled
 def round_figure(step: Round, number: int, threshold: float) -> Figure:
-    """What each candidate of a round gains: fitted where it was, else as its score says."""
+    """Draw the gain of each candidate of a round: as fitted, else as estimated by the score test."""
     fitted = {trial.cause: trial.gain for trial in step.trials}
     rows = [(cause, gain, True) for cause, gain in fitted.items()]
     rows += [(s.cause, s.gain, False) for s in step.scores if s.cause not in fitted and s.testable]
@@ -220,14 +220,14 @@ def shape_figure(shape: Shape) -> Figure:
 
 
 def _sides(baseline: Sequence[Estimate], extended: Sequence[Estimate]) -> list[tuple[str, str, Sequence[Estimate]]]:
-    """Both models, or the one that there is where nothing was added."""
+    """Return the estimates of both models, or of one if nothing was added."""
     if list(baseline) == list(extended):
         return [("model", BASELINE, baseline)]
     return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]
 
 
 def _traces(baseline: FloatArray, extended: FloatArray) -> list[tuple[str, str, FloatArray]]:
-    """As `_sides`, of traces."""
+    """Return the traces of both models, or of one if they are equal."""
     if np.array_equal(baseline, extended):
         return [("model", BASELINE, baseline)]
     return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]

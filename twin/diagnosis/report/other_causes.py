@@ -1,4 +1,4 @@
-"""What was not named, and why: not testable, ruled out but for a size, or a minor effect beside what was named."""
+"""The causes that were not named, and why: not testable, ruled out above a size, or only a minor effect."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_MINOR_EFFECTS = 3
 
 
 def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
-    """Channels that a cause needs and no recording has."""
+    """Return the channels that a cause needs and no recording has."""
     return [channel for channel in cause.needs if not any(record.has(channel) for record in records)]
 
 
@@ -42,7 +42,7 @@ def not_testable(selection: Selection, records: Sequence[Record]) -> list[NotTes
 
 
 def ruled_out(selection: Selection, excluded: set[str]) -> list[RuledOut]:
-    """Every cause that was not `said` otherwise, with the size that it has at most."""
+    """Return every cause outside `excluded`, with the largest size that it can have."""
     return [
         RuledOut(name=score.cause, why=bound_sentence(BY_NAME[score.cause], score))
         for score in (selection.rounds[-1].scores if selection.rounds else ())
@@ -51,7 +51,7 @@ def ruled_out(selection: Selection, excluded: set[str]) -> list[RuledOut]:
 
 
 def minor_effects_of(criterion: Criterion, selection: Selection) -> list[MinorEffect]:
-    """What the last round refused although chance does not explain its gain, best first."""
+    """Return the causes that the last round refused although chance does not explain their gain, best first."""
     last = selection.rounds[-1] if selection.rounds else None
     if last is None or last.selected:
         return []

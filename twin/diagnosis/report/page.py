@@ -1,7 +1,7 @@
 """The report of a diagnosis: one HTML page that needs nothing else.
 
-The sentence, before and after, where the simulation is wrong, which cause and why, what to do, what is left, and how
-to compute it again.
+The parts are: the sentence; before and after; where the simulation is wrong; which cause and why; what to do; what is
+left; how to compute it again.
 
 Rule 1: every number is that of diagnosis.json, or of `twin/diagnosis/residuals/summary.py`; nothing is estimated here.
 Rule 2: a page of a model that is adequate, or of a cause that nobody knows, says what was looked at all the same.
@@ -145,7 +145,7 @@ def _ahead_row(horizon: Ahead, unchanged: bool) -> list[str]:
 
 
 def _micro(value_m: float) -> str:
-    """In micrometres, never with an exponent."""
+    """Format a length in micrometres, never with an exponent."""
     micro = value_m * 1e6
     return f"{micro:.0f}" if micro >= 1e3 else f"{micro:.3g}"
 
@@ -175,7 +175,7 @@ def _stages(seconds: Mapping[str, float]) -> str:
 
 
 def _growth_s(diagnosis: Diagnosis) -> float:
-    """Time constant of the unstable pole of (6) in the middle of the travel, s: sqrt(gap / 2 g)."""
+    """Return the time constant of the unstable pole of (6) in the middle of the travel, s: sqrt(gap / 2 g)."""
     plant = diagnosis.baseline.plant
     return math.sqrt((plant.x_max_m - 0.5 * plant.travel_m) / (2.0 * plant.gravity_m_s2))
 

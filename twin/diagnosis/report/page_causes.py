@@ -16,7 +16,7 @@ from twin.settings import diagnosis as settings
 
 
 def causes(diagnosis: Diagnosis) -> dict[str, Any]:
-    """What page_causes.html shows."""
+    """Return the fields of page_causes.html."""
     account = diagnosis.account
     return {
         "lacked": LACKED,
@@ -45,7 +45,7 @@ def causes(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _card(finding: Finding, number: str) -> dict[str, Any]:
-    """What it is, and what to do about it."""
+    """Return the fields of one cause's card: its facts, and what to do about it."""
     cause = BY_NAME[finding.name]
     facts = [
         ("Equation", f"{cause.equation} (in the {cause.acts_on})"),

@@ -21,7 +21,7 @@ _STEP_FIGURES = ("rise_s", "settling_s", "overshoot")
 
 
 def errors(diagnosis: Diagnosis, summary: Summary) -> dict[str, Any]:
-    """What page_errors.html shows."""
+    """Return the fields of page_errors.html."""
     unchanged = diagnosis.before == diagnosis.after
     regimes = [entry for entry in summary.regimes if not diagnosis.quick or entry.name in _QUICK_REGIMES]
     group_pictures = [
@@ -76,7 +76,7 @@ def _step_rows(steps: Steps, unchanged: bool) -> list[list[str]]:
 
 
 def _pace(steps: Steps, unchanged: bool) -> str:
-    """Which of the two rises faster; empty where no interval tells."""
+    """Say whether rig or simulation rises faster; empty if the interval does not decide."""
     first, second = next((pair for pair in steps.figures if pair[0].name == "rise_s"), (None, None))
     if first is None or second is None or not first.count or first.ci95 is None:
         return ""
@@ -97,7 +97,7 @@ def _pace(steps: Steps, unchanged: bool) -> str:
 
 
 def differing_figures(steps: Steps) -> str:
-    """In which figures of a step the extended model surely differs from the rig; empty if in none."""
+    """Name the figures of a step in which extended model and rig differ significantly; empty if none."""
     rows = [second for _, second in steps.figures]
     return " and ".join(FIGURES[row.name][0] for row in rows if row.significant and row.name in _STEP_FIGURES)
 
@@ -118,7 +118,7 @@ def _single(curve: Curve) -> str:
 
 
 def _rest(diagnosis: Diagnosis) -> str:
-    """What is left, and of which quantity."""
+    """Say how much is left, and in which quantity."""
     if diagnosis.unexplained_where.startswith(ON_JUDGES):
         return (
             f"Nothing measurable of the recordings for fitting, but not all is explained {diagnosis.unexplained_where}."
@@ -131,7 +131,7 @@ def _rest(diagnosis: Diagnosis) -> str:
 
 
 def _largest(summary: Summary) -> list[str]:
-    """For each sorting quantity the group with the largest error, where it stands out."""
+    """Name for each sorting quantity the group with the largest error, if it stands out."""
     lines = []
     for regime in summary.regimes:
         largest = max(regime.bins, key=lambda bin_: bin_.extended.value)

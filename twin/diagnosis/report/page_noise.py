@@ -12,7 +12,7 @@ _MAX_NAMES = 3  # recordings by name
 
 
 def instruments(diagnosis: Diagnosis) -> tuple[list[list[str]], list[str]]:
-    """Rows of the instruments of each channel, none where each has one; sentences on heights."""
+    """Return the rows of the instruments of each channel, none where each has one; sentences on heights."""
     rows: list[list[str]] = []
     sentences: list[str] = []
     noise = diagnosis.fit_evidence.noise

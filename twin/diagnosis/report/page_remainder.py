@@ -1,4 +1,4 @@
-"""What is left as a curve: its sentence, and the page's pictures and table."""
+"""The curve through what is left: its sentence, and the page's pictures and table."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EXTENDED = {"causes": "the causes", "paper": "the paper's model"}
 
 
 def remainder_sentence(remainder: Remainder, parameters: Mapping[str, Mapping[str, Parameter]]) -> str:
-    """What is left, and what its model is worth.
+    """Say what is left, and what its model is worth.
 
     Args:
         remainder: of the diagnosis.
@@ -62,7 +62,7 @@ def answer_with(diagnosis: Diagnosis, sentence: str) -> str:
 
 
 def remainder(diagnosis: Diagnosis) -> dict[str, Any]:
-    """What page_errors.html shows of it."""
+    """Return the fields of page_errors.html about the curve."""
     left = diagnosis.remainder
     if left is None:
         return {"remainder": None}

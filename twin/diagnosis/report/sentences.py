@@ -43,7 +43,7 @@ def quantity(value: float, unit: str) -> str:
 
 
 def measured(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple[str, str]:
-    """(the number with its unit, its interval; empty where there is none), digits as the interval leaves them."""
+    """Return (the number with its unit, its interval, or ""), with the digits that the interval leaves."""
     if ci95 is None:
         return quantity(value, unit), ""
     factor, scaled_unit = _scale(value, unit)
@@ -132,7 +132,7 @@ def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
 
 
 def sizes(cause: str, parameters: Mapping[str, Parameter]) -> str:
-    """Every parameter by its symbol, with its interval."""
+    """List every parameter by its symbol, with its interval."""
     parts = []
     for entry in BY_NAME[cause].parameters:
         parameter = parameters[entry.name]
@@ -142,7 +142,7 @@ def sizes(cause: str, parameters: Mapping[str, Parameter]) -> str:
 
 
 def bound_sentence(cause: Cause, score: Score) -> str:
-    """How large a cause that was not taken can be at most."""
+    """Say how large a cause that was not selected can be at most."""
     strength = cause.strength
     if score.detectable <= 0.0:
         return "no effect on these recordings"
@@ -158,7 +158,7 @@ def bound_sentence(cause: Cause, score: Score) -> str:
 
 
 def round_sentence(step: Round) -> str:
-    """What one step forward came to."""
+    """Say what one round of the search decided."""
     best = step.best
     if best is None:
         return "nothing in the catalogue gains anything"
@@ -175,7 +175,7 @@ def round_sentence(step: Round) -> str:
 
 
 def answer_sentence(diagnosis: Diagnosis, *, blind: bool, off: str) -> str:
-    """`summary_sentence`, for recordings without x (`blind`) or beside a given model whose numbers are `off`."""
+    """Return `summary_sentence` for recordings without x (`blind`) or for a given model whose numbers are `off`."""
     if off and diagnosis.verdict == "model-adequate":
         return f"The form of the model is adequate, but {off}."
     sentence = summary_sentence(diagnosis)
@@ -259,7 +259,7 @@ def _causes_sentence(causes: Sequence[Finding], *, whole: bool) -> str:
 
 
 def _classes_sentence(causes: Sequence[Finding]) -> str:
-    """What these data cannot tell apart."""
+    """Say which causes these data cannot tell apart."""
     parts = []
     for finding in causes:
         if finding.indistinguishable_from:
@@ -286,7 +286,7 @@ def _gain_sentence(diagnosis: Diagnosis) -> str:
 
 
 def beyond_sentence(gain: Gain) -> str:
-    """How far the judge recordings are from the floor."""
+    """Say how far the error on the judge recordings is above the noise floor."""
     low, high = gain.ci95_floor
     ratio = gain.extended_rmse_m / gain.floor_m
     return (
@@ -296,13 +296,13 @@ def beyond_sentence(gain: Gain) -> str:
 
 
 def contradiction_sentence(contradiction: Contradiction) -> str:
-    """Which recording does not fit to the others, and by what."""
+    """Say which recording contradicts the others, and by how much."""
     size = f"{contradiction.parameter} {100 * contradiction.change:+.0f} %"
     return f"{contradiction.recording} contradicts the others: alone it asks for {size}"
 
 
 def outlier_sentence(outlier: Outlier) -> str:
-    """Which recording was left out, and why."""
+    """Say which recording was left out, and why."""
     changes = " and ".join(f"{name} {100.0 * change:+.0f} %" for name, change in outlier.moves)
     return (
         f"{outlier.name} contradicts the others and was left out: alone it is explained by {changes}, as by another "
@@ -311,13 +311,13 @@ def outlier_sentence(outlier: Outlier) -> str:
 
 
 def beginning_sentence(beginning: Beginning) -> str:
-    """Which cause is absent at first."""
+    """Say which cause is absent at first, and where it begins."""
     where = f"{beginning.recording} at about {beginning.t_s:.0f} s"
     return f"{beginning.cause} is not there from the start: it begins in {where}"
 
 
 def change_sentence(change: Change) -> str:
-    """Where something changed, and what."""
+    """Say what changed, and where."""
     names = " and ".join(change.selection.causes)
     if change.begins:
         return f"{names} begins in {change.after}: it is absent up to {change.before}"
@@ -330,12 +330,12 @@ def _ratio(ratio: float) -> str:
 
 
 def percent(share: float) -> str:
-    """No cause explains all: what is left below one in a hundred is not told from it."""
+    """Format a share in percent, bounded at 1 % and 99 %: no cause explains everything."""
     return "over 99 %" if share > 0.995 else "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
 
 
 def micrometres(value_m: float) -> str:
-    """To three digits, never with an exponent."""
+    """Format a length with three digits, never with an exponent."""
     micro = value_m * 1e6
     if micro >= 1e3:
         return f"{micro / 1e3:.3g} mm"
@@ -343,5 +343,5 @@ def micrometres(value_m: float) -> str:
 
 
 def capital(text: str) -> str:
-    """As a sentence begins; a symbol stays as it is."""
+    """Capitalise the first letter; a symbol stays as it is."""
     return text if text.startswith(("x ", "i_c ", "i x", "x_max")) else text[:1].upper() + text[1:]

@@ -73,9 +73,9 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Filtered:
-    """One model along a series."""
+    """The estimates of one model along a series."""
 
-    state: FloatArray  # shape (n, 7), NaN while the ball is not in flight
+    state: FloatArray  # shape (n, STATES), NaN while the ball is not in flight
     unforeseen_i_a: FloatArray  # innovation of i_c, one sample ahead, shape (n,)
     force_n: FloatArray  # residual, shape (n,)
     slope_m_s: FloatArray  # speed of the parabola, shape (n,); its noise is independent of the residual, unlike v's
@@ -143,7 +143,7 @@ def _fill_acceleration(
 ) -> None:
     """Fill `modelled`, shape (n,), with the model's mean acceleration around each sample, m/s^2; NaN at gaps.
 
-    The second difference of x at sample k is T dv + p_k+1 - p_k, where dv is the change of speed from k - 1 to k, and
+    The second difference of x at sample k is T dv + p_k+1 - p_k.  There dv is the change of speed from k - 1 to k, and
     p_k the change of x in that interval beyond T x'.
     """
     p = Base(*base)
@@ -183,11 +183,11 @@ class Windows:
     whole: NDArray[np.bool_]  # whether the window around each sample is in flight without gaps, shape (n,)
 
     def slope(self, positions_m: FloatArray) -> FloatArray:
-        """Speed in the middle of each window, m/s, shape (n,)."""
+        """Return the speed in the middle of each window, m/s, shape (n,)."""
         return self._aligned(np.convolve(positions_m, parabola(self.half, self.T_s)[0][::-1], "valid"))
 
     def left(self, positions_m: FloatArray, modelled: FloatArray) -> FloatArray:
-        """Measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
+        """Return the measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
         weights = parabola(self.half, self.T_s)[1]
         # The acceleration at each sample contributes to the parabola with the double sum of the weights.
         spread = np.cumsum(np.cumsum(weights))[:-2] * self.T_s * self.T_s
@@ -228,14 +228,14 @@ def windows(step: FloatArray, flags: NDArray[np.uint16], flies: NDArray[np.bool_
 
 
 def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:
-    """Weights of the readings for the first (1/s) and second (1/s^2) derivative of their parabola, (2 half + 1,)."""
+    """Return weights of the readings for both derivatives (1/s, 1/s^2) of their parabola, shape (2 half + 1,)."""
     k = np.arange(-half, half + 1, dtype=np.float64)
     rows = np.linalg.pinv(np.vander(k, 3, increasing=True))
     return np.asarray(rows[1] / T_s), np.asarray(2.0 * rows[2] / T_s**2)
 
 
 def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: Blocks) -> list[Curve]:
-    """Residual force of baseline and extended model as functions of x, x' and i_c."""
+    """Return the residual force of baseline and extended model as functions of x, x' and i_c."""
     s = evidence.series
     x, v, i = s.x, models[1].slope_m_s, s.i
     flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
@@ -254,7 +254,7 @@ def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: 
 
 
 def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s: float, blocks: Blocks) -> list[Curve]:
-    """Residual current of both models as functions of u_c and of its change."""
+    """Return the residual current of both models as functions of u_c and of its change."""
     s = evidence.series
     u = np.concatenate(([np.nan], s.u[:-1]))
     change = np.concatenate(([np.nan, np.nan], np.diff(s.u)[:-1]))

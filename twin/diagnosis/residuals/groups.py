@@ -80,7 +80,7 @@ def _named(name: str, title: str, labels: Labels, names: Sequence[str], errors_m
 
 
 def _direction(v: FloatArray) -> tuple[Labels, list[str]]:
-    """Labels sinking, slow, rising; the slower half of the samples is slow."""
+    """Return the labels sinking, slow, rising; the slower half of the samples is slow."""
     known = np.isfinite(v)
     slow = float(np.median(np.abs(v[known]))) if known.any() else 0.0
     labels = np.where(known, np.where(v < -slow, 0, np.where(v > slow, 2, 1)), -1).astype(np.int64)
@@ -88,7 +88,7 @@ def _direction(v: FloatArray) -> tuple[Labels, list[str]]:
 
 
 def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
-    """Labels by the time since the reference began to change from one level to another."""
+    """Return the labels by the time since the reference began to change from one level to another."""
     s = evidence.series
     since = np.full(len(s), np.nan)
     for number, record in enumerate(evidence.records):
@@ -108,7 +108,7 @@ def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
 
 
 def _campaign_time(evidence: Evidence) -> FloatArray:
-    """Time of each sample with the recordings one after the other in the campaign's order, s, shape (n,)."""
+    """Return the time of each sample with the recordings one after the other in the campaign's order, s, shape (n,)."""
     t, begins = np.full(len(evidence.series), np.nan), 0.0
     for number in range(len(evidence.records)):
         rows = np.flatnonzero(evidence.series.recording == number)

@@ -35,7 +35,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bin:
-    """One group of samples and the root mean square errors in it, m."""
+    """A group of samples and the root mean square errors in it, m."""
 
     label: str
     at: float  # mean of the grouping quantity, SI
@@ -65,12 +65,12 @@ class Blocks:
 
     @property
     def count(self) -> int:
-        """Number of blocks."""
+        """Return the number of blocks."""
         return int(self.drawn.shape[1])
 
 
 def blocks_of(recording: NDArray[np.int32], tick_s: float, seed: int) -> Blocks:
-    """Blocks of half a second, each within one recording.
+    """Return the blocks of half a second, each within one recording.
 
     Args:
         recording: index of the recording of each sample, shape (n,).
@@ -92,7 +92,7 @@ def blocks_of(recording: NDArray[np.int32], tick_s: float, seed: int) -> Blocks:
 def means(
     values: FloatArray, labels: Labels, groups: int, blocks: Blocks
 ) -> tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
-    """Means by group and their bootstrap.
+    """Return the means by group and their bootstrap.
 
     Args:
         values: shape (n,), finite unless the label is -1.
@@ -123,12 +123,12 @@ def estimate(value: float, drawn: FloatArray) -> Estimate:
 
 
 def solid(samples: NDArray[np.int64], blocks: NDArray[np.int64]) -> BoolArray:
-    """Which groups have enough samples and blocks, shape (groups,)."""
+    """Return which groups have enough samples and blocks, shape (groups,)."""
     return np.asarray((samples >= MIN_SAMPLES) & (blocks >= MIN_BLOCKS))
 
 
 def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: FloatArray, blocks: Blocks) -> list[Bin]:
-    """Root mean square of both models' errors in each group.
+    """Return the root mean square of both models' errors in each group.
 
     Args:
         errors_m: baseline and extended, shape (2, n).
@@ -172,7 +172,7 @@ def bin_labels(values: FloatArray, edges: FloatArray) -> Labels:
 
 
 def even_edges(values: FloatArray, groups: int) -> FloatArray:
-    """Edges of groups of equal width between the 0.5 % and 99.5 % quantiles; empty without a spread."""
+    """Return the edges of groups of equal width between the 0.5 % and 99.5 % quantiles; empty without a spread."""
     known = values[np.isfinite(values)]
     if len(known) < MIN_SAMPLES:
         return np.empty(0)
@@ -181,7 +181,7 @@ def even_edges(values: FloatArray, groups: int) -> FloatArray:
 
 
 def quantile_edges(values: FloatArray, shares: Sequence[float]) -> FloatArray:
-    """Edges of groups at these quantiles, for quantities that are mostly near 0; empty with too few samples."""
+    """Return the edges of groups at these quantiles, for quantities mostly near 0; empty with too few samples."""
     known = values[np.isfinite(values)]
     if len(known) < MIN_SAMPLES:
         return np.empty(0)

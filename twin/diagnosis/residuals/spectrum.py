@@ -15,7 +15,7 @@ MIN_SEGMENTS = 4  # segments
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spectrum:
-    """One-sided amplitude spectral densities, m/sqrt(Hz), shape (n,)."""
+    """The one-sided amplitude spectral densities, m/sqrt(Hz), shape (n,)."""
 
     frequency_hz: FloatArray
     baseline: FloatArray
@@ -26,7 +26,7 @@ class Spectrum:
 
 
 def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | None:
-    """Welch's estimate (1967): mean over unbroken segments of a second, Hann window, 50 % overlap.
+    """Estimate by Welch (1967): mean over unbroken segments of a second, Hann window, 50 % overlap.
 
     Args:
         errors_m: one sample ahead, baseline and extended, shape (2, n), NaN without a prediction.

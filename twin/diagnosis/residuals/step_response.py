@@ -1,7 +1,7 @@
 """Step responses of the rig and of both simulations.
 
-Each judge recording in closed loop is simulated under the board's law, from its first state, with its reference and
-with the sensor noise of the ball at rest.  The figures are those of `board51 validate`.
+Each judge recording in closed loop is simulated under the board's law from its first state.  Its reference is the
+recorded one, its sensor noise that of the ball at rest.  The figures are those of `board51 validate`.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """All numbers of the report's figures."""
+    """The numbers of the report's figures."""
 
     from_judges: bool  # whether errors are of judge recordings
     ahead: tuple[Ahead, ...]
@@ -76,7 +76,7 @@ class Summary:
     floor_m: float  # at HORIZON_S
 
     def worse(self) -> list[str]:
-        """Horizons and groups in which the extended model is significantly worse."""
+        """Return the horizons and groups in which the extended model is significantly worse."""
         horizons = [f"{entry.horizon_s * 1e3:.3g} ms ahead" for entry in self.ahead if entry.worse]
         return horizons + [
             f"{regime.title}: {entry.label}" for regime in self.regimes for entry in regime.bins if entry.worse
@@ -219,7 +219,7 @@ def _piece(errors_m: FloatArray, evidence: Evidence, tick_s: float) -> Piece | N
 def _residuals(
     diagnosis: Diagnosis, evidence: Evidence, models: tuple[Filtered, Filtered], plant: Plant, seed: int
 ) -> dict[str, Any]:
-    """Residual curves of the recordings for fitting."""
+    """Return the residual curves of the recordings for fitting."""
     force: tuple[Curve, ...] = ()
     current: tuple[Curve, ...] = ()
     fit = diagnosis.fit_evidence

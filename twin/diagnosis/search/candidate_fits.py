@@ -140,17 +140,17 @@ def deserves_full_fit(trial: Trial, best: Trial) -> bool:
 
 
 def _expected(trial: Trial) -> float:
-    """Gain expected at the maximum if the likelihood is a parabola."""
+    """Return the gain expected at the maximum if the likelihood is a parabola."""
     return trial.gain if trial.fit.converged else trial.gain + trial.fit.ahead
 
 
 def _promise(trial: Trial) -> float:
-    """Upper bound of the gain that a trial may still reach."""
+    """Return the upper bound of the gain that a trial may still reach."""
     return trial.gain if trial.fit.converged else trial.gain + steepness(trial.cause) * trial.fit.ahead
 
 
 def steepness(cause: str) -> float:
-    """Factor by which the likelihood may rise above the parabola of its slope."""
+    """Return the factor by which the likelihood may rise above the parabola of its slope."""
     return settings.STEEPNESS_DELAY if BY_NAME[cause].family == "timing" else settings.STEEPNESS
 
 

@@ -96,7 +96,7 @@ def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounde
 
 
 def robust_gain(records: Sequence[Record]) -> float | None:
-    """K_A as the median of i_c / u_c where u_c has stood still, A/V."""
+    """Return K_A as the median of i_c / u_c where u_c has stood still, A/V."""
     ratios = []
     for record in records:
         if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * _STEADY:

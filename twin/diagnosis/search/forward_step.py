@@ -147,7 +147,7 @@ def decide(
 
 
 def _share(criterion: Criterion, base: Fit, current: Fit, floor: Floor, best: Trial) -> float:
-    """Share of what is missing that the best explains, in the part of the data in which it gains most.
+    """Return the share of what is missing that the best explains, in the part of the data in which it gains most.
 
     A lack in the other parts is not evidence against it.  If this part lacks hardly more than noise, the share is 1,
     unless the effect is minor compared with those selected before.
@@ -169,7 +169,7 @@ def _improves_prediction(criterion: Criterion, current: Fit, best: Trial, min_re
 
 
 def _required_reduction(min_share: float) -> float:
-    """Prediction benefit that replaces the required share; 1 (never) where more than MIN_SHARE is required."""
+    """Return the prediction benefit that replaces the required share; 1 (never) if more than MIN_SHARE is required."""
     return settings.MIN_BENEFIT if min_share <= settings.MIN_SHARE else 1.0
 
 

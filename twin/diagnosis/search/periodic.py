@@ -118,7 +118,7 @@ def _with_phases(criterion: Criterion, fit: Fit, phases_s: tuple[float, ...], pa
 
 
 def _newton_phases(criterion: Criterion, theta: Theta) -> tuple[float, ...]:
-    """Phases a Newton step nearer to the best of each recording, s."""
+    """Return the phases a Newton step nearer to the best of each recording, s."""
     series = criterion.evidence.series
     phases_s = list(theta.phases_s or (0.0,) * len(criterion.evidence.records))
     step = _STEP / (2.0 * math.pi * theta.value(FREQUENCY))

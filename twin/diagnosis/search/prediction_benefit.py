@@ -16,7 +16,7 @@ from twin.settings import diagnosis as settings
 
 
 def error_reduction(criterion: Criterion, before: Theta, after: Theta) -> float:
-    """Share of the mean square error of x 20 ms ahead that `after` removes; 0 where nothing can be predicted."""
+    """Return the share of the squared error of x 20 ms ahead that `after` removes; 0 without a prediction."""
     if has_phase(before.vector()) or has_phase(after.vector()):
         return 0.0  # the phase was fitted to these very recordings
     first, second = (_square_errors(criterion, theta) for theta in (before, after))

@@ -17,7 +17,7 @@ _ENOUGH = 20
 
 
 def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
-    """Values of the cause's strength at which its signature is computed."""
+    """Return the values of the cause's strength at which its signature is computed."""
     usual, measured = cause.strength.probes, cause.measured_probes
     if measured is not None:
         size = _SIZES[measured.of](series)

@@ -6,8 +6,8 @@ Two such things are known to happen, and each has one unknown between 0 and 1:
     the ball hit a stop          with which restitution: the model has none
 
 Rule 1: each case is simulated, and mean and covariance over the cases replace the prediction.  A linear share of the
-        input, as for a lost sample, would be wrong here: most cut currents have decayed at the next tick and say
-        nothing about the instant, while the speed of the ball still depends on it.
+        input, as for a lost sample, would be wrong here.  Most cut currents have decayed at the next tick and say
+        nothing about the instant, but the speed of the ball still depends on it.
 Rule 2: the first and the last case are the ends of the interval.  So a coil that was switched off at a tick (change of
         mode, fault, lost host) is one of the cases.
 """
@@ -59,7 +59,7 @@ def spread_over_cases(f: Memory, inputs: Floats, n: int, T_s: float, cut: int) -
 
 @kernel
 def _run(f: Memory, y: Floats, inputs: Floats, n: int, T_s: float, cut: int, cut_s: float, restitution: float) -> None:
-    """One case: `cut_s` after its sample the input `cut` became 0; y in place, the inputs delayed as in `propagate`."""
+    """Run one case in place of y: the input `cut` became 0 `cut_s` after its sample; delays as in `propagate`."""
     delay = delay_s(f.c[:])
     whole = int(delay / T_s)
     part = delay - whole * T_s

@@ -215,7 +215,7 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
 
 @kernel
 def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool) -> None:
-    """Innovation of the position sensor with the ball at rest at `stop_m`; other arguments as in `take_readings`."""
+    """Compute the position sensor's innovation for a ball at rest at `stop_m`; arguments as in `take_readings`."""
     out[1], out[4] = x - position_reading(Base(*base_of(f)), f.c[:], stop_m, f.y[I_C]), f.r_x
     if use_i:
         out[3] = 0.0
@@ -258,7 +258,7 @@ def position_slopes(f: Memory, y: Floats, h: Floats) -> float:
 
 @inlined
 def variance(f: Memory, h: Floats, r: float) -> float:
-    """Variance of the innovation of a reading with derivatives h and noise variance r: r + h' P h."""
+    """Return the variance of the innovation of a reading with derivatives h and noise variance r: r + h' P h."""
     total = r
     for a in range(f.m):
         for b in range(f.m):

@@ -13,7 +13,7 @@ Rule 3: the first readings of a flight, which determine its initial state, corre
         predicted.
 Rule 4: warmth at the start of a recording is unknown and is estimated.
 Rule 5: the two readings of i_c after a lost sample correct the state and are not counted as predicted, whatever delay
-        the model has: the first of them determined the lost u_c (`../propagate.py`).
+        the model has.  The first of them determined the lost u_c (`../propagate.py`).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def filtered(
     Args:
         system: the model and its noise.
         samples: of the series.
-        known: steps of a nearby model to reuse: its Jacobians, and with its states the steps themselves, for a model
+        known: steps of a nearby model to reuse: its Jacobians; with its states also the steps themselves, for a model
             that differs only in its noise.
         state: whether to return the states.
         spread: whether to return their covariance.
@@ -87,7 +87,7 @@ def filtered(
 
 
 def fill(system: System, samples: Samples, known: Steps, results: Results) -> None:
-    """`filtered` into existing arrays; arguments as there."""
+    """Run `filtered` into existing arrays; arguments as there."""
     _run(memory_for(system), samples, known, results)
 
 

@@ -1,7 +1,7 @@
 """The filter's constants and memory, as one record that its kernels share.
 
-Compiled code passes a record by address.  A tuple of as many arrays updates all their reference counts at each call,
-which took ten times as long as a step with known Jacobian.  Matrices have room for all states; the first m are used.
+Compiled code passes a record by address.  A tuple of as many arrays updates all their reference counts at each call.
+That took ten times as long as a step with known Jacobian.  Matrices have room for all states; the first m are used.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def memory_for(system: System) -> Memory:
 
 
 def _split(sigma: float, white: float, tau_s: float) -> tuple[float, float, float]:
-    """(variance of the white noise, of the coloured noise, its correlation time in s)."""
+    """Return (variance of the white noise, of the coloured noise, its correlation time in s)."""
     if tau_s > 0.0:
         return white * sigma * sigma, (1.0 - white) * sigma * sigma, tau_s
     return sigma * sigma, 0.0, 0.0

@@ -59,7 +59,7 @@ def remembered(tau_s: float, T_s: float) -> float:
 
 @inlined
 def fade(f: Memory, y: Floats, T_s: float) -> None:
-    """Coloured noise of the state y in place, T_s later."""
+    """Advance the coloured noise of the state y in place by T_s."""
     if f.i_colour >= 0:
         y[I_COLOUR] *= remembered(f.tau_i, T_s)
     if f.x_colour >= 0:
@@ -128,7 +128,7 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
 
 @inlined
 def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
-    """P = F P F' in the first m rows and columns; G is a working array."""
+    """Set P = F P F' in the first m rows and columns; G is a working array."""
     for row in range(m):
         for column in range(m):
             total = 0.0

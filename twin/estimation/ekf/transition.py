@@ -1,4 +1,4 @@
-"""One sampling interval of (1) and (6) away from the stops, with the amplifier solved exactly for any T_A.
+"""The transition of (1) and (6) over one sampling interval away from the stops, the amplifier exact for any T_A.
 
     i(t) = e + (i - e) exp(-t / T_A),  e = K_A u_c
     x''  = k i(t)^2 c(t) - d x' - g,   c = 1 / (x_max - x)^2,  k = K_c / m, d = b / m
@@ -6,7 +6,7 @@
 i^2 is a sum of exponentials and c(t) changes little within an interval.  So c is replaced by the parabola through
 start, middle and end, and the products are integrated in closed form with moments of i^2.  After three Picard sweeps
 the errors at 2 ms are 2e-10 m and 1e-6 m/s (tests/twin/estimation/test_transition.py).  Runge-Kutta needs substeps of
-T_A / 2 for that: five times the time at T_A = 0.3 ms, and far more at T_A = 20 us.
+T_A / 2 for that.  It takes five times as long at T_A = 0.3 ms, and far longer at T_A = 20 us.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def moments(T_s: float, T_A: float, out: NDArray[np.float64]) -> None:
 def transit(
     p: Base, m: NDArray[np.float64], T_s: float, i: float, x: float, v: float, u: float
 ) -> tuple[float, float, float]:
-    """(i_c, x, x') after T_s s with u_c = u held: A, m, m/s; `m` from `moments(T_s, p.T_A)`."""
+    """Return (i_c, x, x') after T_s s with u_c = u held: A, m, m/s; `m` from `moments(T_s, p.T_A)`."""
     k, d, gap_min_m = p.K_c / p.mass_kg, p.b / p.mass_kg, GAP_MIN_SHARE * p.travel_m
     e = p.K_A * u
     w = i - e

@@ -1,10 +1,10 @@
 """Check of the control law: whether it reproduces the recorded u_c from the recorded samples.
 
-Rule 1: signals are compared within windows of 1 s, without their means: the integral before the recording is unknown,
+Rule 1: signals are compared within windows of 1 s, without their means.  The integral before the recording is unknown,
         and an outlier or a limit shifts it permanently.
 Rule 2: errors are measured by quantiles, so that single outliers have no influence.
-Rule 3: a law is contradicted if other gains on the same samples explain u_c several times better, or if it leaves most
-        of u_c unexplained.  Noise and rounding are no contradiction.
+Rule 3: a law is contradicted if other gains on the same samples explain u_c several times better.  It is also
+        contradicted if it leaves most of u_c unexplained.  Noise and rounding are not a contradiction.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Channels without information: constant channels, and a position that does not respond to the force.
 
-Rule: such a channel is removed from its recording and reported.  Otherwise it would be fitted: an x of sensor noise
+Rule: such a channel is removed from its recording and reported.  Otherwise it would be fitted.  An x of sensor noise
       with a varying current gives a K_c that is 5 % wrong with an interval of 1 %.
 """
 
@@ -22,7 +22,7 @@ _ABSENT = float("nan")
 
 
 def without_dead(records: list[Record], plant: Plant) -> tuple[list[Record], list[str]]:
-    """(the recordings without such channels, a sentence on each that was removed)."""
+    """Return (the recordings without such channels, a sentence on each that was removed)."""
     retained: list[Record] = []
     messages: list[str] = []
     for record in records:
@@ -35,7 +35,7 @@ def without_dead(records: list[Record], plant: Plant) -> tuple[list[Record], lis
 
 
 def at_rest(record: Record) -> bool:
-    """Whether the input is absent or constant, so that the recording shows noise only."""
+    """Return whether the input is absent or constant, so that the recording shows noise only."""
     return record.kind == "free" and (not record.has("u_c") or _constant(record.u_c))
 
 

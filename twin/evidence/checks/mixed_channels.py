@@ -85,7 +85,7 @@ def _reference(record: Record) -> None:
 
 
 def _lag(u: FloatArray, i: FloatArray, max_lag: int = 3) -> tuple[int, float]:
-    """(lag of i behind u in samples, correlation of their changes at that lag)."""
+    """Return (lag of i behind u in samples, correlation of their changes at that lag)."""
     du, di = np.diff(u), np.diff(i)
     good = np.isfinite(du) & np.isfinite(di)
     du, di = np.where(good, du, 0.0), np.where(good, di, 0.0)

@@ -150,7 +150,7 @@ def _position(record: Record, plant: Plant) -> None:
 
 
 def _reference(record: Record, plant: Plant) -> list[str]:
-    """Warnings about x_ref, which is not fitted: a wrong one affects the closed loop only."""
+    """Return the warnings about x_ref, which is not fitted: a wrong one affects the closed loop only."""
     if record.kind != "closed-loop" or not record.has("x", "x_ref"):
         return []
     travel = plant.travel_m

@@ -20,7 +20,7 @@ from twin.settings import identification as settings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """One steady level."""
+    """A steady level."""
 
     u_v: float
     i_a: float
@@ -122,7 +122,7 @@ def find_levels(records: list[Record]) -> Levels | None:
 
 
 def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float, float, float]:
-    """(residual of the level furthest from the line, its u_c, standard error of the slope due to the bend).
+    """Return (residual of the level furthest from the line, its u_c, standard error of the slope due to the bend).
 
     All are 0 if the levels lie on a line within their errors.  A limit, a dead zone or a coil that heats bends the
     line.  Levels of the same u_c then have the same error, so their number does not reduce the error of the slope.
@@ -195,7 +195,7 @@ def _level(u: float, i: FloatArray) -> Level | None:
 
 
 def find_shape(records: list[Record]) -> Shape | None:
-    """First-order fit to all steps, of captures if there are any; None without a usable step."""
+    """Return the first-order fit to all steps, of captures if there are any; None without a usable step."""
     steps = [step for record in records for step in _captured_steps(record)]
     if not steps:
         steps = [step for record in records if record.kind == "amplifier-step" for step in _recorded_steps(record)]
@@ -288,7 +288,7 @@ def _resolution(i: FloatArray) -> float:
 
 
 def _first_order(step: _Step, T_A: float) -> tuple[float, FloatArray]:
-    """(sum of squares, residual) of i = c + a exp(-t/T_A) with both free."""
+    """Return (sum of squares, residual) of i = c + a exp(-t/T_A) with both free."""
     decay = np.exp(-np.arange(len(step.i)) * step.sample_time_s / T_A)
     columns = np.column_stack((np.ones(len(step.i)), decay))
     solution, *_ = np.linalg.lstsq(columns, step.i, rcond=None)

@@ -3,9 +3,11 @@
 At rest m g = K_c i^2 / (x_max - x)^2 (8), for any x.
 
 Rule: the first sample at which x has visibly moved is later than the lift-off t_0, and its current is higher.  After
-      t_0 the linearised (6) under a rising current gives x - x_0 = c / w^3 (sinh w tau - w tau), tau = t - t_0, with
-      w^2 = 2 g / gap and c = 2 g (di/dt) / i.  t_0 is fitted to the first part of the flight, and i_c(t_0) is taken
-      from a straight line through the samples before it.
+      t_0 the linearised (6) gives under a rising current
+
+          x - x_0 = c / w^3 (sinh w tau - w tau),   tau = t - t_0,   w^2 = 2 g / gap,   c = 2 g (di/dt) / i
+
+      t_0 is fitted to the first part of the flight.  i_c(t_0) comes from a straight line through the samples before it.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from twin.settings import identification as settings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiftOff:
-    """One lift-off, or one row of an equilibria file."""
+    """A lift-off, or a row of an equilibria file."""
 
     recording: str
     t_s: float
@@ -45,12 +47,12 @@ class ForceConstant:
 
 
 def lift_offs(records: list[Record], plant: Plant) -> list[LiftOff]:
-    """All lift-offs in the sawtooth recordings."""
+    """Find all lift-offs in the sawtooth recordings; each gives K_c by (8)."""
     return [point for record in records if record.kind == "sawtooth" for point in _departures(record, plant)]
 
 
 def equilibria(records: list[Record], plant: Plant) -> list[LiftOff]:
-    """All rows of the equilibria recordings."""
+    """Return all rows of the equilibria recordings; each gives K_c by (6) at rest."""
     points = []
     for record in records:
         if record.kind != "equilibria":
@@ -72,7 +74,7 @@ def equilibria(records: list[Record], plant: Plant) -> list[LiftOff]:
 
 
 def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
-    """K_c as the median over all points, with a standard error from their scatter and own errors; None without any."""
+    """Return K_c as the median of all points, with a standard error from their scatter and errors; None without any."""
     if not points:
         return None
     values = np.array([point.K_c for point in points])

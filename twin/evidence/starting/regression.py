@@ -3,8 +3,8 @@
 The amplifier (1) is stable and independent of the ball.  For each T_A of a grid its response to the recorded u_c is
 simulated and K_A is found by linear regression; the pair with the smallest residual is used.
 
-The ball (6) is unstable, but linear in k = K_c/m and d = b/m once it is multiplied by a smooth window phi that vanishes
-with its slope at both ends and integrated by parts (modulating functions, Shinbrot 1957):
+The ball (6) is unstable.  It becomes linear in k = K_c/m and d = b/m by modulating functions (Shinbrot, 1957).  It is
+multiplied by a smooth window phi that vanishes with its slope at both ends, and integrated by parts:
 
     integral of phi'' x + g phi  =  k integral of phi i^2/(x_max - x)^2  +  d integral of phi' x
 
@@ -92,7 +92,7 @@ def amplifier_start(records: list[Record]) -> AmplifierStart | None:
 
 
 def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) -> tuple[float, float]:
-    """(K_A, sum of squares) of the regression of i_c on the filtered u_c and the decay of the first current."""
+    """Return (K_A, sum of squares) of the regression of i_c on the filtered u_c and the decay of the first current."""
     cross = power = 0.0
     prepared = []
     for step, u, i in pieces:
@@ -112,7 +112,7 @@ def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) ->
 def ball_start(
     records: list[Record], plant: Plant, amplifier: AmplifierStart | None, *, downwards: bool = False
 ) -> BallStart | None:
-    """Regression over all windows of all flights; None if no flight is as long as a window.
+    """Return the regression over all windows of all flights; None if no flight is as long as a window.
 
     Args:
         records: with i_c and x.
@@ -187,7 +187,7 @@ def _regress(table: FloatArray) -> BallStart:
 
 
 def _mean_square(i: FloatArray, u: FloatArray, step: float, amplifier: AmplifierStart | None) -> FloatArray:
-    """Mean of i^2 over the interval that begins at each sample."""
+    """Return the mean of i^2 over the interval that begins at each sample."""
     if amplifier is None or not np.isfinite(u).all():
         after = np.append(i[1:], i[-1])
         return np.asarray((i * i + i * after + after * after) / 3.0)

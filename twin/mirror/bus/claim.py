@@ -1,4 +1,4 @@
-"""One twin for a board: a liveliness token says which process it is, and a second process refuses.
+"""The claim of a board by one twin: a liveliness token names the process, and a second process refuses.
 
 Two twins of one board would publish under the same keys, and no subscriber could tell their messages apart.
 

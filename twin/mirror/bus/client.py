@@ -20,7 +20,7 @@ REPLY_WAIT_S = 60.0  # a twin that has just started may be compiling: some 10 s,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Of one board's twin; `board` is "*" for a twin that has heard of no board yet, or that refused for all."""
+    """The reply of one board's twin; `board` is "*" if the twin knows no board yet, or refused for all."""
 
     board: str
     reply: pb.CommandReply

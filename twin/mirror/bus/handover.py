@@ -1,7 +1,7 @@
 """Handing a model over to a running twin: the command and its reply.  Pure.
 
-Rule 1: nothing that comes over the bus raises: bytes that are no command, text that is no model, a model that is not
-        physical are refusals with a stable reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
+Rule 1: nothing that comes over the bus raises.  A bad command, text that is not a model, and a model that is not
+        physical are refused with a stable reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
         empty-command, bad-model, not-runnable, unknown-board, id-reused, queue-full.
 Rule 2: an id is executed at most once on a key; the same command again gets the replies it got.  The same id with
         another model is refused: "accepted" would be a lie.
@@ -38,11 +38,11 @@ class Belief:
 
     @property
     def title(self) -> str:
-        """For people: name and first digits of the hash."""
+        """Return a title for a person: name and first digits of the hash."""
         return f"{self.model.plant.name} ({self.sha256[:SHORT]})"
 
     def message(self, *, session: int, since_tick: int) -> pb.TwinModel:
-        """As it is published."""
+        """Return the message that publishes this model."""
         return pb.TwinModel(
             session=session,
             since_tick=since_tick,
@@ -126,7 +126,7 @@ class Answered:
         self._retained: OrderedDict[tuple[str, str], _Retained] = OrderedDict()
 
     def again(self, key: str, command: pb.TwinCommand) -> list[tuple[str, pb.CommandReply]] | None:
-        """(key, reply) of a command that was answered before; None for a new one."""
+        """Return (key, reply) of a command that was answered before; None for a new one."""
         retained = self._retained.get((key, command.id))
         if retained is None:
             return None
@@ -143,7 +143,7 @@ class Answered:
 
 
 def _content(command: pb.TwinCommand) -> bytes:
-    """What the command does, not who asks for it; a hash, because the text may be long."""
+    """Hash what the command does without who asks for it; a hash, because the text may be long."""
     bare = pb.TwinCommand()
     bare.CopyFrom(command)
     bare.who = ""

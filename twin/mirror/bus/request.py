@@ -2,8 +2,8 @@
 
 An episode begins with the first alarm on divergence or innovation and lasts while any of them is active.
 
-Rule 1: time is the board's, and only that in which samples judged one of the alarms counts: a rig that idles, or a twin
-        out of step, proves nothing, however long.
+Rule 1: time is the board's, and it counts only while samples judge one of the alarms.  A rig that idles, or a twin out
+        of step, proves nothing, however long.
 Rule 2: raised once per episode; cleared when the last alarm is, or when another model ends them all.
 Rule 3: it asks for work and decides nothing: no alarm waits for it.
 """
@@ -21,7 +21,7 @@ NAME = "diagnosis-wanted"
 
 
 class DiagnosisRequest:
-    """Of one board.
+    """The request for a diagnosis of one board.
 
     Args:
         after_s: how long an alarm must last, s; 0: never ask.

@@ -1,19 +1,19 @@
 """Mirrors on the bus: subscribe state and parameters, one mirror per board, publish what it says; take other models.
 
-Rule 1: the zenoh callbacks only queue; one worker thread computes and publishes.  The queue is bounded: what does not
-        fit is dropped and counted, and the mirror sees the gap by the ticks, as it sees any other.
-Rule 2: this is the only place of the twin with a clock, and it is used for two things: to notice that a board is
-        silent, and to repeat which model runs and which alarms are active.
+Rule 1: the zenoh callbacks only queue; one worker thread computes and publishes.  The queue is bounded: messages that
+        do not fit are dropped and counted.  The mirror sees the gap by the ticks, as it sees any other.
+Rule 2: no other file of the twin has a clock.  It serves two purposes: to notice that a board is silent, and to repeat
+        which model runs and which alarms are active.
 Rule 3: publishing blocks rather than drops (a divergence that vanishes unseen is worse than a late one); behind the
         queue that costs nobody else anything.
-Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which takes its place in the same queue: it
-        falls between two samples, and every sample is answered by one model.  A model that is refused changes nothing.
-        A command for `<site>/*` means every board, those to come too.
-Rule 5: a status that says that samples come, and no samples, means that the bus does not bring them here (seen once in
-        13 starts with a router of its own, until that was restarted; the cause is not known).  Then the twin hears
-        through a new session.
-Rule 6: a board has one twin.  Before the first message is taken, another twin of the same board is looked for
-        (`claim.py`); this one then ends with a ServiceError in `failure`.
+Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which waits in the same queue.  It takes
+        effect between two samples, and every sample is answered by one model.  A model that is refused changes nothing.
+        A command for `<site>/*` means every board, also those that appear later.
+Rule 5: if the status says that samples come, and none do, the bus does not deliver them to this process.  This was seen
+        once in 13 starts with a separate router, until that was restarted; the cause is not known.  The twin then opens
+        a new session.
+Rule 6: a board has one twin.  Before it handles the first message, the twin looks for another one of the same board
+        (`claim.py`); if there is one, it ends with a ServiceError in `failure`.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class TwinService:
         self._session.declare_queryable(served, self._answer)
 
     def stop(self) -> None:
-        """Answer what is queued for at most a second, then close.  Idempotent."""
+        """Answer the queue for at most a second, then close.  Idempotent."""
         self._stopping.set()
         if self._worker is not None:
             self._worker.join(timeout=2.0)
@@ -134,7 +134,7 @@ class TwinService:
 
     @property
     def running(self) -> bool:
-        """False once the worker has ended, by `stop` or by a failure (then in `failure`)."""
+        """Return whether the worker runs; it ends by `stop` or by a failure (then in `failure`)."""
         return self._worker is not None and self._worker.is_alive()
 
     def _open(self) -> zenoh.Session:
@@ -261,12 +261,12 @@ class TwinService:
         return watched
 
     def _reach(self) -> str:
-        """What somebody must give to reach this bus, who reads advice elsewhere: on a page, in a log."""
+        """Return the options with which a command reaches this bus, for advice that is read on a page or in a log."""
         at = "" if self._endpoints == (DEFAULT_ENDPOINT,) else "".join(f" --connect {e}" for e in self._endpoints)
         return at + (" --identity FOLDER" if self._identity is not None else "")
 
     def _command(self, query: zenoh.Query) -> list[tuple[str, pb.CommandReply]]:
-        """(key, reply) for each board that the query means; for none, one under the key that was asked."""
+        """Return (key, reply) for each board that the query means; for none, one under the key that was asked."""
         key_expr = str(query.key_expr)
         plain, _, sender = key_expr.partition(f"/{topics.AS}/")
         suffix = key_expr.removeprefix(plain)

@@ -1,4 +1,4 @@
-"""One board on the bus with its twin: publishes what the mirror says, which model it runs on, which alarms are active.
+"""A board on the bus with its twin: publishes the mirror's output, its model and the active alarms.
 
 Rule: used by the service's worker thread alone.
 """

@@ -5,10 +5,10 @@ without overlap, so a rate per day is a probability per decision, whatever the c
 
     probability = false alarms per day * window / 86400 s
 
-Rule 1: a window that is not complete decides nothing in the model's favour; a mean of squares can only be proven too
-        large early, and then it is: as soon as the squares so far alone exceed the threshold, the alarm is raised.  The
-        decision is the one the full window would have given, so the stated rate holds.
-Rule 2: cleared by one complete window below the lower threshold, which 19 of 20 windows of a right model are.
+Rule 1: an incomplete window decides nothing in the model's favour, but it can decide against it.  The alarm is raised
+        as soon as the squares so far alone exceed the threshold.  The full window would have decided the same, so the
+        stated rate holds.
+Rule 2: one complete window below the lower threshold clears the alarm; 19 of 20 windows of a right model are below it.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ DAY_S = 86400.0
 
 
 def probability_per_window(false_alarms_per_day: float, window_s: float) -> float:
-    """Of a false alarm at one decision; at most 0.1, the range of the tail formulas."""
+    """Return the probability of a false alarm at one decision; at most 0.1, the range of the tail formulas."""
     return min(false_alarms_per_day * window_s / DAY_S, 0.1)
 
 
 def white_threshold(window: int, degrees: int, probability: float) -> float:
-    """What the mean of `window` independent chi-squares of `degrees` degrees each exceeds with `probability`.
+    """Return the value that the mean of `window` chi-squares of `degrees` degrees exceeds with `probability`.
 
     Innovations of a right model are white, so their NIS (2 degrees) are independent and the sum is chi-square too.
     """
@@ -91,7 +91,7 @@ def decide(row: NDArray[np.float64], window: int, square: float, on: float, off:
 
 
 def message(name: str, row: NDArray[np.float64], change: int, *, why_ended: str = "") -> pb.Alarm:
-    """What is said about a change."""
+    """Return the alarm message for a change."""
     if change == ENDED:
         why = why_ended or "twin and rig are not compared any longer"
         return pb.Alarm(name=name, active=False, text=f"ended: {why}")

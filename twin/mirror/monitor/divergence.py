@@ -1,8 +1,8 @@
 """Measured against twin: error, normalised error, rolling RMSE and fit per signal, innovations, and what they alarm.
 
 Rule 1: windows hold samples of one uninterrupted time in step; whatever interrupts it empties them.
-Rule 2: sums are kept incrementally and recomputed from the stored values once per window, so rounding never accumulates
-        over more than one window: after a week the figures are those of a fresh start.
+Rule 2: sums are kept incrementally and recomputed from the stored values once per window.  So rounding never
+        accumulates over more than one window: after a week the figures are those of a fresh start.
 Rule 3: a figure that does not exist is NaN, never 0.
 Rule 4: an alarm lives on evidence.  One that no sample has judged for so long (the innovation: a window; the errors,
         which a settling twin does not judge: a window and the longest settling) ends without a decision.
@@ -31,7 +31,7 @@ ALARMS = ("innovation", "divergence-x", "divergence-i_c")
 
 
 class Windows(NamedTuple):
-    """What `Comparison` holds, as the kernels take it."""
+    """The arrays of `Comparison`, as the kernels take them."""
 
     ring: NDArray[np.float64]  # (value^2, y, y^2, value) by X, I_C, U_C, NIS, shape (4, window, 4)
     sums: NDArray[np.float64]  # over the window, and ORIGIN, shape (4, 5)
@@ -115,7 +115,7 @@ def figures(
 
 @kernel
 def unseen(alarm: NDArray[np.float64], counts: NDArray[np.int64], row: int, limit: int) -> int:
-    """What a sample that says nothing about it does to an alarm, row `row` of ALARMS."""
+    """Count a sample that says nothing about an alarm, row `row` of ALARMS, and end the alarm after `limit`."""
     counts[UNSEEN + row] += 1
     return end(alarm) if counts[UNSEEN + row] > limit else UNCHANGED
 
@@ -150,7 +150,7 @@ def judge_innovation(
     on: float,
     off: float,
 ) -> tuple[float, int]:
-    """(mean NIS over the window, what this innovation does to its alarm)."""
+    """Return (mean NIS over the window, what this innovation does to its alarm)."""
     ring, sums, counts, totals, alarms = w
     alarm, window = alarms[0], ring.shape[1]
     if not valid:
@@ -180,7 +180,7 @@ class Comparison:
         self.start(2, 2)
 
     def start(self, window: int, hold: int) -> None:
-        """Empty windows of `window` ticks; alarms on errors are held for `hold` samples that do not judge them."""
+        """Begin with empty windows of `window` ticks; alarms on errors last `hold` samples that do not judge them."""
         self.ring = np.zeros((4, window, 4))
         self.sums = np.zeros((4, 5))
         self.counts[:UNSEEN] = 0
@@ -190,7 +190,7 @@ class Comparison:
 
     @property
     def windows(self) -> Windows:
-        """As the kernels take them, until the next `start`."""
+        """Return the arrays as the kernels take them, valid until the next `start`."""
         return Windows(self.ring, self.sums, self.counts, self.totals, self.alarms)
 
     def interrupt(self) -> None:
@@ -205,7 +205,7 @@ class Comparison:
         return self.messages((UNCHANGED, *(end(alarm) for alarm in self.alarms[1:])))
 
     def drop_alarms(self, why: str) -> list[pb.Alarm]:
-        """What was compared is over."""
+        """End all alarms: the comparison is over."""
         return self.messages(tuple(end(alarm) for alarm in self.alarms), why_ended=why)
 
     def skip(self) -> list[pb.Alarm]:
@@ -216,13 +216,13 @@ class Comparison:
         )
 
     def forget(self, why: str) -> list[pb.Alarm]:
-        """What was compared was another twin's: alarms end, totals begin at zero; the windows are `start`'s."""
+        """Begin with another twin: alarms end, totals begin at zero; `start` empties the windows."""
         self.totals[:] = 0.0
         self.counts[:HOLD] = 0
         return self.drop_alarms(why)
 
     def messages(self, changes: tuple[int, ...], *, why_ended: str = "") -> list[pb.Alarm]:
-        """What is said about changes."""
+        """Return the alarm messages for all changes."""
         return [
             message(name, alarm, change, why_ended=why_ended)
             for name, alarm, change in zip(ALARMS, self.alarms, changes, strict=True)

@@ -1,4 +1,4 @@
-"""What noise alone makes of measured minus twin: its standard deviation, and how rarely a window mean exceeds a value.
+"""The effect of noise alone on measured minus twin: its standard deviation, and the tail of a window mean.
 
 The free twin has no noise; the rig's loop has: sensor noise enters the law, moves the ball and comes back.  So even a
 right model differs from the rig by a coloured error, larger than the sensor noise.  With rig and twin linearised
@@ -25,7 +25,7 @@ from twin.settings.mirror import EDGE_SHARE, OFF_PROBABILITY, POSITIONS, STABLE
 
 
 class Expectation(NamedTuple):
-    """What a right model leaves of measured - twin, around one reference."""
+    """The expected measured - twin under a right model, around one reference."""
 
     std: tuple[float, float, float]  # of x (m), i_c (A), u_c (V)
     on: tuple[float, float]  # the window mean of (error / std)^2 of x, i_c exceeds this with the alarm's probability
@@ -82,7 +82,7 @@ class ExpectedError:
         self._quantiles: dict[tuple[int, int], tuple[float, float]] = {}
 
     def at(self, x_ref: float) -> Expectation | None:
-        """Around `x_ref` (m), interpolated between the linearisations; None where the model's loop is unstable."""
+        """Return the expectation around `x_ref` (m), interpolated; None where the model's loop is unstable."""
         cell, share = self._cell(x_ref)
         if not self._stable(cell):
             return None
@@ -99,7 +99,7 @@ class ExpectedError:
         )
 
     def settle_ticks(self, x_ref: float, *, share: float) -> int | None:
-        """Ticks until a difference at the start has shrunk to `share` of itself; None where the loop is unstable."""
+        """Return the ticks until an initial difference shrinks to `share` of itself; None if the loop is unstable."""
         cell, _ = self._cell(x_ref)
         if not self._stable(cell):
             return None
@@ -129,7 +129,7 @@ class ExpectedError:
 def error_dynamics(
     model: Model, law: LawNumbers, x_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(F, G, H, D) of the difference between a noisy and a noise-free loop around `x_m`.
+    """Return (F, G, H, D) of the difference between a noisy and a noise-free loop around `x_m`.
 
     State d = [p, s, x_prev] with p the n states of `control.discrete`, first of them the readings of i_c, x and x';
     noise w = [n_i, n_x, n_u, w_i, w_v]; outputs [x, i_c, u_c] as measured.
@@ -166,7 +166,7 @@ def autocovariance(
     *,
     lags: int,
 ) -> NDArray[np.float64]:
-    """Stationary autocovariance of each output at lags 0 .. lags-1, shape (lags, outputs); F must be stable.
+    """Return the stationary autocovariance of each output at lags 0 .. lags-1, shape (lags, outputs); F must be stable.
 
     P = F P F' + G Q G' (discrete Lyapunov); R(0) = H P H' + D Q D'; R(k) = H F^(k-1) (F P H' + G Q D').
     """
@@ -182,10 +182,11 @@ def autocovariance(
 
 
 def discrete_lyapunov(F: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum over k of F^k Q F'^k, the solution of P = F P F' + Q for stable F, by doubling the number of terms.
+    """Solve P = F P F' + Q for stable F, all of shape (n, n).
 
-    scipy's direct solver loses half its digits here: amperes and micrometres share a matrix.  Every term of the sum is
-    positive semidefinite, so nothing cancels.
+    P is the sum of F^k Q F'^k, whose number of terms is doubled at each step (R. A. Smith, 1968).  scipy's direct
+    solver loses half its digits here: amperes and micrometres share a matrix.  Every term of the sum is positive
+    semidefinite, so nothing cancels.
     """
     P, power = Q, F
     for _ in range(60):
@@ -198,10 +199,10 @@ def discrete_lyapunov(F: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray
 
 
 def toeplitz_eigenvalues(column: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Eigenvalues of the symmetric Toeplitz matrix with this first column, shape (n,).
+    """Return the eigenvalues of the symmetric Toeplitz matrix with this first column, shape (n,).
 
-    For even n it is [[A, C'], [C, JAJ]] with J the exchange matrix, so they are those of A + JC and A - JC: a quarter
-    of the work.
+    For even n the matrix is [[A, C'], [C, JAJ]] with J the exchange matrix.  So its eigenvalues are those of A + JC and
+    A - JC, for a quarter of the work (Cantoni and Butler, Linear Algebra Appl. 13, 1976).
     """
     n = len(column)
     if n % 2:
@@ -212,10 +213,11 @@ def toeplitz_eigenvalues(column: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def weighted_chi_square_quantile(weights: NDArray[np.float64], probability: float) -> float:
-    """The q with P(sum of weights_j * chi-square_1 > q) = probability, by Lugannani and Rice's saddlepoint.
+    """Return q with P(sum of weights_j * chi-square_1 > q) = probability.
 
-    Matching mean and variance with a chi-square (Satterthwaite) is too low in the far tail when few weights dominate:
-    a slow loop under a 1 s window.  This is within a few percent of the probability for any weights.
+    The tail is the saddlepoint formula of Lugannani and Rice (1980), within a few percent of the probability for any
+    weights.  A chi-square of equal mean and variance (Satterthwaite, 1946) is too low in the far tail if few weights
+    dominate.  A slow loop under a 1 s window is such a case.
 
     Args:
         weights: non-negative, shape (n,): eigenvalues of the covariance of what is squared and summed.

@@ -21,7 +21,7 @@ CUT_SHARE = 0.005  # of the samples at either end may lie outside the axes of th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """One span."""
+    """A span of time: its traces and its label."""
 
     traces: Traces  # cropped to it
     label: str

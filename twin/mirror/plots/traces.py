@@ -32,7 +32,7 @@ class Traces:
     alarms: list[tuple[float, str, bool]] = field(default_factory=list)  # (t, name, active)
 
     def add(self, state: pb.State, twin: pb.TwinState | None, divergence: pb.Divergence | None) -> None:
-        """One sample."""
+        """Add a sample."""
         nan = float("nan")
         compared = twin is not None and twin.sync != OUT_OF_STEP
         visible = twin if compared and twin is not None else None
@@ -60,7 +60,7 @@ class Traces:
         )
 
     def note(self, alarms: Iterable[pb.Alarm], t_s: float) -> None:
-        """Alarms of a sample."""
+        """Add the alarms of a sample."""
         self.alarms += [(t_s, alarm.name, alarm.active) for alarm in alarms]
 
     def crop(self, from_s: float | None, to_s: float | None) -> None:
@@ -82,7 +82,7 @@ class Traces:
         return copy
 
     def columns(self) -> NDArray[np.float64]:
-        """Over the samples, shape (13, samples), NaN over gaps.
+        """Return all traces over the samples, shape (13, samples), NaN over gaps.
 
         t, x, x_ref, i, u, twin x, i, u, |error of x|, its rolling RMSE, its std, mean NIS, innovation of x.
         """

@@ -1,7 +1,7 @@
 """actuation-delay: the input acts later than the board says.
 
-u_c(t - delay) in the control loop, u_c(t - r delay) in a capture, which counts its time from its own step: what is
-late is the amplifier (r = 1), or the output of a loop that computes before (r = 0).
+u_c(t - delay) in the control loop, u_c(t - r delay) in a capture, which counts its time from its own step.  Either the
+amplifier is late (r = 1), or the output of a loop that computes before (r = 0).
 """
 
 from __future__ import annotations

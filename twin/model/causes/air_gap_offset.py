@@ -42,5 +42,5 @@ CAUSE = Cause(
 
 @kernel
 def gap_m(c: Vector, gap: float) -> float:
-    """Distance to the effective plane of the coil, m."""
+    """Return the distance to the effective plane of the coil, m."""
     return gap + c[D]

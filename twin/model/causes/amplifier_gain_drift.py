@@ -42,11 +42,11 @@ CAUSE = Cause(
 
 @kernel
 def gain(c: Vector, w: float) -> float:
-    """Factor on K_A at warmth w, A^2."""
+    """Return the factor on K_A at warmth w, A^2."""
     return 1.0 - c[LOSS] * w
 
 
 @kernel
 def warmth_rate(c: Vector, i: float, w: float) -> float:
-    """Time derivative of the warmth, A^2/s."""
+    """Return the time derivative of the warmth, A^2/s."""
     return (i * i - w) / c[TAU]

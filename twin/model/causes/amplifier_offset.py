@@ -45,6 +45,6 @@ CAUSE = Cause(
 
 @kernel
 def shifted(c: Vector, target: float) -> float:
-    """Target current with the offset, A, not negative."""
+    """Return the target current with the offset, A, not negative."""
     offset = c[OFFSET]
     return behind_corner(target, -offset, c[ROUNDING]) if offset < 0.0 else max(target + offset, 0.0)

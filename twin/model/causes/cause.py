@@ -1,4 +1,4 @@
-"""What a cause is: a physical effect that (1) and (6) do not hold, with its parameters and what one knows about it.
+"""The definition of a cause: a physical effect that (1) and (6) leave out, with its parameters and traits.
 
 Rule 1: a cause at its neutral value is exactly absent: the extended model is then the paper's, bit by bit.
 Rule 2: every parameter has a place of its own in the vector `c` that the kernels take; a test holds them apart.
@@ -35,7 +35,7 @@ class Vector(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CauseParameter:
-    """One number of a cause, in the unit that its name ends with."""
+    """A parameter of a cause, in the unit that its name ends with."""
 
     name: str
     symbol: str
@@ -78,8 +78,8 @@ class Form:
 class MeasuredProbes:
     """Probes at the sizes at which given recordings would show a cause: a size that they have, times some factors.
 
-    A limit far above what was recorded does nothing, one far below contradicts everything: only near the largest
-    current, the fastest change that was recorded is its signature anything like the effect.
+    A limit far above the recorded values has no effect, and one far below contradicts everything.  Its signature
+    resembles the effect only near the largest current or the fastest change that was recorded.
     """
 
     of: Literal["largest-current", "fastest-change", "sampling-interval"]
@@ -88,7 +88,7 @@ class MeasuredProbes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
-    """One entry of the catalogue.  The first parameter is the strength; others (a time constant) shape it."""
+    """An entry of the catalogue.  The first parameter is the strength; others (a time constant) shape it."""
 
     name: str
     family: Family

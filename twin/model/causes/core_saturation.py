@@ -1,6 +1,8 @@
 """core-saturation: the iron saturates: the force grows less than with i^2.
 
-i -> i / (1 + a (i / i_s)^n)^(1/n), a = 2^(n/2) - 1: at i_s the force is half of what i^2 says, whatever n
+    i -> i / (1 + a (i / i_s)^n)^(1/n),   a = 2^(n/2) - 1
+
+At i_s the force is half of what i^2 says, for any n.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ def rounding(index: int) -> CauseParameter:
 
 @kernel
 def behind_corner(value: float, threshold: float, share: float) -> float:
-    """What is above the threshold, not negative; both in one unit.
+    """Return the part of a value above the threshold, never negative; both in one unit.
 
     Args:
         value: what goes in.

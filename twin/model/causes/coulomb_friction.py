@@ -82,7 +82,7 @@ def brakes(c: Vector, mass_kg: float, v: float, free: float) -> float:
 
 @kernel
 def let_go(friction: float, before: float, after: float, h: float) -> tuple[float, float]:
-    """(speed in m/s, path in m) of a ball h s after it stood still.
+    """Return (speed in m/s, path in m) of a ball h s after it stood still.
 
     Its free acceleration goes straight from `before` to `after`; `friction`, m/s^2, holds or brakes it at most.
     """
@@ -101,7 +101,7 @@ def let_go(friction: float, before: float, after: float, h: float) -> tuple[floa
 def turned(
     friction: float, v: float, v_next: float, path: float, before: float, after: float, h: float
 ) -> tuple[float, float]:
-    """(speed in m/s, path in m) of a ball that comes to a standstill within h s, and what `let_go` makes of the rest.
+    """Return (speed in m/s, path in m) of a ball that stops within h s; `let_go` handles the rest of the interval.
 
     Args:
         friction: that friction brakes, m/s^2.

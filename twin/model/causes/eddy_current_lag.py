@@ -1,7 +1,8 @@
 """eddy-current-lag: the force follows the current late.
 
-tau z' + z = (i_c / gap^p)^a, F_m = K_c (z^(1/a) gap^p)^2 / gap^2: what lags is the current (p = 0, a = 1), the flux
-(p = 1, a = 1) or the force (p = 1, a = 2)
+    tau z' + z = (i_c / gap^p)^a,   F_m = K_c (z^(1/a) gap^p)^2 / gap^2
+
+The current lags (p = 0, a = 1), the flux (p = 1, a = 1) or the force (p = 1, a = 2).
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ CAUSE = Cause(
 
 @kernel
 def weight(c: Vector, gap: float, gap_mid: float) -> float:
-    """What lags per current at this gap; 1 in the middle of the travel."""
+    """Return the quantity that lags, per current at this gap; 1 in the middle of the travel."""
     return 1.0 if c[FLUX] == 0.0 or c[TAU] <= 0.0 else (gap_mid / max(gap, MIN_GAP_SHARE * gap_mid)) ** c[FLUX]
 
 

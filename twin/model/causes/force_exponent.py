@@ -1,7 +1,9 @@
 """force-exponent: the force falls with another power of the gap than 2.
 
-d ln F_m / d ln gap = -(n + q (r - 1) + p (r - 1)^2), r = gap / gap_mid, and F_m = K_c i_c^2 / gap^2 in the middle of
-the travel, where the power is n; q = p = 0 is a pure power, q = n, p = 0 an exponential
+    d ln F_m / d ln gap = -(n + q (r - 1) + p (r - 1)^2),   r = gap / gap_mid
+
+In the middle of the travel F_m = K_c i_c^2 / gap^2, and the power is n.  q = p = 0 is a pure power, q = n, p = 0 an
+exponential.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ CAUSE = Cause(
 
 @kernel
 def factor(c: Vector, gap: float, gap_mid: float) -> float:
-    """Factor on the force of (3); 1 in the middle of the travel."""
+    """Return the factor on the force of (3); 1 in the middle of the travel."""
     n, q, p = c[N], c[BEND], c[CURL]
     if n == 2.0 and q == 0.0 and p == 0.0:
         return 1.0

@@ -34,7 +34,7 @@ CAUSE = Cause(
 
 @kernel
 def lost_v(c: Vector, u: float, i: float, K_A: float) -> float:
-    """What the diode takes off u_c, V."""
+    """Return the voltage that the diode takes off u_c, V."""
     drop = c[DROP]
     u = max(u, 0.0)
     above = i - K_A * u  # at rest u_c is what the coil gets: it was calibrated there

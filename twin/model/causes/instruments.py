@@ -1,4 +1,4 @@
-"""What to measure beside the board where its own recordings cannot tell two causes apart."""
+"""The measurements with another instrument that separate two causes if the board's recordings cannot."""
 
 from __future__ import annotations
 

@@ -66,20 +66,20 @@ def per_speed(c: Vector, gap: float, gap_mid: float) -> float:
 
 @kernel
 def lead(swing: float) -> float:
-    """By how much faster, and lower, the current settles in a ball that rises; `swing`: `per_speed` times its speed.
+    """Return how much faster and lower the current settles if the ball rises; `swing`: `per_speed` times its speed.
 
-    The voltage is proportional to i_c itself, so that the equation is solved for it: with the current of a step's
-    beginning a jump of u_c would meet the voltage of the old current.
+    The voltage is proportional to i_c itself, so the equation is solved for i_c.  With the current at the beginning of
+    a step, a jump of u_c would meet the voltage of the old current.
     """
     return max(1.0 + swing, MIN_LEAD)
 
 
 @kernel
 def steady_lead(lead: float, change: float) -> float:
-    """What the current has settled to, once u_c stands: target over this.  It lags a lead that changes.
+    """Return m for which the current settles at target / m once u_c stands.  m lags a lead that changes.
 
-    T_A i' + lead i = target with i = target / m gives m = lead - T_A m' / m: two terms of its series in `change`, by
-    how much the lead changes in T_A.
+    T_A i' + lead i = target with i = target / m gives m = lead - T_A m' / m.  The result has two terms of its series
+    in `change`, by how much the lead changes in T_A.
     """
     part = min(max(change / (lead * lead), -MAX_CHANGE), MAX_CHANGE)
     return lead * (1.0 - part - 2.0 * part * part)

@@ -64,7 +64,7 @@ CAUSE = Cause(
 
 @kernel
 def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid: float) -> float:
-    """T_A at this gap, s."""
+    """Return T_A at this gap, s."""
     if c[GROWTH] == 0.0:
         return T_A
     a = c[REACH] * gap_mid

@@ -1,6 +1,8 @@
 """position-sensor-lag: x is read through a slow sensor.
 
-r tau^2 s'' + tau s' + s = x: a first order with r = 0, two equal filters with r = 1/4, Butterworth's with r = 1/2
+    r tau^2 s'' + tau s' + s = x
+
+The lag is of first order with r = 0, two equal filters with r = 1/4, Butterworth's with r = 1/2.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ CAUSE = Cause(
 
 @kernel
 def lagged(c: Vector, s: float, rate: float, reading: float, reading_next: float, h: float) -> tuple[float, float]:
-    """(the sensor's output in m, its rate in m/s) after h s while what it sees goes from one reading to the next.
+    """Return (the sensor's output in m, its rate in m/s) after h s while its input goes from one reading to the next.
 
     Args:
         c: the causes' parameters.

@@ -1,7 +1,8 @@
 """position-sensor-nonlinearity: x is right at the stops and wrong between them.
 
-x_measured = x + bow (1 - w^2) (1 + fullness w^2) (1 - skew^2 + 2.6 skew w), w = 2 x / l - 1, l the travel.  Skew 0 is
-an arc, skew 1 an S that is right in the middle.
+    x_measured = x + bow (1 - w^2) (1 + fullness w^2) (1 - skew^2 + 2.6 skew w),   w = 2 x / l - 1
+
+l is the travel.  Skew 0 is an arc, skew 1 an S that is right in the middle.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def bent(c: Vector, x: float, travel: float) -> float:
 
 @kernel
 def slope(c: Vector, x: float, travel: float) -> float:
-    """Derivative of `bent` by x."""
+    """Return the derivative of `bent` by x."""
     w = 2.0 * x / travel - 1.0
     side = 1.0 - c[SKEW] * c[SKEW] + S_SHAPE * c[SKEW] * w
     arc = (1.0 - w * w) * (1.0 + c[FULLNESS] * w * w)
