@@ -250,7 +250,7 @@ void main(void) {
     }
 }
 
-/* Where a simulator or a debugger finds what it shows: the order is that of gateway/emulator/chip/mcs51/board.py. */
+/* Where a simulator or a debugger finds what it shows: the order is that of firmware/sim/mcs51/board.py. */
 const void __xdata *const __code WATCHED[] = {
     &board.loop.mode,      &board.queues.dropped,      &board.receiver.bad_frames, &board.law.sum,
     &board.reference.allowance, &board.next_tick,

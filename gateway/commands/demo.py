@@ -27,6 +27,7 @@ from gateway.demo.bus import BusView
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
 from gateway.demo.processes import call, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
+from protocol.diagnosis import load_diagnosis
 from protocol.errors import ServiceError, UsageError, require
 
 BOARD = "demo"
@@ -122,9 +123,9 @@ def _demo(out: Path, effects: list[str]) -> int:
 
         _step(began, "7/8 diagnose: which physical cause is it? the extended model to the twin, a third flight")
         finish(diagnose, out, "diagnose", good=NOT_ALL, limit_s=DIAGNOSIS_LIMIT_S)
-        diagnosed = json.loads((diagnosis / "diagnosis.json").read_text(encoding="utf-8"))
-        _wrap(diagnosed["sentence"])
-        if diagnosed["extended_model"]["offered"]:
+        diagnosed = load_diagnosis(diagnosis / "diagnosis.json")
+        _wrap(diagnosed.sentence)
+        if diagnosed.model_offered:
             _hand_over(out, diagnosis / "extended_model.json", endpoint)
             flights.append(_fly(bus, "extended"))
         else:

@@ -10,18 +10,24 @@ import json
 import math
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gateway.access.listeners import is_loopback
 from protocol.ending import on_end_signal
 from protocol.errors import UsageError
 
+if TYPE_CHECKING:
+    from gateway.emulator.line import Board
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options; the lists of effects and faults come from their tables."""
+    from firmware.sim import CHIPS
     from gateway.emulator import faults
-    from gateway.emulator.chip import CHIPS
     from gateway.emulator.plant import effects
     from gateway.emulator.rigs import RIGS
 
@@ -110,8 +116,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         baud=args.baud,
         board_id=args.board_id,
-        firmware=args.firmware,
-        chip=args.chip,
+        firmware=_firmware(args),
         rig=args.rig,
     )
     server = Server(lines, speed=args.speed)
@@ -143,6 +148,16 @@ def run(args: argparse.Namespace) -> int:
             print(f"board {args.board_id + n}: {summary}", file=sys.stderr)
     _flush()
     return 0
+
+
+def _firmware(args: argparse.Namespace) -> Callable[..., Board]:
+    from firmware.sim import CHIPS
+    from gateway.emulator.firmware.board import Firmware
+    from gateway.emulator.native.board import NativeFirmware
+
+    if args.chip is not None:
+        return partial(CHIPS[args.chip], baud=args.baud)
+    return Firmware if args.firmware == "python" else NativeFirmware
 
 
 def _flush() -> None:

@@ -57,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compile, check, and let avrdude write and verify."""
-    from gateway.emulator.chip.avr.build import hex_of
+    from firmware.sim.avr.build import hex_of
     from gateway.emulator.firmware.magnetoshield import header, magnetoshield
 
     if args.out is None and args.port is None and not args.dry_run:

@@ -6,13 +6,13 @@ Rule: only measured errors are reported here; `board51 diagnose` names the cause
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from protocol.bus import board51_pb2 as pb
+from protocol.diagnosis import Diagnosis
 from protocol.files import parse_json
 from protocol.log.reader import read
 
@@ -131,14 +131,14 @@ def sentence(flights: Sequence[Flight]) -> str:
     return f"{text}. {over}; {alarms}."
 
 
-def conclusion(diagnosis: Mapping[str, Any]) -> str:
-    """A sentence with the causes of a diagnosis.json; without causes, the sentence of the diagnosis."""
-    names = [f"{cause['name']} ({cause['sentence']})" for cause in diagnosis["causes"]]
+def conclusion(diagnosis: Diagnosis) -> str:
+    """A sentence with the causes of a diagnosis; without causes, the sentence of the diagnosis."""
+    names = [f"{cause.name} ({cause.sentence})" for cause in diagnosis.causes]
     if not names:
-        return f"Cause: {diagnosis['sentence']}"
+        return f"Cause: {diagnosis.sentence}"
     rest = (
         " Something else is left that no known cause explains."
-        if diagnosis["verdict"] in ("unknown-cause", "partly-explained")
+        if diagnosis.verdict in ("unknown-cause", "partly-explained")
         else ""
     )
     return f"Cause: {'; '.join(names)}.{rest}"

@@ -24,17 +24,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Literal, Self
+from typing import Self
 
-from gateway.emulator.chip import CHIPS
 from gateway.emulator.faults import Fault, parse
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import T_S_US
 from gateway.emulator.line import Board, BoardLine, LineCounts
-from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
 from gateway.emulator.rigs import RIGS
 from protocol.errors import ServiceError, UsageError
@@ -43,7 +40,6 @@ _T_NS = T_S_US * 1000
 _BURST = 50  # ticks made up for at once at most
 _CATCH_UP = 2.0  # times the speed, where more is late
 _PATIENCE_S = 1.0  # speed 0: how long a host may leave its buffer full before bytes are lost
-FirmwareKind = Literal["python", "c"]
 _NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 
 
@@ -172,8 +168,7 @@ class Emulator:
         seed: Of noise and faults; board n has seed + n.
         baud: Bits per second.
         board_id: Of the first board; the others count up.
-        firmware: The firmware model in Python, or the one in C, compiled for this machine at its first use.
-        chip: Run the firmware in C as the image of this chip (`chip.CHIPS`) in its simulator instead.
+        firmware: Makes a board: the model in Python, the core in C (`native.board`), or a chip (`firmware.sim`).
         rig: Plant and board (`rigs.RIGS`).
 
     Raises:
@@ -194,8 +189,7 @@ class Emulator:
         seed: int = 0,
         baud: int = 115200,
         board_id: int = 1,
-        firmware: FirmwareKind = "python",
-        chip: str | None = None,
+        firmware: Callable[..., Board] = Firmware,
         rig: str = "ce152",
     ) -> None:
         self._folder = None
@@ -214,7 +208,6 @@ class Emulator:
                 baud=baud,
                 board_id=board_id,
                 firmware=firmware,
-                chip=chip,
                 rig=rig,
             ),
             speed=None if lockstep else speed,
@@ -331,8 +324,7 @@ def build_lines(
     seed: int = 0,
     baud: int = 115200,
     board_id: int = 1,
-    firmware: FirmwareKind = "python",
-    chip: str | None = None,
+    firmware: Callable[..., Board] = Firmware,
     rig: str = "ce152",
 ) -> list[BoardLine]:
     """Create a board with its own plant for each port; either all ports are opened or none.
@@ -345,14 +337,11 @@ def build_lines(
     """
     parsed = [parse(fault) if isinstance(fault, str) else fault for fault in faults]
     lines: list[BoardLine] = []
-    make: Callable[..., Board] = Firmware if firmware == "python" else NativeFirmware
-    if chip is not None:
-        make = partial(CHIPS[chip], baud=baud)
     emulated = RIGS[rig]
     try:
         for n, port in enumerate(ports):
             plant = emulated.plant(effects=effects, seed=seed + n)
-            board = make(plant, board_id=board_id + n, profile=emulated.profile)
+            board = firmware(plant, board_id=board_id + n, profile=emulated.profile)
             lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n))
     except BaseException:
         for line in lines:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
-from gateway.investigate.answer import Answer
+from protocol.diagnosis import Diagnosis
 
 START = ("lift-off", "rest", "amplifier-steps", "wide-steps")
 COVERAGE = (*START, "prbs-reference", "multisine", "prbs-open-loop", "steps")  # the default campaign, for fitting
@@ -46,7 +46,7 @@ class Known:
 
     recordings: Set[str]  # recordings in the folder
     refused: Set[str]  # experiments that failed, were impossible or were skipped
-    answer: Answer | None  # the newest diagnosis
+    answer: Diagnosis | None  # the newest diagnosis
     diagnosed: Set[str]  # the recordings of that diagnosis
     thorough: bool  # whether it was made without --quick
     left_s: float  # remaining time on the rig
@@ -107,7 +107,7 @@ def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
     return action
 
 
-def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
+def _after(known: Known, answer: Diagnosis, menu: Mapping[str, Offer]) -> Action:
     """The next action if the newest diagnosis has all recordings."""
     if answer.verdict == "unfinished":
         return Finish(stands=False, why="the diagnosis ended by its budget of computation")
@@ -124,7 +124,7 @@ def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
     return _finish(known, answer, menu)
 
 
-def _lacking(answer: Answer, *, thorough: bool) -> str:
+def _lacking(answer: Diagnosis, *, thorough: bool) -> str:
     """Return why the answer is not final; "" if it is.  Confidence counts only if it is calibrated (`thorough`)."""
     if answer.verdict == "model-adequate":
         return "only noise is left, as far as the rig was excited"
@@ -136,7 +136,7 @@ def _lacking(answer: Answer, *, thorough: bool) -> str:
     return f"{weak[0].name} has a confidence of {weak[0].confidence:.2f}" if weak else ""
 
 
-def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action | None:
+def _splitting(known: Known, answer: Diagnosis, menu: Mapping[str, Offer]) -> Action | None:
     """The experiment with most information on the equivalence classes for its time; None if none has any."""
     tells: dict[str, float] = {}
     best_z: dict[str, float] = {}
@@ -168,7 +168,7 @@ def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Actio
     return _perform(known, menu, [name], why)
 
 
-def _classes(answer: Answer) -> str:
+def _classes(answer: Diagnosis) -> str:
     return "; ".join(
         f"{suspect.name} may be "
         + " or ".join(f"{confounder} ({z:.1f} apart)" for confounder, z in suspect.confounders.items())
@@ -194,7 +194,7 @@ def _perform(known: Known, menu: Mapping[str, Offer], names: Sequence[str], why:
     return Perform(experiments=tuple(names), seconds=seconds, why=why)
 
 
-def _finish(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Finish:
+def _finish(known: Known, answer: Diagnosis, menu: Mapping[str, Offer]) -> Finish:
     if answer.verdict == "unknown-cause":
         return Finish(stands=False, why="no cause of the catalogue explains it, and all experiments were made")
     if answer.is_open:

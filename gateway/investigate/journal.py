@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from gateway.campaign.folder import Folder
-from gateway.investigate.answer import Answer, read_answer
 from gateway.investigate.decide import Finish, Known
 from protocol.checked import Flag, Number, RuleError, Whole, checked, key
+from protocol.diagnosis import Diagnosis, read_diagnosis
 from protocol.errors import DataError, UsageError
 from protocol.files import make_folder, parse_json, read_small, replace_text, writing
 
@@ -40,7 +40,7 @@ class Diagnosed:
     why: str
     thorough: Flag
     recordings: list[str]
-    found: dict[str, Any]  # the part of diagnosis.json for `read_answer`
+    found: dict[str, Any]  # the part of diagnosis.json for `read_diagnosis`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,10 +79,10 @@ class Journal:
         """The newest diagnosis."""
         return next((step for step in reversed(self.steps) if isinstance(step, Diagnosed)), None)
 
-    def answer(self) -> Answer | None:
+    def answer(self) -> Diagnosis | None:
         """The answer of the newest diagnosis.  Raises DataError if it is damaged."""
         newest = self.diagnosed
-        return None if newest is None else read_answer(newest.found, where=str(self.folder / FILE))
+        return None if newest is None else read_diagnosis(newest.found, where=str(self.folder / FILE), remedy=_REMEDY)
 
     def known(self, *, budget_s: float, quick: bool) -> Known:
         """The state of the investigation.

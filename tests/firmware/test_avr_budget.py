@@ -11,7 +11,7 @@ from functools import partial
 
 import pytest
 
-from gateway.emulator.chip.avr.board import CYCLES_PER_TICK
+from firmware.sim.avr.board import CYCLES_PER_TICK
 from protocol.wire.messages import EventCode
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr
 from tests.harness.gateway.board_host import Bench

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.chip.avr.build import compile_image, load
+from firmware.sim.avr.build import compile_image, load
 from tests.harness.firmware.avr_bench import skip_without_avr
 from tests.patience import HANG_S
 

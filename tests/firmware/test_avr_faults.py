@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.emulator.chip.avr.board import AvrBoard, stored
+from firmware.sim.avr.board import AvrBoard, stored
 from gateway.emulator.firmware.flash import CE152_BOARD, GAINS, LIMITS
 from gateway.emulator.firmware.output import OutputFault
 from protocol.wire.messages import EventCode, Flag, Message, Mode

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.chip.avr.board import CYCLES_PER_TICK, AvrBoard
-from gateway.emulator.chip.avr.build import compile_image
+from firmware.sim.avr.board import CYCLES_PER_TICK, AvrBoard
+from firmware.sim.avr.build import compile_image
 from gateway.emulator.firmware.magnetoshield import header, magnetoshield
 from gateway.emulator.native.build import SOURCES
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.chip.avr.board import ADC_BITS, AvrBoard
-from gateway.emulator.chip.avr.build import OPTIONS
+from firmware.sim.avr.board import ADC_BITS, AvrBoard
+from firmware.sim.avr.build import OPTIONS
 from gateway.emulator.firmware.flash import CURRENT, POSITION
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compile_to

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import board51
-from gateway.emulator.chip.avr.build import compile_image, hex_of, load
+from firmware.sim.avr.build import compile_image, hex_of, load
 from gateway.emulator.firmware.flash import BoardProfile
 from gateway.emulator.firmware.magnetoshield import HallCurve, header, magnetoshield
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield

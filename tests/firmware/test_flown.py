@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import read
@@ -25,7 +26,7 @@ def _compiled() -> None:
 
 def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(tmp_path: Path) -> None:
     with (
-        Emulator(tcp=False, firmware="c") as emulator,
+        Emulator(tcp=False, firmware=NativeFirmware) as emulator,
         gateway_and_client(gateway_config(*emulator.urls, log=tmp_path)) as bus,
     ):
         assert bus.command("m", set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)).accepted
@@ -51,7 +52,7 @@ def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(tmp_path: Path)
 
 
 def test_the_gateway_comes_back_after_its_watchdog() -> None:
-    with Emulator(firmware="c") as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
+    with Emulator(firmware=NativeFirmware) as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
         bus.await_states(50)
         emulator.inject("watchdog")
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from gateway.emulator.chip.mcs51.build import simulator
-from gateway.emulator.chip.mcs51.library import Chip, load
+from firmware.sim.mcs51.build import simulator
+from firmware.sim.mcs51.library import Chip, load
 from tests.harness.gateway.board_host import skip_without_compiler
 from tests.patience import HANG_S
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.emulator.chip.mcs51.board import Mcs51Board
+from firmware.sim.mcs51.board import Mcs51Board
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.codec import unpack_pair
 from protocol.wire.decoder import State, StreamDecoder

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import board51
+from firmware.sim.mcs51.board import Mcs51Board
 from gateway.emulator.plant.rig import CE152
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
@@ -31,7 +32,7 @@ def _installed() -> None:
 
 def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(tmp_path: Path) -> None:
     with (
-        Emulator(tcp=False, chip="8051") as emulator,
+        Emulator(tcp=False, firmware=Mcs51Board) as emulator,
         gateway_and_client(gateway_config(*emulator.urls, log=tmp_path)) as bus,
     ):
         assert bus.command("m", set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)).accepted
@@ -63,7 +64,7 @@ def test_its_campaign_says_that_the_loop_computes_before_it_acts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """0.26 ms, and 20 us in its captures, which are 19.2 ms long; other boards hold the 40 ms of the menu."""
-    with emulated_line(tmp_path, speed=1.0, chip="8051") as line:
+    with emulated_line(tmp_path, speed=1.0, firmware=Mcs51Board) as line:
         code = line.run(tmp_path / "c", "--quick", "--json")
         *_, parameters = line.bus.messages["rig/parameters"]
     assert code == 0
@@ -94,7 +95,7 @@ def told_its_plane(campaign: Path) -> Path:
 
 
 def test_the_gateway_comes_back_after_its_watchdog() -> None:
-    with Emulator(chip="8051") as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
+    with Emulator(firmware=Mcs51Board) as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
         bus.await_states(50)
         emulator.inject("watchdog")
 

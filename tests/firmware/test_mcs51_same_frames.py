@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.chip.mcs51.board import Mcs51Board
-from gateway.emulator.chip.mcs51.build import CONFIGURATION
+from firmware.sim.mcs51.board import Mcs51Board
+from firmware.sim.mcs51.build import CONFIGURATION
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compile_to
 from protocol.wire.messages import ROW_OF_NAME, ROWS

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from gateway.board import faults
 from gateway.bus.status import fault_condition
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.line import Board
+from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.serve import Emulator
 from gateway.link import event_text
 from gateway.views.alarms import AlarmBook
@@ -18,10 +23,12 @@ from tests.harness.gateway.gateway_peers import gateway_and_client, gateway_conf
 OFFSET_V = 2.0
 
 
-@pytest.mark.parametrize("firmware", ["python", "c"])
-def test_a_stop_at_a_deaf_converter_becomes_an_alarm_and_u_c_stays_what_it_was(firmware: str) -> None:
+@pytest.mark.parametrize("firmware", [Firmware, NativeFirmware])
+def test_a_stop_at_a_deaf_converter_becomes_an_alarm_and_u_c_stays_what_it_was(
+    firmware: Callable[..., Board],
+) -> None:
     skip_without_compiler()
-    with Emulator(firmware="c" if firmware == "c" else "python") as emulator:
+    with Emulator(firmware=firmware) as emulator:
         with gateway_and_client(gateway_config(*emulator.urls)) as bus:
             bus.await_states(10)
             assert bus.command("a", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)).accepted

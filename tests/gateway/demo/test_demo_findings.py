@@ -10,6 +10,7 @@ import pytest
 from gateway.demo.findings import NOTABLE_A, REST_SAMPLES, Flight, conclusion, gather, sentence, table
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
+from protocol.diagnosis import Cause, Diagnosis
 
 T_S = 2e-3
 REFERENCES_M = (1.5e-3, 3.0e-3, 4.5e-3)
@@ -143,11 +144,12 @@ def test_every_model_after_the_first_is_compared_with_the_one_before(log: Log) -
 
 
 def test_the_causes_of_a_diagnosis_are_named() -> None:
-    cause = {"name": "air-gap-offset", "sentence": "the coil sits 2.4 mm higher than in the model"}
+    sits = "the coil sits 2.4 mm higher than in the model"
+    cause = Cause(name="air-gap-offset", sentence=sits, confidence=0.9, confounders={}, experiments={})
 
-    named = conclusion({"verdict": "causes-found", "sentence": "", "causes": [cause]})
-    part = conclusion({"verdict": "unknown-cause", "sentence": "", "causes": [cause]})
-    none = conclusion({"verdict": "model-adequate", "sentence": "The model is adequate.", "causes": []})
+    named = conclusion(Diagnosis(verdict="causes-found", sentence="", causes=(cause,)))
+    part = conclusion(Diagnosis(verdict="unknown-cause", sentence="", causes=(cause,)))
+    none = conclusion(Diagnosis(verdict="model-adequate", sentence="The model is adequate."))
 
     assert named == "Cause: air-gap-offset (the coil sits 2.4 mm higher than in the model)."
     assert part.endswith("no known cause explains.")

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.emulator.chip.mcs51.board import Mcs51Board
+from firmware.sim.mcs51.board import Mcs51Board
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.magnetoshield import HallCurve, magnetoshield
 from gateway.emulator.native.board import NativeFirmware

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gateway.investigate.answer import Answer, Suspect
 from gateway.investigate.decide import COVERAGE, JUDGES, START, Diagnose, Finish, Known, Offer, Perform, next_action
 from gateway.investigate.investigator import menu_of
+from protocol.diagnosis import Cause, Diagnosis
 
 MENU = menu_of(quick=False)
 NEW = Known(
@@ -20,15 +20,15 @@ NEW = Known(
 )
 
 
-def answered(verdict: str, *suspects: Suspect, recordings: tuple[str, ...] = START, thorough: bool = False) -> Known:
-    answer = Answer(verdict=verdict, sentence="", suspects=suspects)
+def answered(verdict: str, *suspects: Cause, recordings: tuple[str, ...] = START, thorough: bool = False) -> Known:
+    answer = Diagnosis(verdict=verdict, sentence="", causes=suspects)
     return replace(
         NEW, recordings=frozenset(recordings), diagnosed=frozenset(recordings), answer=answer, thorough=thorough
     )
 
 
-def suspect(confounders: dict[str, float], experiments: dict[str, dict[str, float]] | None = None) -> Suspect:
-    return Suspect(
+def suspect(confounders: dict[str, float], experiments: dict[str, dict[str, float]] | None = None) -> Cause:
+    return Cause(
         name="drag", confidence=0.97, confounders=confounders, experiments=experiments or {}, outside=("Weigh it.",)
     )
 

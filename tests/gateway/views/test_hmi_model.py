@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from gateway.views.hmi.model.campaigns import board_of, campaigns_of, choose, find_campaign
-from gateway.views.hmi.model.finding import read_finding
 from gateway.views.hmi.model.journal import FILE, acts_of, write_act
 from gateway.views.hmi.model.models import keep, models_of
 from gateway.views.hmi.model.numbers import in_numbers
 from protocol.bus import board51_pb2 as pb
+from protocol.diagnosis import load_diagnosis
 from protocol.errors import DataError
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
 from tests.harness.gateway.gateway_peers import wait_for
@@ -36,8 +36,10 @@ ANSWER = {
             "name": "air-gap-offset", "sentence": "the coil sits 0.4 mm higher", "confidence": 0.61,
             "indistinguishable_from": ["force-exponent"],
             "at_the_rig": {"confirm": "hold the ball at six heights", "cure": "x_max + d"},
-            "next_experiment": {"experiments": [{"name": "chirp"}, {"name": "blocked-ball"}, {"name": "unheard-of"}],
-                                "not_separable_here": []},
+            "next_experiment": {
+                "experiments": [{"name": n, "separation_z": {}} for n in ("chirp", "blocked-ball", "unheard-of")],
+                "not_separable_here": [],
+            },
         }
     ],
     "show": {"judged": True, "ahead": [
@@ -127,16 +129,16 @@ def test_a_campaign_that_is_left_unfinished_stands_behind_finished_ones(tmp_path
 def test_an_answer_is_read_and_experiments_that_no_menu_has_are_left_out(tmp_path: Path) -> None:
     path = campaign(tmp_path) / "diagnosis" / "diagnosis.json"
 
-    found = read_finding(path)
+    found = load_diagnosis(path)
 
-    assert found.sure
-    assert found.causes[0].experiments == ("chirp", "blocked-ball")
-    assert found.causes[0].equals == ("force-exponent",)
+    assert found.causes == found.suspects
+    assert list(found.causes[0].experiments) == ["chirp", "blocked-ball"]
+    assert list(found.causes[0].confounders) == ["force-exponent"]
     assert found.ahead[0].after == (6e-6, 6e-6, 6e-6)
     for damaged in ("{}", "[]", '{"verdict": 1, "sentence": 2, "causes": [3]}'):
         path.write_text(damaged)
         with pytest.raises(DataError, match=r"diagnosis\.json"):
-            read_finding(path)
+            load_diagnosis(path)
 
 
 def divergence(signal: str, *, mean: float, rms: float, noise: float) -> pb.Divergence:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.emulator.chip.avr.board import AvrBoard
-from gateway.emulator.chip.avr.build import missing
+from firmware.sim.avr.board import AvrBoard
+from firmware.sim.avr.build import missing
 from gateway.emulator.firmware.board import AnalogSide
 from protocol.wire.decoder import BadFrame, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message, Value

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from gateway.emulator.chip.mcs51.board import Mcs51Board
+from firmware.sim.mcs51.board import Mcs51Board
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import CURRENT, POSITION, T_S_US
 from gateway.emulator.native.board import NativeFirmware

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +15,8 @@ from typing import Any
 import pytest
 
 import board51
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.line import Board
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.gateway_peers import Bus, client, gateway_config, running, wait_for
@@ -74,14 +76,16 @@ def emulated_line(
     speed: float = 3.0,
     effects: Mapping[str, float] | None = None,
     faults: tuple[str, ...] = (),
-    chip: str | None = None,
+    firmware: Callable[..., Board] = Firmware,
     rig: str = "ce152",
     known: str = PLANT,
     **board: Any,
 ) -> Iterator[Line]:
     plant = tmp_path / "plant.toml"
     plant.write_text(known)
-    with Emulator(tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5, chip=chip, rig=rig) as emulator:
+    with Emulator(
+        tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5, firmware=firmware, rig=rig
+    ) as emulator:
         # The board's second is a third of ours: a busy machine must not look like a lost host.
         config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, "stale_s": 1.0, **board})
         with running(config), client(config.zenoh.listen[0]) as bus:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from gateway.investigate import decide
-from gateway.investigate.answer import read_answer
+from protocol.diagnosis import read_diagnosis
 from tests.harness.diagnose.known_diagnosis import diagnosis
 from twin.diagnosis.experiments import design
 from twin.diagnosis.result import Proposal, to_json
@@ -30,7 +30,7 @@ def test_every_experiment_comes_with_its_separation_from_every_confounder() -> N
 
     data = json.loads(json.dumps(to_json(found), allow_nan=False))
 
-    (suspect,) = read_answer(data, where="diagnosis.json").suspects
+    (suspect,) = read_diagnosis(data, where="diagnosis.json").suspects
     assert suspect.name == cause.name
     assert suspect.confounders == {CONFOUNDER: 1.25}
     assert suspect.experiments == {"holds": {CONFOUNDER: 14.0}, "rest": {CONFOUNDER: 0.0}}

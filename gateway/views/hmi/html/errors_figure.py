@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from gateway.views.hmi.html.markup import Markup, tag
-from gateway.views.hmi.model.finding import Ahead
+from protocol.diagnosis import Ahead
 
 _WIDTH, _HEIGHT = 560.0, 260.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 12.0, 14.0, 40.0

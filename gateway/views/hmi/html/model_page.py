@@ -11,10 +11,10 @@ from gateway.views.hmi.html import controls
 from gateway.views.hmi.html.errors_figure import errors_figure
 from gateway.views.hmi.html.markup import Markup, tag
 from gateway.views.hmi.model.campaigns import CampaignFolder
-from gateway.views.hmi.model.finding import Finding, FindingCause
 from gateway.views.hmi.model.models import ModelFile, plant_assumed, summary
 from gateway.views.hmi.model.work import LIVE_MIN
 from protocol.bus import board51_pb2 as pb
+from protocol.diagnosis import Cause, Diagnosis
 from protocol.errors import DataError
 from protocol.experiments import EXPERIMENT_OF_NAME
 from protocol.files import parse_json
@@ -29,7 +29,7 @@ _ASSUMED = (
 _VERDICTS = {
     "causes-found": "causes found",
     "partly-explained": "partly explained",
-    "adequate": "the model is right",
+    "model-adequate": "the model is right",
     "unknown-cause": "no known cause explains it",
     "unfinished": "the search did not finish",
 }
@@ -84,25 +84,31 @@ def _twin_now(running: pb.TwinModel | None) -> Markup:
     )
 
 
-def finding_card(chosen: CampaignFolder | None, finding: Finding | None, problem: str, report: str, may: May) -> Markup:
+def diagnosis_card(
+    chosen: CampaignFolder | None, diagnosis: Diagnosis | None, problem: str, report: str, may: May
+) -> Markup:
     """Return the card with the result of the diagnosis of a campaign."""
     if chosen is None:
         return _card("Result of the diagnosis", tag("div", "Nothing yet: run a campaign.", class_="hint"))
     title = f"Result of the diagnosis, campaign of {chosen.made}"
-    if finding is None:
+    if diagnosis is None:
         return _card(title, tag("div", problem or "This campaign has not been diagnosed yet.", class_="hint"))
-    causes = [_cause(chosen, cause, may, sure=finding.sure) for cause in finding.causes]
+    causes = [_cause(chosen, cause, may, sure=bool(diagnosis.causes)) for cause in diagnosis.suspects]
     quick = (
-        () if finding.calibrated else (tag("div", "Quick diagnosis: its confidence is not calibrated.", class_="hint"),)
+        ()
+        if diagnosis.calibrated
+        else (tag("div", "Quick diagnosis: its confidence is not calibrated.", class_="hint"),)
     )
-    warnings = [tag("li", text) for text in finding.warnings]
+    warnings = [tag("li", text) for text in diagnosis.warnings]
     assumed = "The plant is assumed: K_c and b of this answer hold for a published CE 152 only."
     return _card(
         title,
-        tag("div", _VERDICTS.get(finding.verdict, finding.verdict), class_="verdict", data_verdict=finding.verdict),
-        tag("p", finding.sentence, class_="sentence"),
-        _warning(assumed if finding.plant_assumed or chosen.plant_assumed else ""),
-        errors_figure(finding.ahead) if finding.ahead else Markup(),
+        tag(
+            "div", _VERDICTS.get(diagnosis.verdict, diagnosis.verdict), class_="verdict", data_verdict=diagnosis.verdict
+        ),
+        tag("p", diagnosis.sentence, class_="sentence"),
+        _warning(assumed if diagnosis.plant_assumed or chosen.plant_assumed else ""),
+        errors_figure(diagnosis.ahead) if diagnosis.ahead else Markup(),
         *causes,
         *quick,
         tag("ul", *warnings, class_="hint") if warnings else Markup(),
@@ -152,16 +158,18 @@ def _warning(text: str) -> Markup:
     return tag("div", text, class_="class-of") if text else Markup()
 
 
-def _cause(chosen: CampaignFolder, cause: FindingCause, may: May, *, sure: bool) -> Markup:
+def _cause(chosen: CampaignFolder, cause: Cause, may: May, *, sure: bool) -> Markup:
     lines = [tag("div", f"{cause.name}: {cause.sentence}", class_="strong")]
     word = "cause" if sure else "candidate"
     lines.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
-    if cause.equals:
+    if cause.confounders:
         lines.append(
-            tag("div", f"These recordings cannot distinguish it from {', '.join(cause.equals)}.", class_="class-of")
+            tag(
+                "div", f"These recordings cannot distinguish it from {', '.join(cause.confounders)}.", class_="class-of"
+            )
         )
     if cause.experiments and may("campaign"):
-        lines.append(_row(*(_experiment(chosen, name) for name in cause.experiments[:3])))
+        lines.append(_row(*(_experiment(chosen, name) for name in list(cause.experiments)[:3])))
     lines += [tag("div", f"It needs another instrument: {text}", class_="hint") for text in cause.outside]
     if cause.confirm:
         lines.append(tag("div", f"To confirm it at the rig: {cause.confirm}.", class_="hint"))

@@ -22,9 +22,9 @@ from gateway.views.hmi.html import controls, model_page
 from gateway.views.hmi.html.markup import Markup, join, tag
 from gateway.views.hmi.library import LibraryFile
 from gateway.views.hmi.model.campaigns import choose, rig_of
-from gateway.views.hmi.model.finding import read_finding
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
+from protocol.diagnosis import load_diagnosis
 from protocol.errors import DataError
 
 REPLAY = "/live-replay"  # where the frames of replays come from
@@ -88,10 +88,10 @@ class Pages:
     def _model(self, board: str, campaign: str, session: LoginSession) -> Markup:
         campaigns = self._work.campaigns(board)
         chosen = choose(campaigns, campaign)
-        finding, problem, report = None, "", ""
+        diagnosis, problem, report = None, "", ""
         if chosen is not None and chosen.diagnosis is not None:
             try:
-                finding = read_finding(chosen.diagnosis)
+                diagnosis = load_diagnosis(chosen.diagnosis)
             except DataError as error:
                 problem = str(error)
             page = (chosen.diagnosis.parent / "report.html").resolve()
@@ -103,7 +103,7 @@ class Pages:
         return model_page.page(
             self._work.running(board),
             model_page.steps(chosen, may),
-            model_page.finding_card(chosen, finding, problem, report, may),
+            model_page.diagnosis_card(chosen, diagnosis, problem, report, may),
             model_page.models_card(self._work.models(board), may),
             model_page.campaigns_card(board, campaigns, chosen, may),
         )

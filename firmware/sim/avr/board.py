@@ -17,7 +17,7 @@ from ctypes import POINTER, c_char_p, c_uint8, c_uint16, c_uint32, c_uint64
 from functools import cache
 from pathlib import Path
 
-from gateway.emulator.chip.avr.build import Image, image, simulator
+from firmware.sim.avr.build import Image, image, simulator
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import CE152_BOARD, DAC_BITS, FIRMWARE, T_S_US, BoardProfile, FlashLimits
 from gateway.emulator.firmware.law import Gains

@@ -1,4 +1,4 @@
-"""What an investigation takes from diagnosis.json."""
+"""What programs other than the twin read from diagnosis.json."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gateway.investigate.answer import read_answer
+from protocol.diagnosis import read_diagnosis
 from protocol.errors import DataError
 
 CAUSE: dict[str, Any] = {
@@ -23,7 +23,7 @@ FOUND: dict[str, Any] = {"verdict": "causes-found", "sentence": "It is so.", "ca
 
 
 def test_a_class_comes_with_its_separations_and_what_nothing_is_known_of_as_none() -> None:
-    answer = read_answer(FOUND, where="x")
+    answer = read_diagnosis(FOUND, where="x")
 
     (suspect,) = answer.suspects
     assert answer.is_open
@@ -33,7 +33,7 @@ def test_a_class_comes_with_its_separations_and_what_nothing_is_known_of_as_none
 
 
 def test_where_no_cause_holds_the_candidates_are_looked_at() -> None:
-    answer = read_answer(FOUND | {"verdict": "unknown-cause", "causes": [], "candidates": [CAUSE]}, where="x")
+    answer = read_diagnosis(FOUND | {"verdict": "unknown-cause", "causes": [], "candidates": [CAUSE]}, where="x")
 
     assert [one.name for one in answer.suspects] == ["air-gap-offset"]
 
@@ -41,7 +41,7 @@ def test_where_no_cause_holds_the_candidates_are_looked_at() -> None:
 def test_a_cause_without_a_class_is_not_open() -> None:
     alone = CAUSE | {"indistinguishable_from": [], "next_experiment": None}
 
-    assert not read_answer(FOUND | {"causes": [alone]}, where="x").is_open
+    assert not read_diagnosis(FOUND | {"causes": [alone]}, where="x").is_open
 
 
 @pytest.mark.parametrize(
@@ -50,4 +50,4 @@ def test_a_cause_without_a_class_is_not_open() -> None:
 )
 def test_what_is_no_answer_is_named(wrong: dict[str, Any]) -> None:
     with pytest.raises(DataError, match=r"^here is not a diagnosis.json of board51 diagnose"):
-        read_answer(wrong, where="here")
+        read_diagnosis(wrong, where="here")

@@ -18,8 +18,8 @@ import struct
 from pathlib import Path
 from typing import Final
 
-from gateway.emulator.chip.mcs51.build import CLOCK_HZ, image, simulator
-from gateway.emulator.chip.mcs51.library import Chip, load
+from firmware.sim.mcs51.build import CLOCK_HZ, image, simulator
+from firmware.sim.mcs51.library import Chip, load
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import CE152_BOARD, CURRENT, INPUT, POSITION, T_S_US, BoardProfile
 from gateway.emulator.firmware.output import OutputFault
