@@ -130,6 +130,7 @@ def diagnose(
     """
     from twin.diagnosis import pipeline
     from twin.diagnosis.equilibria.run import is_static
+    from twin.diagnosis.options import Options
     from twin.diagnosis.residuals.summary import summarise
     from twin.inference.budget import MILLION
 
@@ -141,9 +142,7 @@ def diagnose(
     campaign, reference = _campaign(campaign), None if model is None else _model(model)
     if is_static(campaign):
         return _diagnosed_at_rest(campaign, reference, data, where, progress)
-    result = pipeline.diagnose(
-        campaign,
-        data=data,
+    options = Options(
         model=reference,
         quick=quick,
         share=share,
@@ -154,6 +153,7 @@ def diagnose(
         budget=None if budget is None else budget * MILLION,
         say=progress,
     )
+    result = pipeline.diagnose(campaign, options, data=data)
     progress("what it gets wrong, before and after")
     return Diagnosed(
         verdict=result.verdict,
