@@ -15,12 +15,12 @@ from protocol.campaign import Campaign, Recording
 from protocol.errors import DataError, UsageError
 from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
 from twin.model.parameters import Model
+from twin.settings.diagnosis import MIN_SHARE
 
 if TYPE_CHECKING:
     from twin.control_design.board import Converters
 
 Progress = Callable[[str], None]
-SHARE = 0.2  # smallest part of the deviance above the noise floor that a cause must explain
 SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
 
 
@@ -94,7 +94,7 @@ def diagnose(
     model: Model | Path | str | None = None,
     data: Path | None = None,
     quick: bool = False,
-    share: float = SHARE,
+    share: float = MIN_SHARE,
     experiments: bool | None = None,
     free_form: bool | None = None,
     seed: int = 0,
