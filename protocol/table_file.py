@@ -1,23 +1,24 @@
 """Reads recordings in tables (CSV, also .gz; MATLAB) within fixed bounds.
 
+A cell of a channel that is not a finite number is a missing reading: it is left out, and counted in a warning.
+
 Rule: the size is checked during decompression: a compressed kilobyte may expand to a gigabyte.  A packed file unpacks
       to LARGEST_RATIO times its size at most, and to FREE_BYTES in any case.
 """
 
 from __future__ import annotations
 
+import csv
 import gzip
 import os
 import struct
 import zlib
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 
 from protocol.errors import DataError
 from protocol.files import open_regular
 
-T = TypeVar("T")
 LARGEST_TABLE = 500_000_000  # bytes, unpacked: four hours at 500 Hz
 LARGEST_RATIO = 100  # samples pack ten times; equal rows, which are no recording, a thousand times
 FREE_BYTES = 4_000_000
@@ -49,24 +50,41 @@ def read_csv_bytes(path: Path) -> bytes:
             raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
 
 
-def check_table(path: Path, head: Sequence[str], row: Sequence[str]) -> None:
-    """Refuse a file that cannot be a recording.
+def read_header(path: Path, line: str, row: str, number: int = 1) -> tuple[tuple[str, ...], str]:
+    """Return the names of the columns of a CSV file, and the character that separates its cells.
 
     The error does not quote the content: a wrong path may name any private file of the user.
 
     Args:
         path: Path for the error.
-        head: Cells of the first line.
-        row: Cells of the first line of data.
+        line: The line with the names.
+        row: The first line of data.
+        number: Number of the line with the names.
 
     Raises:
-        DataError: fewer than two columns, or no cell of the row is a number.
+        DataError: the file cannot be a recording, has no line of names, or a name twice.
     """
-    if len(head) < 2 or not any(is_number(cell) for cell in row):
+    separator = max(",;\t", key=line.count)
+    names = tuple(cell.strip() for cell in split(line, separator))
+    if len(names) < 2 or not any(is_number(cell) for cell in split(row, separator)):
         raise DataError(
             f"{path} is not a recording: it has no line of two or more column names and a line of numbers after it",
             remedy=REMEDY,
         )
+    if all(is_number(name) for name in names):
+        raise DataError(
+            f"{path}, line {number} holds numbers where the names of the columns belong",
+            remedy=f"Write a line of {len(names)} names above it, such as t,u_c,i_c,x",
+        )
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise DataError(f"{path}, line {number}: column {twice!r} is there twice", remedy="Give each its own name")
+    return names, separator
+
+
+def split(line: str, separator: str) -> list[str]:
+    """Return the cells of a line."""
+    return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
 
 
 def is_number(cell: str) -> bool:
@@ -78,15 +96,10 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def read_mat(
-    path: Path, collect: Callable[[str, Any, dict[str, T], dict[str, str]], None], *, squeeze: bool
-) -> tuple[dict[str, T], dict[str, str]]:
-    """Return the columns of a .mat file up to version 7, and why its other variables are no columns.
+def read_mat(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the vectors of a .mat file up to version 7, and why its other variables are no columns.
 
-    Args:
-        path: Path of the file.
-        collect: Takes the name and value of a variable, and puts it into the columns or the others.
-        squeeze: Whether arrays lose their dimensions of length 1.
+    A variable is a vector, or a scalar struct of vectors (`run.x`).  A scalar beside vectors is no column.
 
     Raises:
         DataError: the file is absent, too large, not a MATLAB file, of version 7.3, or without vectors.
@@ -95,20 +108,44 @@ def read_mat(
 
     check_mat(path)
     try:
-        content = loadmat(path, squeeze_me=squeeze, struct_as_record=False)
+        content = loadmat(path, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
     except Exception as error:  # scipy raises many types for a damaged file, KeyError and zlib.error among them
         raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
-    columns: dict[str, T] = {}
+    columns: dict[str, Any] = {}
     unusable: dict[str, str] = {}
     for name, value in content.items():
         if not name.startswith("__"):
-            collect(name, value, columns, unusable)
+            _collect(name, value, columns, unusable)
     if not columns:
         reasons = "".join(f"; {name}: {why}" for name, why in unusable.items())
         raise DataError(f"{path} holds no numeric vectors{reasons}", remedy="Save t, x, ... as vectors of equal length")
-    return columns, unusable
+    return {name: column for name, column in columns.items() if len(column) > 1} or columns, unusable
+
+
+def _collect(name: str, value: Any, columns: dict[str, Any], unusable: dict[str, str]) -> None:
+    if value.dtype == object and value.size == 1 and hasattr(value.item(), "_fieldnames"):
+        for field in value.item()._fieldnames:  # noqa: SLF001  # scipy's documented way into a struct
+            _collect(f"{name}.{field}", getattr(value.item(), field), columns, unusable)
+    elif hasattr(value, "ravel") and value.dtype.kind in "fiub" and 0 < value.size == max(value.shape):
+        columns[name] = value.ravel()
+    else:
+        unusable[name] = _why(value)
+
+
+def _why(value: Any) -> str:
+    """Return why a variable cannot be used as a column."""
+    if not hasattr(value, "ravel"):  # a sparse matrix
+        return f"its type is not supported ({type(value).__name__})"
+    shape = " x ".join(str(size) for size in value.shape)
+    if value.size == 0:
+        return "it is empty"
+    if value.dtype.kind in "fiub":
+        return f"it is a matrix of {shape}; save each of its columns as a vector"
+    return {"c": "it is complex", "U": "it is text", "S": "it is text"}.get(
+        value.dtype.kind, f"it is a cell or struct array of {shape}; save vectors of numbers"
+    )
 
 
 def check_mat(path: Path) -> None:

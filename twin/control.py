@@ -9,6 +9,7 @@ Rule: u(k) comes from the sum *before* this tick's error is added; where u is li
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -100,6 +101,12 @@ def law(c: LawNumbers, i: float, x: float, x_prev: float, s: float, x_ref: float
     if not winding:
         s = min(max(s + e * c.sample_time_s, -c.s_max), c.s_max)
     return u, s
+
+
+@kernel
+def rounded(value: float, lsb: float) -> float:
+    """Round to whole counts of `lsb`, halves upwards as the firmware does (`law_run`); lsb 0: no rounding."""
+    return math.floor(value / lsb + 0.5) * lsb if lsb > 0.0 else value
 
 
 def integral_behind(c: LawNumbers, *, i: float, x: float, x_prev: float, x_ref: float, u: float) -> float | None:

@@ -15,6 +15,7 @@ from typing import Any
 from protocol.campaign import load
 from tests.harness.diagnose.foreign import hall_campaign
 from tests.harness.diagnose.hidden_campaign import make_campaign
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.residuals.summary import summarise
 
@@ -35,7 +36,7 @@ def run(quick: bool | None = None) -> list[dict[str, Any]]:
         folder, short = Path(scratch) / "campaign", Path(scratch) / "short"
         make_campaign(folder, effects=EFFECT, seed=SEED, plant="independent")
         make_campaign(short, effects=EFFECT, seed=SEED, plant="independent", quick=True)
-        diagnose(load(short), quick=True)  # compiles, or loads the compiled kernels
+        diagnose(load(short), Options(quick=True))  # compiles, or loads the compiled kernels
         for mode in ("quick",) if quick else ("quick", "full"):
             rows += _rows(folder, mode)
         rows.append(_step(hall_campaign(Path(scratch) / "foreign")))
@@ -44,7 +45,7 @@ def run(quick: bool | None = None) -> list[dict[str, Any]]:
 
 def _step(foreign: Path) -> dict[str, Any]:
     cpu = time.process_time()
-    found = diagnose(load(foreign), quick=True)
+    found = diagnose(load(foreign), Options(quick=True))
     cpu_s = time.process_time() - cpu
     value = cpu_s / found.budget.spent
     return {
@@ -60,7 +61,7 @@ def _step(foreign: Path) -> dict[str, Any]:
 def _rows(folder: Path, mode: str) -> list[dict[str, Any]]:
     campaign = load(folder)
     wall, cpu = time.perf_counter(), time.process_time()
-    found = diagnose(campaign, quick=mode == "quick")
+    found = diagnose(campaign, Options(quick=mode == "quick"))
     between = time.perf_counter()
     summarise(found, campaign.controller, quick=mode == "quick", seed=0)
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu

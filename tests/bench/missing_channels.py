@@ -20,6 +20,7 @@ from gateway.emulator.plant.effects import EFFECTS
 from protocol.campaign import Campaign, Recording, load
 from protocol.errors import DataError
 from tests.harness.diagnose.hidden_campaign import make_campaign
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.result import Diagnosis
 from twin.identification.pipeline import identify
@@ -125,7 +126,7 @@ def reduced(campaign: Campaign, variant: Variant, folder: Path) -> Campaign:
 
 def _found(campaign: Campaign) -> str:
     try:
-        found = diagnose(campaign, quick=True)
+        found = diagnose(campaign, Options(quick=True))
     except DataError as error:
         return f"refused: {error}"
     names = ", ".join(_class(found)) or "-"

@@ -10,6 +10,7 @@ from gateway.emulator.firmware.flash import GAINS, K_PID, OPERATING_POINT, gains
 from gateway.emulator.firmware.law import ControlLaw, Gains
 from protocol.wire.messages import Law
 from tests.harness.firmware.core import Core
+from twin.control import rounded
 
 FLOWN = (GAINS, gains_in_counts(Law.PID, K_PID, OPERATING_POINT))
 ENDS = (-32767, -1, 0, 1, 32767)
@@ -83,3 +84,9 @@ def test_before_rounding_the_accumulator_is_that_of_python(core: Core) -> None:
         i, x, x_ref = chance.randrange(4096), chance.randrange(4096), chance.randrange(4096)
 
         assert core.c.law_accumulate(i, x, x_ref) == law.accumulate(i, x, x_ref), (law.gains, i, x, x_ref)
+
+
+def test_the_twin_rounds_half_a_count_as_the_board_does(core: Core) -> None:
+    core.load(Gains(law=0, mantissas=(-256, 0, 0, 0), shifts=(9, 0, 0, 0), i_0=0, x_0=0, u_0=100))  # u = 100 + i/2
+
+    assert [core.run(i, 0, 0)[0] for i in range(8)] == [rounded(100.0 + 0.5 * i, 1.0) for i in range(8)]

@@ -10,7 +10,7 @@ import pytest
 
 from protocol.errors import ConfigError, DataError, single_line
 from protocol.files import LARGEST_SMALL, open_regular, parse_json, parse_toml, read_small
-from protocol.table_file import LONGEST_LINE, check_table, read_csv_bytes
+from protocol.table_file import LONGEST_LINE, read_csv_bytes, read_header
 
 
 def test_a_small_file_is_read_up_to_its_bound(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_line_of_a_table_has_a_bound_wherever_it_begins(tmp_path: Path, packed
 )
 def test_what_is_no_recording_is_refused_without_a_word_of_it(head: list[str], row: list[str]) -> None:
     with pytest.raises(DataError) as said:
-        check_table(Path("file"), head, row)
+        read_header(Path("file"), ",".join(head), ",".join(row))
 
     assert not any(cell in str(said.value) for cell in (*head, *row) if len(cell) > 1)
 

@@ -15,12 +15,12 @@ from protocol.campaign import Campaign, Recording
 from protocol.errors import DataError, UsageError
 from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
 from twin.model.parameters import Model
+from twin.settings.diagnosis import MIN_SHARE
 
 if TYPE_CHECKING:
     from twin.control_design.board import Converters
 
 Progress = Callable[[str], None]
-SHARE = 0.2  # smallest part of the deviance above the noise floor that a cause must explain
 SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
 
 
@@ -94,7 +94,7 @@ def diagnose(
     model: Model | Path | str | None = None,
     data: Path | None = None,
     quick: bool = False,
-    share: float = SHARE,
+    share: float = MIN_SHARE,
     experiments: bool | None = None,
     free_form: bool | None = None,
     seed: int = 0,
@@ -130,6 +130,7 @@ def diagnose(
     """
     from twin.diagnosis import pipeline
     from twin.diagnosis.equilibria.run import is_static
+    from twin.diagnosis.options import Options
     from twin.diagnosis.residuals.summary import summarise
     from twin.inference.budget import MILLION
 
@@ -141,9 +142,7 @@ def diagnose(
     campaign, reference = _campaign(campaign), None if model is None else _model(model)
     if is_static(campaign):
         return _diagnosed_at_rest(campaign, reference, data, where, progress)
-    result = pipeline.diagnose(
-        campaign,
-        data=data,
+    options = Options(
         model=reference,
         quick=quick,
         share=share,
@@ -154,6 +153,7 @@ def diagnose(
         budget=None if budget is None else budget * MILLION,
         say=progress,
     )
+    result = pipeline.diagnose(campaign, options, data=data)
     progress("what it gets wrong, before and after")
     return Diagnosed(
         verdict=result.verdict,

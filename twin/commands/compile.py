@@ -8,10 +8,10 @@ them run on it.  `make setup` calls it.  Done again it takes a few seconds.
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
-import time
 from pathlib import Path
+
+from twin.commands import progress_printer
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,12 +30,7 @@ def run(args: argparse.Namespace) -> int:
     from twin.mirror.warm_up import compile_kernels
     from twin.model.nominal import nominal
 
-    began = time.monotonic()
-
-    def print_progress(line: str) -> None:
-        if not args.quiet:
-            print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
-
+    print_progress = progress_printer(quiet=args.quiet)
     if not compiled.cache_folder():
         print_progress("board51 compile: no folder for compiled code can be written; set NUMBA_CACHE_DIR to one")
         return 0

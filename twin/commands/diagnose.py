@@ -9,10 +9,9 @@ board; the last quarter of the flights is used to judge.
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from pathlib import Path
 
+from twin.commands import progress_printer
 from twin.inference.budget import FULL, MILLION, QUICK
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
 from twin.settings import diagnosis as settings
@@ -75,12 +74,7 @@ def run(args: argparse.Namespace) -> int:
     from twin.api.functions import diagnose
     from twin.api.results import as_text
 
-    began = time.monotonic()
-
-    def progress(line: str) -> None:
-        if not args.quiet:
-            print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
-
+    progress = progress_printer(quiet=args.quiet)
     check_options(args)
     board = ""
     if args.live is not None:

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
-import time
 from pathlib import Path
 
 from protocol.errors import DataError
+from twin.commands import progress_printer
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -39,12 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and (args.out.is_dir() or not os.access(args.out.parent, os.W_OK)):
         # Before the work, which can take a minute.
         raise DataError(f"{args.out} cannot be written", remedy="Give a file in a writable folder")
-    began = time.monotonic()
-
-    def progress(line: str) -> None:
-        if not args.quiet:
-            print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
-
+    progress = progress_printer(quiet=args.quiet)
     result = identify(args.campaign, data=args.data, progress=progress)
     if args.out is not None:
         result.model.save(args.out)

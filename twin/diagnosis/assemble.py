@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
@@ -18,6 +18,7 @@ from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_f
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.judge.worth import Bench
+from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
 from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model
 from twin.diagnosis.report.model_file import model_of
@@ -53,10 +54,8 @@ from twin.inference.theta import Theta
 from twin.model.assumed import assumption, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
-from twin.model.parameters import Model, Parameter
+from twin.model.parameters import Parameter
 from twin.settings import diagnosis as settings
-
-Progress = Callable[[str], None]
 
 
 @dataclass(kw_only=True)
@@ -70,21 +69,19 @@ class SearchResult:
     is_adequate: bool  # whether only noise is left
     why_not: str
     change: Change | None
+    budget: Budget  # of all questions
+    stages_s: dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
-    """The options of the user."""
+class Inputs:
+    """What a diagnosis is made from."""
 
-    model: Model | None
-    quick: bool
-    share: float
-    experiments: bool  # whether to find experiments that split equivalence classes
-    free_form: bool | None  # whether to model what is left; None: if more than noise is, and not with `quick`
-    seed: int
-    workers: int
-    budget: Budget
-    say: Progress
+    campaign: Campaign
+    records: Sequence[Record]  # for fitting
+    judges: Sequence[Record]
+    evidence: Evidence  # of `records`
+    judge: Evidence | None  # of `judges`; None: there are none
 
 
 @contextmanager
@@ -104,44 +101,24 @@ def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
     )
 
 
-def assemble(
-    campaign: Campaign,
-    search: SearchResult,
-    records: Sequence[Record],
-    judges: Sequence[Record],
-    evidence: Evidence,
-    judge: Evidence | None,
-    warnings: list[str],
-    options: Options,
-    stages: dict[str, float],
-) -> Diagnosis:
-    """Assemble the diagnosis.
-
-    Args:
-        campaign: plant and controller.
-        search: result of the search.
-        records: recordings for fitting.
-        judges: recordings for judging.
-        evidence: prepared recordings for fitting.
-        judge: prepared recordings for judging; None: there are none.
-        warnings: receives further warnings.
-        options: of the user.
-        stages: receives the duration of each stage, s.
-    """
+def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosis:
+    """Assemble the diagnosis, with the warnings from here on and the stages from the search on."""
+    records, judge, plant = inputs.records, inputs.judge, inputs.campaign.plant
+    stages = dict(search.stages_s)
     criterion, selection, floor = search.criterion, search.selection, search.floor
-    finished = not options.budget.unanswered  # questions left open from here on do not change the verdict
-    options.budget.reopen()
+    finished = not search.budget.unanswered  # questions left open from here on do not change the verdict
+    search.budget.reopen()
     with timed(stages, "what is left"):
         under = floor.under(criterion, selection.fit.theta)
         account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate)
         where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
         spread = spreads(criterion, selection.fit)
-        warnings += _inconsistent(search)
+        warnings = _inconsistent(search)
     with timed(stages, "next experiments"):
-        proposals = _proposals(criterion, selection, campaign, options) if options.experiments else {}
+        proposals = _proposals(search, inputs.campaign, options)
     with timed(stages, "gain"):
-        lost = lost_samples([*records, *judges])
-        bench = _bench(search, judge, campaign.plant, options)
+        lost = lost_samples([*records, *inputs.judges])
+        bench = _bench(search, judge, plant, options)
         outcome = judgement.judge(
             selection,
             options.model,
@@ -154,7 +131,7 @@ def assemble(
         verdict, choice, whole = outcome.verdict, outcome.choice, outcome.whole
         warnings += [outcome.off] if outcome.off else []
     with timed(stages, "remainder"):
-        remainder = _remainder(search, records, judge, whole, choice, options)
+        remainder = _remainder(inputs, search, whole, choice, options)
         if not _harmless(bench, outcome.before, choice, remainder):
             warnings.append("a curve of what is left was tried and refused: with it the judge recordings get worse")
             remainder = None
@@ -162,7 +139,7 @@ def assemble(
     final_spread = spread if final is selection.fit else {} if final is None else spreads(criterion, final)
     if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
         verdict = "unknown-cause"
-    findings = _findings(selection, account, spread, proposals, verdict, lost, campaign.plant)
+    findings = _findings(selection, account, spread, proposals, verdict, lost, plant)
     if search.change is not None:
         findings = [_with_change(finding, search.change) for finding in findings]
     if search.is_adequate and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
@@ -174,7 +151,7 @@ def assemble(
         tuple(minor_effects_of(criterion, selection)) if search.is_adequate and search.change is None else ()
     )
     lacked = under.excess(search.base.loglik)
-    paper = model_of(campaign, search.base, {}, records, lacked, "the paper's model at its best")
+    paper = model_of(inputs.campaign, search.base, {}, records, lacked, "the paper's model at its best")
     baseline = options.model or paper
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -194,21 +171,21 @@ def assemble(
             choice,
             baseline
             if final is None
-            else model_of(campaign, final, final_spread, records, under.excess(final.loglik), ""),
+            else model_of(inputs.campaign, final, final_spread, records, under.excess(final.loglik), ""),
         ),
         choice=choice,
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=tuple(warnings),
         quick=options.quick or options.share < settings.MIN_SHARE,
         stages_s=stages,
         selection=selection,
         floor=floor,
-        fit_evidence=evidence,
+        fit_evidence=inputs.evidence,
         judge_evidence=judge,
         before=outcome.before,
         after=outcome.before if choice.fit is None else choice.fit.theta,
         tick_s=criterion.tick_s,
         remainder=remainder,
-        budget=options.budget,
+        budget=search.budget,
     )
     sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
     return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
@@ -226,22 +203,22 @@ def _inconsistent(search: SearchResult) -> list[str]:
 
 
 def _remainder(
+    inputs: Inputs,
     search: SearchResult,
-    records: Sequence[Record],
-    judge: Evidence | None,
     whole: Gain | None,
     choice: Choice,
     options: Options,
 ) -> Remainder | None:
-    """Return the model what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
+    """Return a model of what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
+    judge = inputs.judge
     has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
     is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form
     if not is_requested or judge is None or whole is None or choice.fit is None or search.change is not None:
         return None
     options.say("what is left, as a curve?")
-    question = options.budget.question("what is left, as a curve")
-    with suppress(Spent), question, search.criterion.charging(options.budget):
-        candidates = testable_causes(records)
+    question = search.budget.question("what is left, as a curve")
+    with suppress(Spent), question, search.criterion.charging(search.budget):
+        candidates = testable_causes(inputs.records)
         paper = search.base if has_remainder else None
         return remainder_of(search.criterion, choice.fit, paper, judge, search.floor, candidates, seed=options.seed)
     return None
@@ -257,7 +234,7 @@ def _bench(search: SearchResult, judge: Evidence | None, plant: Plant, options: 
         tick_s=search.criterion.tick_s,
         seed=options.seed,
         workers=options.workers,
-        budget=options.budget,
+        budget=search.budget,
     )
 
 
@@ -333,18 +310,18 @@ def _names(findings: Sequence[Finding]) -> set[str]:
     }
 
 
-def _proposals(criterion: Criterion, selection: Selection, campaign: Campaign, options: Options) -> dict[str, Proposal]:
+def _proposals(search: SearchResult, campaign: Campaign, options: Options) -> dict[str, Proposal]:
     """Propose for each equivalence class the experiment that splits it best, or a measurement if none does."""
-    result = {}
-    for cause in selection.causes:
+    criterion, selection, result = search.criterion, search.selection, {}
+    for cause in selection.causes if options.proposes else ():
         members = selection.classes.get(cause, ())
         if not members:
             continue
         question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in members)}"
         options.say(f"{question}?")
         ranked = []
-        with suppress(Spent), options.budget.question(question):
-            ranked = propose(criterion, selection.fit, cause, members, campaign.controller, options.budget)
+        with suppress(Spent), search.budget.question(question):
+            ranked = propose(criterion, selection.fit, cause, members, campaign.controller, search.budget)
         if not ranked:
             continue
         best = ranked[0]

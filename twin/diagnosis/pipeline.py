@@ -21,10 +21,11 @@ import numpy as np
 
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
-from twin.diagnosis.assemble import Options, Progress, SearchResult, assemble, testable_causes, timed
+from twin.diagnosis.assemble import Inputs, SearchResult, assemble, testable_causes, timed
 from twin.diagnosis.checks.change_point import find_change
 from twin.diagnosis.checks.outlier_recording import Outlier, find_outlier
 from twin.diagnosis.judge.reference_model import check_plant
+from twin.diagnosis.options import Options, Progress
 from twin.diagnosis.report.sentences import change_sentence, outlier_sentence
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search.stepwise import select
@@ -38,52 +39,21 @@ from twin.evidence.noise_levels import Noise
 from twin.evidence.outliers import without_outliers
 from twin.evidence.shorten import shortened
 from twin.inference.adequacy import adequate
-from twin.inference.budget import FULL, QUICK, RESERVED, Budget, Spent, millions
+from twin.inference.budget import RESERVED, Budget, Spent, millions
 from twin.inference.fisher_scoring import climb
 from twin.inference.initial_guess import start_theta, with_noise_bounds
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import floor_of
 from twin.inference.theta import BASE, STOPS, Theta, parameter_of
 from twin.model.assumed import assumption_warning
-from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
-from twin.settings import diagnosis as settings
 
 UNASKED = "--quick: not asked whether an effect begins or ends in the middle of the campaign"
 MIN_FLIGHT_S = 2.0  # 120 time constants of the unstable pole
 
 
-def diagnose(
-    campaign: Campaign,
-    *,
-    data: Path | None = None,
-    model: Model | None = None,
-    quick: bool = False,
-    share: float = settings.MIN_SHARE,
-    experiments: bool | None = None,
-    free_form: bool | None = None,
-    seed: int = 0,
-    workers: int = 2,
-    budget: float | None = None,
-    say: Progress = lambda line: None,
-) -> Diagnosis:
-    """Diagnose a campaign.
-
-    Args:
-        campaign: of `Campaign.load`.
-        data: folder of the recordings, if it is not that of the campaign.
-        model: the reference model to diagnose; None: the paper's model, fitted to the campaign.
-        quick: fit fewer candidates to shorter flights, with few confounders of several causes and without a change
-            point; confidence is then not calibrated.
-        share: smallest part of the deviance above the noise floor that a cause must explain; below the default,
-            confidence is not calibrated.
-        experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
-            `quick`.
-        free_form: whether to model what is left by curves; None: where more than noise is, if not `quick`.
-        seed: of the bootstrap.
-        workers: threads.
-        budget: filter steps (`twin/inference/budget.py`); None: QUICK or FULL.
-        say: is called with lines of progress, each with the used share of the budget.
+def diagnose(campaign: Campaign, options: Options | None = None, *, data: Path | None = None) -> Diagnosis:
+    """Diagnose a campaign, whose recordings are in the folder `data` if not in its own.
 
     Raises:
         DataError: there is no recording for fitting or too little data; a recording is implausible; the model is of
@@ -96,66 +66,24 @@ def diagnose(
             f'{campaign.where}: no recording has use = "fit"',
             remedy='Give at least one [[recording]] with use = "fit"; judge recordings cannot also choose the model',
         )
-    return diagnose_records(
-        campaign,
-        records,
-        judges,
-        model=model,
-        quick=quick,
-        share=share,
-        experiments=experiments,
-        free_form=free_form,
-        seed=seed,
-        workers=workers,
-        budget=Budget(budget or (QUICK if quick else FULL), RESERVED),
-        say=say,
-    )
+    return diagnose_records(campaign, records, judges, options or Options())
 
 
 def diagnose_records(
-    campaign: Campaign,
-    records: Sequence[Record],
-    judges: Sequence[Record],
-    *,
-    model: Model | None = None,
-    quick: bool = False,
-    share: float = settings.MIN_SHARE,
-    experiments: bool | None = None,
-    free_form: bool | None = None,
-    seed: int = 0,
-    workers: int = 2,
-    budget: Budget | None = None,
-    look_for_outlier: bool = True,
-    say: Progress = lambda line: None,
-) -> Diagnosis:
-    """Run `diagnose` with recordings in memory.
-
-    With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
-    """
-    budget = budget or Budget()
-    options = Options(
-        model=model,
-        quick=quick,
-        share=share,
-        experiments=not quick if experiments is None else experiments,
-        free_form=free_form,
-        seed=seed,
-        workers=workers,
-        budget=budget,
-        say=_with_share(say, budget),
-    )
-    return _diagnosed(campaign, records, judges, options, look_for_outlier=look_for_outlier)
-
-
-def _diagnosed(
     campaign: Campaign,
     everything: Sequence[Record],
     judges: Sequence[Record],
     options: Options,
     *,
-    look_for_outlier: bool,
+    budget: Budget | None = None,
+    look_for_outlier: bool = True,
 ) -> Diagnosis:
-    plant, budget = campaign.plant, options.budget
+    """Diagnose recordings in memory, within a part of a budget where one is given.
+
+    With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
+    """
+    plant, budget = campaign.plant, budget or Budget(options.limit, RESERVED)
+    options = replace(options, say=_with_share(options.say, budget))
     if options.model is not None:
         check_plant(options.model, plant)
     records, warnings = _prepared(campaign, everything, options.quick)
@@ -169,7 +97,7 @@ def _diagnosed(
     criterion = Criterion(evidence, plant, tick_of(records), workers=options.workers, budget=budget)
     with ExitStack() as closing:
         closing.callback(criterion.close)
-        search = _search(criterion, start, records, options, stages)
+        search = _search(criterion, start, records, options)
         if not search.is_adequate and options.quick:
             warnings.append(UNASKED)
         # An offset that wanders from recording to recording also explains one of another rig.
@@ -177,15 +105,10 @@ def _diagnosed(
         outlier = _outlier(criterion, search) if look_for_outlier and (wanders or not search.is_adequate) else None
         if outlier is not None:
             options.say(f"{outlier.name} contradicts the others: once more without it")
-            (remaining_budget,) = budget.shares(1)
-            rest = _diagnosed(
-                campaign,
-                [record for index, record in enumerate(everything) if index != outlier.recording],
-                judges,
-                replace(options, budget=remaining_budget, say=_with_share(options.say, remaining_budget)),
-                look_for_outlier=False,
-            )
-            budget.settle([remaining_budget])
+            (remaining,) = budget.shares(1)
+            others = [record for index, record in enumerate(everything) if index != outlier.recording]
+            rest = diagnose_records(campaign, others, judges, options, budget=remaining, look_for_outlier=False)
+            budget.settle([remaining])
             if rest.verdict == "unfinished":
                 budget.unanswered.append(f"whether the others agree without {outlier.name}")
             elif rest.verdict != "unknown-cause" and not _wanders(rest.after):
@@ -199,8 +122,14 @@ def _diagnosed(
             )
             if judge is not None and (later := change.of(judges)):
                 judge = with_noise(without_outliers(gather(later, plant, stops)), noise)
+        inputs = Inputs(campaign=campaign, records=records, judges=judges, evidence=evidence, judge=judge)
         with criterion.free(), search.criterion.free():
-            return assemble(campaign, search, records, judges, evidence, judge, warnings, options, stages)
+            result = assemble(inputs, search, options)
+    return replace(
+        result,
+        warnings=tuple(dict.fromkeys((*warnings, *result.warnings))),
+        stages_s={**stages, **result.stages_s},
+    )
 
 
 def _evidence(
@@ -256,11 +185,10 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
     return retained, warnings
 
 
-def _search(
-    criterion: Criterion, start: Theta, records: Sequence[Record], options: Options, stages: dict[str, float]
-) -> SearchResult:
+def _search(criterion: Criterion, start: Theta, records: Sequence[Record], options: Options) -> SearchResult:
     """Fit the paper's model, select causes, and if more than noise is left, look for a change point."""
-    say, max_fits = options.say, 3 if options.quick else 6
+    say, max_fits, budget = options.say, 3 if options.quick else 6, criterion.budget
+    stages: dict[str, float] = {}
     with timed(stages, "base fit"):
         say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; the paper's model first")
         try:
@@ -268,7 +196,7 @@ def _search(
             floor = floor_of(criterion, base.theta)
         except Spent:
             raise DataError(
-                f"the budget of {millions(options.budget.limit)} does not fit even the paper's model to "
+                f"the budget of {millions(budget.limit)} does not fit even the paper's model to "
                 f"{len(criterion.evidence.series)} samples",
                 remedy="Give fewer or shorter recordings, or more with --budget",
             ) from None
@@ -291,7 +219,7 @@ def _search(
     change = None
     if not is_adequate and not options.quick:
         question = "whether an effect begins or ends in the middle of the campaign"
-        with timed(stages, "change"), suppress(Spent), options.budget.question(question):
+        with timed(stages, "change"), suppress(Spent), budget.question(question):
             change = find_change(
                 criterion,
                 selection,
@@ -311,6 +239,8 @@ def _search(
         is_adequate=is_adequate,
         why_not=why_not,
         change=change,
+        budget=budget,
+        stages_s=stages,
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from protocol.campaign import Plant
+from twin.estimation.prepare import scatter
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
 
 HELD_SAMPLES = 25  # 50 ms: four times the time constant of the unstable pole
@@ -43,7 +44,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     known = np.isfinite(x)
     x = np.interp(np.arange(n), np.flatnonzero(known), x[known])
     spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
-    sigma = max(noise_of(x), 1e-4 * plant.travel_m)
+    sigma = max(scatter(x), 1e-4 * plant.travel_m)
     core = spread <= HELD_SCALES * sigma
     held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # all samples of a still window are held
     held &= known
@@ -97,7 +98,7 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
     hit = np.zeros(len(x), np.bool_)
     if len(x) < 7 or not step_s > 0.0:
         return hit
-    sigma = noise_of(x[np.isfinite(x)])
+    sigma = scatter(x[np.isfinite(x)])
     steps = np.diff(x)
     # Two clear steps each way: a single wrong reading gives one step each way.
     up, down = np.minimum(steps[:-1], steps[1:]), np.minimum(-steps[:-1], -steps[1:])
@@ -126,7 +127,7 @@ def partly_cut_off(values: FloatArray) -> BoolArray:
     The error of their mean is below a tenth of the noise.
     """
     cut = np.zeros(len(values), np.bool_)
-    sigma, levels = noise_of(values), np.unique(values)
+    sigma, levels = scatter(values), np.unique(values)
     if len(values) < PILE_SAMPLES or len(levels) < 2 or sigma <= np.diff(levels).min():
         return cut  # on a coarse converter every level is frequent
     reach = END_REACH * sigma
@@ -134,14 +135,6 @@ def partly_cut_off(values: FloatArray) -> BoolArray:
         in_reach = np.abs(values - end) <= reach
         cut |= in_reach & (in_reach.sum() >= PILE_SAMPLES) & (np.mean(values[in_reach] == end) > PILE_SHARE)
     return cut
-
-
-def noise_of(x: FloatArray) -> float:
-    """Estimate the noise on a smooth signal from its third difference; 0 for fewer than 8 values."""
-    if len(x) < 8:
-        return 0.0
-    third = np.diff(x, 3)
-    return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
 
 
 def stop_readings(
@@ -199,7 +192,7 @@ def min_noise(records: Sequence[Record]) -> float:
     levels = []
     for x in (record.x[np.isfinite(record.x)] for record in records):
         between = x[(x != x.min()) & (x != x.max())] if len(x) else x
-        levels += [noise_of(between)] if len(between) >= HELD_SAMPLES else []
+        levels += [scatter(between)] if len(between) >= HELD_SAMPLES else []
     return min(levels, default=0.0)
 
 

@@ -17,6 +17,14 @@ from twin.model.simulate import I_READ, INTEGRAL, X_BEFORE, X_READ, hold
 
 
 @kernel
+def run_law(law_: Packed, memory: NDArray[np.float64], i: float, x: float, x_ref: float) -> float:
+    """Return u_c, V, for readings i (A) and x (m), and advance the law's part of the memory."""
+    u, memory[INTEGRAL] = law(LawNumbers(*law_), i, x, memory[X_BEFORE], memory[INTEGRAL], x_ref)
+    memory[X_BEFORE] = x
+    return u
+
+
+@kernel
 def advance(
     plant: Packed, law_: Packed, memory: NDArray[np.float64], closed_loop: bool, x_ref: float, u: float
 ) -> tuple[float, float, float, float]:
@@ -27,7 +35,7 @@ def advance(
     """
     i, x, v = memory[I_READ], memory[X_READ], memory[V]
     if closed_loop:
-        u, memory[INTEGRAL] = law(LawNumbers(*law_), i, x, memory[X_BEFORE], memory[INTEGRAL], x_ref)
+        u = run_law(law_, memory, i, x, x_ref)
     memory[X_BEFORE] = x
     hold(plant, memory, u)
     return i, x, v, u

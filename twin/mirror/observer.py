@@ -27,15 +27,14 @@ from twin.estimation.ekf.correct import (
 )
 from twin.estimation.ekf.memory import Floats, Memory, base_of, memory_for
 from twin.estimation.ekf.predict import add_process_noise, advance, carry, differences
+from twin.estimation.prepare import CONTACT_SHARE
 from twin.estimation.propagate import copy
+from twin.estimation.rollout import SETTLE_S
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
 from twin.model.causes import amplifier_gain_drift
 from twin.model.extended import FIELD, I_C, WARMTH, Base, X, current_of_reading, position_of_reading
 from twin.model.parameters import Noise
 from twin.model.simulate import PlantNumbers
-
-SETTLE_S = 0.1  # the estimate forgets its start within about 1 / (unstable pole) = 12 ms; eight of them
-CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact
 
 
 class Observer(NamedTuple):

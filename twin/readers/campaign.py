@@ -18,7 +18,7 @@ import numpy as np
 from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError
 from protocol.files import open_regular
-from protocol.table_file import LONGEST_LINE, REMEDY, check_table, is_number, read_csv_bytes, read_mat
+from protocol.table_file import LONGEST_LINE, REMEDY, read_csv_bytes, read_header, read_mat
 from twin.estimation.record import Capture, FloatArray, Record
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def read_recording(path: Path, recording: Recording) -> Record:
     if head.startswith(b"\x89MCAP0\r\n"):
         record = _read_log(path, recording)
     elif head.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        record = _from_columns(path, recording, *_mat_columns(path))
+        record = _from_columns(path, recording, *read_mat(path))
     else:
         record = _from_columns(path, recording, _csv_columns(path))
     return _skip(record, recording.skip_s)
@@ -89,20 +89,10 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     if end < 0 or not data[end : end + _HEAD].strip():
         raise DataError(f"{path} holds no rows", remedy="Name a file with a line of column names and rows of numbers")
     header = data[start:end].decode("utf-8", errors="replace").strip()
-    separator = max(",;\t", key=header.count)
-    names = [cell.strip().strip('"') for cell in header.split(separator)]
     row = data[end + 1 : end + 1 + LONGEST_LINE].lstrip().partition(b"\n")[0].decode("utf-8", errors="replace")
-    if len(names) > 1 and all(is_number(name) for name in names):
-        raise DataError(
-            f"{path}, line 1 holds numbers where the names of the columns belong",
-            remedy=f"Write a line of {len(names)} names above it, such as t,u_c,i_c,x",
-        )
-    check_table(path, names, row.replace('"', "").split(separator))
-    if len(set(names)) != len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise DataError(f"{path}: column {twice!r} is there twice", remedy="Give each column its own name")
+    names, separator = read_header(path, header, row)
     options = {
-        "read_options": csv.ReadOptions(column_names=names),
+        "read_options": csv.ReadOptions(column_names=list(names)),
         "parse_options": csv.ParseOptions(delimiter=separator),
     }
     body = memoryview(data)[end + 1 :]
@@ -146,22 +136,6 @@ def _number(cell: object) -> float:
         return float("nan")
 
 
-def _mat_columns(path: Path) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    return read_mat(path, _collect, squeeze=True)
-
-
-def _collect(name: str, value: object, columns: dict[str, FloatArray], unusable: dict[str, str]) -> None:
-    fields = getattr(value, "_fieldnames", None)
-    if fields is not None:
-        for field in fields:
-            _collect(f"{name}.{field}", getattr(value, field), columns, unusable)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 1 and value.size > 1:
-        columns[name] = value.astype(float)
-    elif isinstance(value, np.ndarray) and value.ndim > 0:
-        shape = " x ".join(str(size) for size in value.shape)
-        unusable[name] = f"it is an array of {shape} {value.dtype.name}, not a vector of real numbers"
-
-
 _NEEDED: dict[str, tuple[Channel, ...]] = {
     "amplifier-step": ("t", "u_c", "i_c"),
     "sawtooth": ("t", "i_c", "x"),
@@ -183,7 +157,7 @@ def _from_columns(
     for channel in CHANNELS:
         mapping = recording.column(channel)
         if mapping.column in columns:
-            channels[channel] = _convert(mapping, columns[mapping.column])
+            channels[channel] = _convert(mapping, np.asarray(columns[mapping.column], dtype=float))
             bad = int(np.count_nonzero(~np.isfinite(channels[channel])))
             if channel == "t" and bad == len(channels[channel]):
                 raise DataError(

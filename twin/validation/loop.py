@@ -13,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
-from twin.control import LawNumbers, integral_behind, law
+from twin.control import LawNumbers, integral_behind, law, rounded
 from twin.estimation.record import runs
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.step_figures import LoopRun
 from twin.evidence.checks.control_law import law_gap
+from twin.mirror.loop import run_law
 from twin.mirror.monitor.expected import autocovariance, error_dynamics
 from twin.model.extended import I_C, Base, V, X
 from twin.model.parameters import Model
-from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
+from twin.model.simulate import I_READ, INTEGRAL, X_BEFORE, X_READ, PlantNumbers, hold, plant_numbers, rig_at
 from twin.settings.mirror import STABLE
 from twin.validation.source import Filtered, Source
 
@@ -38,7 +39,6 @@ def simulate_loop(
     noise: NDArray[np.float64],
     lsb: NDArray[np.float64],
     begin: NDArray[np.float64],
-    law_begin: NDArray[np.float64],
     before: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
@@ -50,27 +50,16 @@ def simulate_loop(
         x_ref: m, shape (n,).
         noise: of i_c (A), x (m), process of i_c (A), of x' (m/s), shape (4, n).
         lsb: one count of i_c (A), x (m), u_c (V), shape (3,); 0: no rounding.
-        begin: initial memory of the simulated rig (`twin/model/simulate.py`).
-        law_begin: integral, previous measured x, shape (2,).
+        begin: initial memory of the simulated rig and its law (`twin/model/simulate.py`).
         before: inputs sent before the first sample and not yet acting, V, oldest first; their number is the delay.
         out: receives the result.
     """
-    p = PlantNumbers(*plant)
-    c = LawNumbers(*numbers)
     memory = begin.copy()
-    travel = Base(*p.base).travel_m
-    s, x_prev = law_begin[0], law_begin[1]
+    travel = Base(*PlantNumbers(*plant).base).travel_m
     delay = len(before)
     for k in range(len(x_ref)):
-        i_m, x_m = memory[I_READ] + noise[0, k], memory[X_READ] + noise[1, k]
-        if lsb[0] > 0.0:
-            i_m = round(i_m / lsb[0]) * lsb[0]
-        if lsb[1] > 0.0:
-            x_m = round(x_m / lsb[1]) * lsb[1]
-        u, s = law(c, i_m, x_m, x_prev, s, x_ref[k])
-        if lsb[2] > 0.0:
-            u = round(u / lsb[2]) * lsb[2]
-        x_prev = x_m
+        i_m, x_m = rounded(memory[I_READ] + noise[0, k], lsb[0]), rounded(memory[X_READ] + noise[1, k], lsb[1])
+        u = rounded(run_law(numbers, memory, i_m, x_m, x_ref[k]), lsb[2])
         out[0, k], out[1, k], out[2, k] = i_m, x_m, u
         acting = u
         if delay > 0:
@@ -223,7 +212,7 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
     lsb = np.array([*r.lsb, run.source.u_lsb_v])
     i, x, v = run.readings[part.start].tolist()
     begin = rig_at(plant, i=i, x=x, v=v, u=float(r.u_c[part.start - 1]))
-    law_begin = np.array([integral, r.x[part.start - 1]])
+    begin[INTEGRAL], begin[X_BEFORE] = integral, r.x[part.start - 1]
     delay = run.source.delay
     before = np.asarray(r.u_c[part.start - delay : part.start], dtype=float)
     x_ref = np.ascontiguousarray(r.x_ref[part])
@@ -231,7 +220,7 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
     for m in range(REALISATIONS + 1):
         scale = 0.0 if m == REALISATIONS else 1.0
         noise = scale * noise_levels[:, None] * rng.standard_normal((4, n))
-        simulate_loop(tuple(plant), tuple(c), x_ref, noise, scale * lsb, begin, law_begin, before, out[m])
+        simulate_loop(tuple(plant), tuple(c), x_ref, noise, scale * lsb, begin, before, out[m])
     loop = error_dynamics(model, c, float(np.clip(np.mean(x_ref), 0.0, 0.95 * model.plant.travel_m)))
     expected = float("nan")
     if np.max(np.abs(np.linalg.eigvals(loop[0]))) < STABLE:

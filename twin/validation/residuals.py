@@ -16,11 +16,11 @@ from scipy.stats import chi2
 
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import FloatArray
+from twin.estimation.rollout import SETTLE_S
 from twin.estimation.whiteness import LAGS, LEVEL, SMALL
 from twin.validation.source import Filtered
 
 BOUND_99 = 2.576
-SETTLE_S = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

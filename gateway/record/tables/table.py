@@ -5,10 +5,8 @@ Only requested columns are converted to numbers, so that a file may have text co
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import DataError, quoted
-from protocol.table_file import check_table, is_number, read_csv_bytes
+from protocol.table_file import read_csv_bytes, read_header, split
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,10 +33,10 @@ class Table:
     )  # other variables by name, with the reason why they are not columns
 
     def numbers(self, column: str) -> FloatArray:
-        """Return a column of finite numbers, shape (rows,).
+        """Return a column, shape (rows,), with NaN where a cell is not a finite number.
 
         Raises:
-            DataError: the column does not exist, or a cell is not a finite number.
+            DataError: the column does not exist, or no cell is a finite number.
         """
         if column not in self.names:
             why = f": {self.unusable[column]}" if column in self.unusable else ""
@@ -46,24 +44,27 @@ class Table:
                 f"{self.path} has no column {column!r}{why}",
                 remedy=f"Map another one; its columns are: {', '.join(self.names)}",
             )
-        values = np.empty(self.rows)
-        for row in range(self.rows):
-            cell = self.cell(column, row)
-            try:
-                value = float(cell)
-            except ValueError:
-                raise self._bad(column, row, cell) from None
-            if not math.isfinite(value):
-                raise self._bad(column, row, cell)
-            values[row] = value
+        values = np.array([_number(self.cell(column, row)) for row in range(self.rows)])
+        if self.rows and np.isnan(values).all():
+            raise self.bad(column, 0)
         return values
 
-    def _bad(self, column: str, row: int, cell: str | float) -> DataError:
+    def bad(self, column: str, row: int) -> DataError:
+        """Return the error of a cell that is not a finite number."""
+        cell = self.cell(column, row)
         what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {quoted(cell)} is not a finite number"
         remedy = "Correct the cell, or leave that row out"
         if isinstance(cell, str) and "," in cell:
             remedy = "Write decimals with a point"
         return DataError(f"{self.path}, {self.label(row)}: {column} {what}", remedy=remedy)
+
+
+def _number(cell: str | float) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan
 
 
 def read_csv(path: Path) -> Table:
@@ -81,20 +82,12 @@ def read_csv(path: Path) -> Table:
     retained = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     if not retained:
         raise DataError(f"{path} is empty", remedy="Name a file with a line of column names and rows of numbers")
-    separator = max(",;\t", key=retained[0][1].count)
-    names = tuple(cell.strip() for cell in _split(retained[0][1], separator))
-    where = f"{path}, line {retained[0][0]}"
-    if len(retained) > 1:
-        check_table(path, names, _split(retained[1][1], separator))
-    if any(is_number(name) for name in names):
-        raise DataError(f"{where} holds numbers instead of column names", remedy="Put the names into the first line")
-    if len(set(names)) != len(names) or "" in names:
-        twice = next((name for name in names if names.count(name) > 1 or not name), "")
-        raise DataError(f"{where}: column name {twice!r} is empty or appears twice", remedy="Give each its own name")
-    rows = [_split(line, separator) for _, line in retained[1:]]
-    numbers = [number for number, _ in retained[1:]]
-    if not rows:
+    if len(retained) < 2:
         raise DataError(f"{path} has column names but no rows", remedy="Name a file with data")
+    numbers, lines = [number for number, _ in retained], [line for _, line in retained]
+    names, separator = read_header(path, lines[0], lines[1], numbers[0])
+    rows = [split(line, separator) for line in lines[1:]]
+    numbers = numbers[1:]
     for number, row in zip(numbers, rows, strict=True):
         if len(row) != len(names):
             raise DataError(
@@ -109,7 +102,3 @@ def read_csv(path: Path) -> Table:
         label=lambda row: f"line {numbers[row]}",
         cell=lambda column, row: rows[row][index[column]],
     )
-
-
-def _split(line: str, separator: str) -> Sequence[str]:
-    return next(csv.reader(io.StringIO(line), delimiter=separator))

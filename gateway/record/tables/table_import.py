@@ -1,6 +1,7 @@
 """Imports a recording in a table (CSV, MATLAB) into a log, as State messages like those of a board.
 
-Rule 1: a channel that is missing in the table is absent in every State; nothing is filled in.
+Rule 1: a channel that is missing in the table is absent in every State, a cell that is not a finite number in its
+        State; nothing is filled in.
 Rule 2: T_s is the median step of t; `tick` counts in T_s from the first row.  A step of more than 1.5 T_s is a gap:
         the tick jumps, `lost_before` says by how much.  `t_s` stays the table's own time, to the bit.
 Rule 3: log time is the table's time from the epoch 0: an imported log has no date.
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -121,6 +123,7 @@ def import_recording(
         worst_step_s=float(steps[np.argmax(off)]) if off.size else 0.0,
         beyond_table=extrapolated,
         warnings=(
+            *_missing(table, recording, values),
             *_implausible(recording, values, steps),
             *(f"column {name!r} cannot be used: {why}" for name, why in table.unusable.items()),
         ),
@@ -164,14 +167,17 @@ def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatAr
         raw = table.numbers(column.column)
         values[channel] = _convert(column, raw)
         _check_measured(table, channel, column, values[channel])
-        count = sum(column.extrapolates(value) for value in raw.tolist())
+        count = sum(column.extrapolates(value) for value in raw[np.isfinite(raw)].tolist())
         if count:
             extrapolated[channel] = count
     return values, extrapolated
 
 
 def _check_measured(table: Table, channel: Channel, column: Column, values: FloatArray) -> None:
-    bad = np.flatnonzero(~(np.abs(values) <= NOT_MEASURED[channel]))
+    missing = np.flatnonzero(np.isnan(values))
+    if channel == "t" and missing.size:
+        raise table.bad(column.column, int(missing[0]))
+    bad = np.flatnonzero(np.abs(values) > NOT_MEASURED[channel])
     if bad.size:
         row = int(bad[0])
         raise DataError(
@@ -181,10 +187,18 @@ def _check_measured(table: Table, channel: Channel, column: Column, values: Floa
         )
 
 
+def _missing(table: Table, recording: Recording, values: Mapping[Channel, FloatArray]) -> Iterator[str]:
+    """Yield one line for each channel with missing readings."""
+    for channel, column in values.items():
+        if (missing := np.flatnonzero(np.isnan(column))).size:
+            name, where = recording.column(channel).column, table.label(int(missing[0]))
+            yield f"{missing.size} cells of {name} are not numbers and were left out, the first in {where}"
+
+
 def _implausible(recording: Recording, values: Mapping[Channel, FloatArray], steps: FloatArray) -> Iterator[str]:
     """Yield one line for each channel with implausible values, with the scale that would make it plausible."""
     sizes: dict[Channel, float] = {} if recording.kind == "equilibria" else {"t": float(np.median(steps))}
-    sizes |= {channel: float(np.percentile(np.abs(column), 99)) for channel, column in values.items()}
+    sizes |= {channel: float(np.nanpercentile(np.abs(column), 99)) for channel, column in values.items()}
     for channel, size in sizes.items():
         scale = scale_of_size(size, channel)
         if scale is not None:
@@ -275,7 +289,8 @@ def _states(
             lost_before=step - 1,
         )
         for field, column in columns:
-            setattr(state, field, column[row])
+            if not math.isnan(column[row]):
+                setattr(state, field, column[row])
         yield state
 
 

@@ -112,19 +112,19 @@ def test_kinds_of_csv(tmp_path: Path, separator: str, compressed: bool) -> None:
     [
         ("", "is empty"),
         ("t,x\n", "no rows"),
-        ("0,1\n1,2\n", "line 1 holds numbers instead of column names"),
-        ("t,x,x\n0,1,2\n", "line 1: column name 'x' is empty or appears twice"),
+        ("0,1\n1,2\n", "line 1 holds numbers where the names"),
+        ("t,x,x\n0,1,2\n", "line 1: column 'x' is there twice"),
         ("time,x\n0,1\n1,2\n", "no column 't'.*its columns are: time, x"),
         ("t,gap\n0,1\n1,2\n", "none of the channels.*its columns are: t, gap"),
-        ("t,x\n0,1\n1,\n", "line 3: x is empty"),
-        ("t,x\n0,1\n1,nan\n", "line 3: x = 'nan' is not a finite number"),
-        ("t,x\n0,1\n1,inf\n", "line 3: x = 'inf' is not a finite number"),
-        ("t,x\n0,1\n1,far\n", "line 3: x = 'far' is not a finite number"),
+        ("t,x\n0,1\n,1\n", "line 3: t is empty"),
+        ("t,x\n0,1\nnan,1\n", "line 3: t = 'nan' is not a finite number"),
+        ("t,x\n0,inf\n1,inf\n", "line 2: x = 'inf' is not a finite number"),
+        ("t,x\n0,far\n1,far\n", "line 2: x = 'far' is not a finite number"),
         ("t,x\n0,1\n1,1e308\n", r"line 3: x = '1e308' gives 1e\+308 m for x, which cannot be a measurement"),
         ("t,x\n0,1\n1e308,1\n", "line 3: t = '1e308' gives"),
         ("t,x\n0,1\n1,1\n2,1\n9e9,1\n", "line 5: t jumps by 9e"),
         ("t,x\n0,-999999999\n1,1\n", "line 2: x = '-999999999'"),
-        ("# c\nt;x\n0;1\n1;2,5\n", "line 4: x = '2,5'.*decimals with a point"),
+        ("# c\nt;x\n0;1,5\n1;2,5\n", "line 3: x = '1,5'.*decimals with a point"),
         ("t,x\n0,1\n1,2,3\n", "line 3 has 3 cells, the first line 2"),
         ("t,x\n0,1\n1\n", "line 3 has 1 cells"),
         ("t,x\n0,1\n2,1\n1,1\n", "line 4: t = 1 does not come after 2"),
@@ -137,6 +137,15 @@ def test_bad_tables_are_told_with_line_and_column(tmp_path: Path, text: str, say
         bring(tmp_path, text)
 
     assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "inf", "overflow"])
+def test_a_cell_that_is_no_number_is_a_missing_reading(tmp_path: Path, cell: str) -> None:
+    report, found = bring(tmp_path, f"t,x,i_c\n0,0.001,0.5\n0.002,{cell},0.6\n0.004,0.003,0.7\n")
+
+    assert [s.x_m if s.HasField("x_m") else None for s in found] == [0.001, None, 0.003]
+    assert [s.i_c_a for s in found] == [0.5, 0.6, 0.7]
+    assert report.warnings == ("1 cells of x are not numbers and were left out, the first in line 3",)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +175,7 @@ def test_matlab_vectors_and_structs(tmp_path: Path) -> None:
     ("content", "says"),
     [
         ({"t": np.arange(5.0), "x": np.arange(4.0)}, "differ in length: t 5, x 4"),
-        ({"t": np.arange(3.0), "x": np.array([0.0, np.nan, 1.0])}, "sample 2: x = nan"),
+        ({"t": np.array([0.0, np.nan, 1.0]), "x": np.arange(3.0)}, "sample 2: t = nan"),
         ({"note": "hello"}, "no numeric vectors"),
         (None, "not a MATLAB file"),
     ],

@@ -13,7 +13,7 @@ from protocol.campaign import Campaign
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.judge.account import account_of
-from twin.diagnosis.judge.prediction_gain import HORIZONS_S, gain
+from twin.diagnosis.judge.prediction_gain import gain
 from twin.diagnosis.report.model_file import model_of
 from twin.diagnosis.report.sentences import finding_sentence, summary_sentence
 from twin.diagnosis.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
@@ -23,6 +23,7 @@ from twin.diagnosis.search.score_test import Score
 from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record
 from twin.evidence.gather import gather
+from twin.identification.horizon import HORIZONS_S
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor

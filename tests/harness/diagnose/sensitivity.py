@@ -26,9 +26,9 @@ from tests.harness.diagnose.remembered import remembered
 from tests.harness.diagnose.scoring import UNKNOWN, Answer, judge, read_answer
 from tests.harness.diagnose.tally import wilson
 from tests.harness.diagnose.trial import program_digest
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose_records
 from twin.diagnosis.result import to_json
-from twin.inference.budget import FULL, QUICK, RESERVED, Budget
 from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
 
@@ -93,15 +93,8 @@ def play(hidden: Hidden, *, full: bool) -> dict[str, Any]:
         with remembered():
             for label, name, factor in variants(full):
                 with varied(name, factor):
-                    found = diagnose_records(
-                        campaign,
-                        records,
-                        judges,
-                        quick=not full,
-                        share=settings.MIN_SHARE,
-                        workers=1,
-                        budget=Budget(FULL if full else QUICK, RESERVED),
-                    )
+                    options = Options(quick=not full, share=settings.MIN_SHARE, workers=1)
+                    found = diagnose_records(campaign, records, judges, options)
                 row["answers"][label] = _judged(hidden, read_answer(json.loads(json.dumps(to_json(found)))))
     return row
 

@@ -19,6 +19,7 @@ from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.twin.independent_plant import Ball, wandering
 from twin.diagnosis.checks.change_point import in_time, share_clock
 from twin.diagnosis.checks.consistency import beginnings, contradictions
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.report.sentences import contradiction_sentence
 from twin.estimation.record import FloatArray, Record
@@ -452,6 +453,6 @@ def test_the_stops_are_where_the_sensor_shows_them(campaigns: Path) -> None:
 
 
 def test_the_function_says_the_same_as_the_command(campaigns: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = diagnose(load(campaigns / "null"), quick=True, workers=1)
+    found = diagnose(load(campaigns / "null"), Options(quick=True, workers=1))
 
     assert answered(capsys, campaigns / "null")["sentence"] == found.sentence

@@ -19,6 +19,7 @@ from protocol.campaign import load
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from twin.diagnosis.judge.account import exceeds_floor
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.result import Diagnosis, to_json
 from twin.model.parameters import Model, load_model, model_to_dict
@@ -42,7 +43,7 @@ def hide(tmp_path_factory: pytest.TempPathFactory) -> Hide:
 
 @cache
 def diagnosed(folder: Path, workers: int = 1) -> Diagnosis:
-    found = diagnose(load(folder), quick=True, workers=workers)
+    found = diagnose(load(folder), Options(quick=True, workers=workers))
     assert not disagreements(to_json(found))
     return found
 
@@ -196,7 +197,7 @@ def test_a_reference_model_is_the_baseline_as_it_is(hide: Hide) -> None:
     folder = hide((), 31, "independent")
     right = diagnosed(folder)
 
-    found = diagnose(load(folder), model=supplied(right.baseline, K_c=1.1), quick=True, workers=1)
+    found = diagnose(load(folder), Options(model=supplied(right.baseline, K_c=1.1), quick=True, workers=1))
 
     assert found.verdict == "model-adequate"  # its form
     assert found.gain is not None

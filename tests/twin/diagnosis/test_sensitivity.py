@@ -10,6 +10,7 @@ from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.remembered import INSIDE, remembered
 from tests.harness.diagnose.sensitivity import AS_IT_IS, VARIED, VARIED_FULL, table, variants, varied
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose_records
 from twin.diagnosis.result import Diagnosis, to_json
 from twin.readers.campaign import read_campaign
@@ -48,7 +49,7 @@ def test_a_remembered_answer_is_the_one_that_would_be_computed(tmp_path: Path) -
     records, judges = read_campaign(campaign), read_campaign(campaign, use="judge")
 
     def asked() -> Diagnosis:
-        return diagnose_records(campaign, records, judges, quick=True, workers=1)
+        return diagnose_records(campaign, records, judges, Options(quick=True, workers=1))
 
     with varied("MIN_GAIN", 2.0):
         anew = asked()

@@ -14,6 +14,7 @@ from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import draw_rig, make_campaign
 from tests.harness.diagnose.instruments import Instrument, worse
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, criterion_of, narrow
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.result import Diagnosis, to_json
 from twin.estimation.ekf.filter import filtered
@@ -54,7 +55,7 @@ def level_of(channel: Channel, source: str, *, flies: bool = False) -> Level:
 
 
 def answer(folder: Path) -> Diagnosis:
-    return diagnose(load(folder), quick=True, workers=1)
+    return diagnose(load(folder), Options(quick=True, workers=1))
 
 
 def assert_found(found: Diagnosis) -> None:

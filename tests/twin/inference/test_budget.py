@@ -17,6 +17,7 @@ from tests.harness.diagnose.foreign import hall_campaign
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow, strong
 from tests.twin.diagnosis.test_diagnose_campaign import comparable
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.search.periodic import AMPLITUDE, CAUSE, FREQUENCY
 from twin.diagnosis.search.state import Selection
@@ -84,7 +85,7 @@ def test_work_side_by_side_gets_equal_shares_whoever_is_first(workers: int) -> N
 
 
 def test_a_foreign_campaign_ends_by_its_budget_and_says_what_was_not_examined(foreign: Path) -> None:
-    found = diagnose(load(foreign), quick=True, workers=1, budget=SHORT)
+    found = diagnose(load(foreign), Options(quick=True, workers=1, budget=SHORT))
 
     assert found.verdict == "unfinished"
     assert found.budget.spent <= SHORT
@@ -96,15 +97,17 @@ def test_a_foreign_campaign_ends_by_its_budget_and_says_what_was_not_examined(fo
 
 
 def test_the_answer_at_the_end_of_a_budget_does_not_depend_on_the_number_of_workers(foreign: Path) -> None:
-    one, two = (comparable(diagnose(load(foreign), quick=True, workers=workers, budget=SHORT)) for workers in (1, 2))
+    one, two = (
+        comparable(diagnose(load(foreign), Options(quick=True, workers=workers, budget=SHORT))) for workers in (1, 2)
+    )
 
     assert json.dumps(one, sort_keys=True) == json.dumps(two, sort_keys=True)
 
 
 @pytest.mark.slow
 def test_quick_has_a_budget_without_being_asked_and_a_sufficient_one_changes_nothing(foreign: Path) -> None:
-    found = diagnose(load(foreign), quick=True)
-    free = diagnose(load(foreign), quick=True, budget=math.inf)
+    found = diagnose(load(foreign), Options(quick=True))
+    free = diagnose(load(foreign), Options(quick=True, budget=math.inf))
 
     assert found.budget.limit == QUICK
     assert found.verdict != "unfinished"

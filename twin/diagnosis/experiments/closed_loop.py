@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
-from twin.control import LawNumbers, law
+from twin.control import LawNumbers, law, rounded
 from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.inference.theta import Theta
@@ -182,18 +182,13 @@ def play(
         if lag_s <= 0.0:
             y[SENSOR] = position_reading(p, c, y[X], y[I_C])
         i, x = current_reading(c, y[I_C]) + noise[0, n], y[SENSOR] + noise[1, n]
-        if lsb[0] > 0.0:
-            i = math.floor(i / lsb[0] + 0.5) * lsb[0]
-        if lsb[1] > 0.0:
-            x = math.floor(x / lsb[1] + 0.5) * lsb[1]
-        i = max(i, lsb[3])
+        i, x = max(rounded(i, lsb[0]), lsb[3]), rounded(x, lsb[1])
         if n == 0:
             x_prev = x - speed * numbers.sample_time_s
         v = command[n]
         if closed_loop:
             v, s = law(numbers, i, x, x_prev, s, command[n])
-            if lsb[2] > 0.0:
-                v = math.floor(v / lsb[2] + 0.5) * lsb[2]
+            v = rounded(v, lsb[2])
         x_prev = x
         out[n, 0], out[n, 1], out[n, 2], out[n, 3] = v, i, x, y[X]
 

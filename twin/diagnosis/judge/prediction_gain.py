@@ -24,7 +24,6 @@ from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta
 from twin.settings import diagnosis as settings
 
-HORIZONS_S = (0.002, 0.010, 0.020, 0.040)
 DRAWS = 1000
 
 

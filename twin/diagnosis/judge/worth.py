@@ -8,9 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from protocol.campaign import Plant
-from twin.diagnosis.judge.prediction_gain import HORIZONS_S, Gain, gain
+from twin.diagnosis.judge.prediction_gain import Gain, gain
 from twin.estimation.pace import pace_of
 from twin.evidence.gather import Evidence
+from twin.identification.horizon import HORIZONS_S
 from twin.inference.budget import Budget, Spent
 from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta

@@ -16,6 +16,7 @@ from tests.harness.diagnose.simulated_rig import controller, strong
 from twin.api.results import Diagnosed
 from twin.diagnosis.judge.choice import Choice, candidates_of, choice_without_judges, choose, worse
 from twin.diagnosis.judge.prediction_gain import Gain
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose_records
 from twin.diagnosis.residuals.summary import summarise
 from twin.diagnosis.search.state import Selection
@@ -110,7 +111,7 @@ def harmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     asked = replace(asked, plant=replace(asked.plant, assumed=True))
     records = [steps(rubbing, seed=seed, seconds=8.0) for seed in (1, 2)]
     judges = [steps(QUIET, seed=3, use="judge", seconds=8.0)]
-    found = diagnose_records(asked, records, judges, quick=True, workers=1)
+    found = diagnose_records(asked, records, judges, Options(quick=True, workers=1))
     result = Diagnosed(
         verdict=found.verdict,
         sentence=found.sentence,

@@ -11,6 +11,7 @@ import pytest
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.report.other_causes import minor_effects_of
 from twin.diagnosis.search.candidate_fits import Trial
@@ -27,7 +28,7 @@ def test_what_is_a_hundredth_of_another_cause_is_listed_with_its_size_and_not_ru
     growth = 2.4  # of T_A at the upper stop; the catalogue counts it in the middle of the travel
     make_campaign(tmp_path / "two", effects={"slew-rate-limit": 70.0, INDUCTANCE: growth}, seed=41, plant="emulator")
 
-    found = diagnose(load(tmp_path / "two"), workers=2)
+    found = diagnose(load(tmp_path / "two"), Options(workers=2))
 
     assert [cause.name for cause in found.causes] == ["slew-rate-limit"]
     assert [one.name for one in found.minor_effects] == [INDUCTANCE]

@@ -11,6 +11,7 @@ import pytest
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.search import stepwise
 from twin.diagnosis.search.candidate_starts import start_of
@@ -113,7 +114,7 @@ def test_quick_gives_the_first_of_two_causes_the_place_of_one_that_explains_more
     """Alone, a bent force law takes up some of the friction; beside the friction the plain gap is better."""
     make_campaign(tmp_path, effects={FRICTION: 3e-3}, seed=41, plant="emulator", quick=True, x_max="travel")
 
-    found = diagnose(load(tmp_path), quick=True)
+    found = diagnose(load(tmp_path), Options(quick=True))
 
     assert [cause.name for cause in found.causes] == [GAP, FRICTION]
     friction = found.causes[1].parameters["force_n"]
