@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import zenoh
 
+from gateway.client.rig import Rig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
@@ -46,9 +47,9 @@ def is_foreign(record: pb.CommandRecord) -> bool:
 
 
 class BoardSubscriber:
-    """Receives the messages of one board until the session is closed."""
+    """Receives the messages of one board until the rig is closed."""
 
-    def __init__(self, session: zenoh.Session, site: str, board: str) -> None:
+    def __init__(self, rig: Rig) -> None:
         self.changed = threading.Condition()  # guards everything below
         self.state: pb.State | None = None
         self.parameters: pb.Parameters | None = None
@@ -58,7 +59,7 @@ class BoardSubscriber:
         self._parameters_message: Logged | None = None
         self._recorded: Recorded | None = None
         self._last_message_s = time.monotonic()
-        self._subscriber = session.declare_subscriber(f"{site}/{board}/**", self._arrived)
+        self._subscription = rig.subscribe(self._arrived)
 
     def silence_s(self) -> float:
         """Time since the last state, s; before the first state, since the start."""

@@ -13,7 +13,7 @@ from typing import Self
 
 import zenoh
 
-from gateway.client.connection import subscribe
+from gateway.client.connection import Subscription
 from gateway.client.values import Samples, read_log
 from gateway.record.recorder import Recorder, RecorderStats
 from protocol.bus import topics
@@ -65,7 +65,7 @@ class Recording:
         )
         self._newest_ns: dict[str, int] = {}
         self._closed = threading.Event()
-        self._subscriber: zenoh.Subscriber[None] | None = None
+        self._subscription: Subscription | None = None
 
     def start(self) -> Self:
         """Open the first file and subscribe.
@@ -75,7 +75,7 @@ class Recording:
         """
         self._recorder.start()
         try:
-            self._subscriber = subscribe(self._session, self._keys, self._arrived)
+            self._subscription = Subscription(self._session, [self._keys], self._arrived)
         except BaseException:
             self._recorder.close()
             raise
@@ -91,10 +91,9 @@ class Recording:
         """End the recording and finish the file; returns its statistics.  May be called again."""
         # Later messages are not part of the recording; a closed recorder would count them as dropped.
         self._closed.set()
-        subscriber, self._subscriber = self._subscriber, None
         try:
-            if subscriber is not None:
-                subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+            if self._subscription is not None:
+                self._subscription.close()
         finally:
             self._recorder.close()
         return self._recorder.stats()
