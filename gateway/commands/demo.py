@@ -26,7 +26,7 @@ from types import FrameType
 from gateway.client.message_queue import MessageQueue
 from gateway.client.rig import SILENCE_S, Rig
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
-from gateway.demo.processes import call, finish, free_port, listens, running, wait
+from gateway.processes.run import call, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
 from protocol.errors import ServiceError, UsageError, require

@@ -29,8 +29,8 @@ from types import MappingProxyType, TracebackType
 from typing import Self
 
 from gateway.emulator.faults import Fault, parse
-from gateway.emulator.firmware.board import Firmware
-from gateway.emulator.firmware.flash import T_S_US
+from gateway.emulator.firmware_model.board import Firmware
+from gateway.emulator.firmware_model.flash import T_S_US
 from gateway.emulator.line import Board, BoardLine, LineCounts
 from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
 from gateway.emulator.rigs import RIGS

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.emulator.firmware.arithmetic import saturate, scaled_product, sine_q15
-from gateway.emulator.firmware.flash import (
+from gateway.emulator.firmware_model.arithmetic import saturate, scaled_product, sine_q15
+from gateway.emulator.firmware_model.flash import (
     CURRENT,
     GAINS,
     INPUT,
@@ -22,7 +22,7 @@ from gateway.emulator.firmware.flash import (
     ConverterScale,
     gains_in_counts,
 )
-from gateway.emulator.firmware.law import ControlLaw
+from gateway.emulator.firmware_model.law import ControlLaw
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.messages import COUNTS_MAX, Law
 from tests.harness.gateway.board_host import Host

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.law import Gains
+from gateway.emulator.firmware_model.law import Gains
 from protocol.wire.mantissa import to_mantissa
 from protocol.wire.messages import COUNTS_MAX, Law
 
