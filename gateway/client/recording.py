@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
@@ -29,10 +29,10 @@ class Recording:
         site: first chunk of the keys.
         board: second chunk of the keys; "*": every board.
         directory: for the files; created if missing.
+        connect: the router's endpoint, for the metadata of every file.
         prefix: first part of the file names.
         rotate_bytes: size at which a new file is begun, bytes.
         rotate_s: age at which a new file is begun, s.
-        metadata: of every file.
         on_event: is called with (name, severity, text) of events of the log.
 
     Raises:
@@ -46,10 +46,10 @@ class Recording:
         board: str,
         directory: Path | str,
         *,
+        connect: str,
         prefix: str = "bus",
         rotate_bytes: int = 500_000_000,
         rotate_s: float = 3600.0,
-        metadata: Mapping[str, Mapping[str, str]] | None = None,
         on_event: Callable[[str, str, str], None] | None = None,
     ) -> None:
         topics.check_name(prefix, what="prefix")
@@ -60,7 +60,7 @@ class Recording:
             prefix=prefix,
             rotate_bytes=rotate_bytes,
             rotate_s=rotate_s,
-            metadata=metadata or {"record": {"keys": self._keys}},
+            metadata={"record": {"connect": connect, "keys": self._keys}},
             on_event=on_event,
         )
         self._newest_ns: dict[str, int] = {}

@@ -398,7 +398,6 @@ class Rig:
         """
         from gateway.client.recording import Recording  # with the writer of logs, which no command needs
 
-        source = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}
-        recording = Recording(self._session, self.site, self.board, directory, prefix=prefix, metadata=source)
+        recording = Recording(self._session, self.site, self.board, directory, connect=self.connect, prefix=prefix)
         self._closing.callback(recording.start().close)
         return recording
