@@ -113,7 +113,7 @@ class RunningGateway:
     def __init__(
         self, folder: Path, emulators: list[Emulator], *, opcua: bool, hmi: bool, log: bool, config: str
     ) -> None:
-        from gateway.demo.processes import free_port
+        from gateway.processes.run import free_port
 
         self.folder, self.emulators = folder, emulators
         urls = [url for emulator in emulators for url in emulator.urls]
@@ -139,15 +139,15 @@ class RunningGateway:
         Raises:
             ServiceError: it ended, or they did not within 90 s.
         """
-        from gateway.demo import processes
+        from gateway.processes.run import listens, running, wait
 
-        self._process = self._running.enter_context(processes.running(self.folder, "gateway", *self._words))
+        self._process = self._running.enter_context(running(self.folder, "gateway", *self._words))
         for view in (self.opcua_url, self.hmi_url):
             if view:
                 port = int(view.rpartition(":")[2])
-                processes.wait(lambda port=port: processes.listens(port), self._process, view)  # type: ignore[misc]
+                wait(lambda port=port: listens(port), self._process, view)  # type: ignore[misc]
         for board in self.boards:
-            processes.wait(lambda board=board: self._streams(board), self._process, board)  # type: ignore[misc]
+            wait(lambda board=board: self._streams(board), self._process, board)  # type: ignore[misc]
 
     def stop(self) -> None:
         """End it in good order, as SIGTERM does: its log is complete then."""

@@ -93,7 +93,7 @@ def read_diagnosis(table: Mapping[str, Any], *, where: str, remedy: str = _REMED
         return Diagnosis(
             verdict=str(table["verdict"]),
             sentence=str(table["sentence"]),
-            causes=tuple(map(_cause, table["causes"])),
+            causes=tuple(map(_cause, table.get("causes", ()))),
             candidates=tuple(map(_cause, table.get("candidates", ()))),
             calibrated=bool(table.get("calibrated", True)),
             plant_assumed=table.get("plant_assumed") is True,

@@ -1,4 +1,4 @@
-/* A MagnetoShield (R3, R4): written by gateway/emulator/firmware/magnetoshield.py, `header`; the numbers
+/* A MagnetoShield (R3, R4), by gateway/emulator/firmware_model/magnetoshield.py, `header`; numbers
  * are explained there and in ../magnetoshield.md. */
 #define PROFILE_FIRMWARE 1, 1, 10, 12
 #define PROFILE_SCALINGS \

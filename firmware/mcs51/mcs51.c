@@ -33,7 +33,7 @@ static __xdata union {
 } memory;
 #define MEMORY_SIZE sizeof memory.is
 
-/* Where nothing valid was programmed: the emulated rig's scalings, gains and limits (gateway/emulator/firmware). */
+/* Where nothing valid was programmed: the emulated rig's scalings, gains and limits (gateway/emulator/firmware_model). */
 static const __code struct identity IDENTITY_OF_PROGRAM = {
     0, 1, 1, 12, 12,
     {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A, 0x7C, 0x1C, 0x64, 0xB8, 0x30, 0xA0, 0xBF, 0x35,

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Sample
+from protocol.wire.mantissa import MANTISSA_MAX, SHIFT_MAX, to_mantissa
 from protocol.wire.messages import COUNTS_MAX, Law, Message, Shape, Value
 
-_MANTISSA_MAX = 32767
-_SHIFT_MAX = 30
 _U16 = 0xFFFF
 _U32 = 0xFFFFFFFF
 _EXACT_MAX = 2.0**53
@@ -226,17 +225,6 @@ def _set_reference(command: pb.Command, s: Scaling) -> WireCommand:
     return WireCommand(name="SET_REFERENCE", values={"x_ref": x_ref})
 
 
-def to_mantissa(gain: float) -> tuple[int, int]:
-    """Return (mantissa, shift) with mantissa * 2^-shift nearest to `gain`; OverflowError above 32767."""
-    if gain == 0:
-        return 0, 0
-    for shift in range(_SHIFT_MAX, -1, -1):
-        mantissa = _nearest(gain * 2.0**shift)
-        if abs(mantissa) <= _MANTISSA_MAX:
-            return mantissa, shift
-    raise OverflowError(gain)
-
-
 def _set_gains(command: pb.Command, s: Scaling) -> WireCommand:
     g = command.set_gains
     if g.law not in (0, 1) or len(g.gains) != 4:
@@ -250,11 +238,11 @@ def _set_gains(command: pb.Command, s: Scaling) -> WireCommand:
             mantissa, shift = to_mantissa(gain * unit)
         except OverflowError:
             raise _OutOfFieldError(
-                f"gain {n} = {gain:g} is above {_MANTISSA_MAX / abs(unit):g}, the board's largest"
+                f"gain {n} = {gain:g} is above {MANTISSA_MAX / abs(unit):g}, the board's largest"
             ) from None
         if gain and not mantissa:
             raise _OutOfFieldError(
-                f"gain {n} = {gain:g} becomes 0 on the board, whose smallest is {2.0**-_SHIFT_MAX / abs(unit):.3g}:"
+                f"gain {n} = {gain:g} becomes 0 on the board, whose smallest is {2.0**-SHIFT_MAX / abs(unit):.3g}:"
                 " give 0, or a larger one"
             )
         values[f"k{n}_mantissa"], values[f"k{n}_shift"] = mantissa, shift

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gateway.campaign import checks
+from gateway.campaign.control import Cut, RigControl, Stopped
 from gateway.campaign.folder import Folder, Retained, controller_of, identity_of, is_emulated, plan_of
 from gateway.campaign.outcome import Outcome, Summary, Wishes
 from gateway.campaign.plan import (
@@ -29,7 +30,6 @@ from gateway.campaign.plan import (
     needs_lift_off,
     raised,
 )
-from gateway.campaign.rig import Cut, RigControl, Stopped
 from gateway.campaign.subscriber import BoardSubscriber, Recorded, is_foreign
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import Board51Error, ServiceError

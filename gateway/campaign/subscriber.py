@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import zenoh
 
+from gateway.client.rig import Rig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
@@ -46,16 +47,14 @@ def is_foreign(record: pb.CommandRecord) -> bool:
 
 
 class BoardSubscriber:
-    """Receives the messages of one board until the session is closed.
+    """Receives the messages of one board until the rig is closed.
 
     Args:
-        session: of the bus.
-        site: first chunk of the keys.
-        board: second chunk of the keys.
+        rig: of the board.
         ordered_ns: when the run was ordered, Unix time.  A later STOP ends it.
     """
 
-    def __init__(self, session: zenoh.Session, site: str, board: str, ordered_ns: int) -> None:
+    def __init__(self, rig: Rig, ordered_ns: int) -> None:
         self._ordered_ns = ordered_ns
         self.changed = threading.Condition()  # guards everything below
         self.status: pb.Status | None = None
@@ -67,7 +66,7 @@ class BoardSubscriber:
         self._parameters_message: Logged | None = None
         self._recorded: Recorded | None = None
         self._last_message_s = time.monotonic()
-        self._subscriber = session.declare_subscriber(f"{site}/{board}/**", self._arrived)
+        self._subscription = rig.subscribe(self._arrived)
 
     def silence_s(self) -> float:
         """Time since the last state, s; before the first state, since the start."""

@@ -7,12 +7,12 @@ that the client has no rights; it is reported as "not delivered".
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
 from datetime import UTC, datetime
 
 import zenoh
@@ -42,7 +42,7 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--identity", metavar="FOLDER", help=HELP)
 
 
-@contextmanager
+@contextlib.contextmanager
 def open_bus(connect: str, identity: Identity | None = None) -> Iterator[zenoh.Session]:
     """Open a client session; a context manager.
 
@@ -65,23 +65,37 @@ def open_bus(connect: str, identity: Identity | None = None) -> Iterator[zenoh.S
         yield session
 
 
-def subscribe(session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
-    """Subscribe so that the interpreter can end with the subscription open.
+class Subscription:
+    """A subscription that lets the interpreter end while it is open.
 
     zenoh calls back in a Python thread, and the interpreter waits for each thread that is not a daemon.  zenoh has no
     option for that, but a thread inherits it from the one that starts it.  Callbacks without a thread of their own
     (`indirect=False`) would hold up zenoh's receiver, and with it lose samples while another thread computes.
+
+    Args:
+        session: of the bus.
+        keys: key expressions, each with a thread of its own: only messages of the same one keep their order.
+        receive: is called with each sample.
     """
-    declared: Future[zenoh.Subscriber[None]] = Future()
 
-    def declare() -> None:
-        try:
-            declared.set_result(session.declare_subscriber(key, callback))
-        except BaseException as error:
-            declared.set_exception(error)
+    def __init__(self, session: zenoh.Session, keys: Iterable[str], receive: Callable[[zenoh.Sample], None]) -> None:
+        declared: Future[list[zenoh.Subscriber[None]]] = Future()
 
-    threading.Thread(target=declare, name="subscribe", daemon=True).start()
-    return declared.result()
+        def declare() -> None:
+            try:
+                declared.set_result([session.declare_subscriber(key, receive) for key in keys])
+            except BaseException as error:
+                declared.set_exception(error)
+
+        threading.Thread(target=declare, name="subscribe", daemon=True).start()
+        self._subscribers = declared.result()
+
+    def close(self) -> None:
+        """End the subscription.  May be called again."""
+        for subscriber in self._subscribers:
+            with contextlib.suppress(zenoh.ZError):  # the session is closed
+                subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._subscribers = []
 
 
 def send(

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
 import zenoh
 
-from gateway.client.connection import subscribe
+from gateway.client.connection import Subscription
 from gateway.client.values import Samples, read_log
 from gateway.record.recorder import Recorder, RecorderStats
 from protocol.bus import topics
@@ -29,10 +29,10 @@ class Recording:
         site: first chunk of the keys.
         board: second chunk of the keys; "*": every board.
         directory: for the files; created if missing.
+        connect: the router's endpoint, for the metadata of every file.
         prefix: first part of the file names.
         rotate_bytes: size at which a new file is begun, bytes.
         rotate_s: age at which a new file is begun, s.
-        metadata: of every file.
         on_event: is called with (name, severity, text) of events of the log.
 
     Raises:
@@ -46,10 +46,10 @@ class Recording:
         board: str,
         directory: Path | str,
         *,
+        connect: str,
         prefix: str = "bus",
         rotate_bytes: int = 500_000_000,
         rotate_s: float = 3600.0,
-        metadata: Mapping[str, Mapping[str, str]] | None = None,
         on_event: Callable[[str, str, str], None] | None = None,
     ) -> None:
         topics.check_name(prefix, what="prefix")
@@ -60,12 +60,12 @@ class Recording:
             prefix=prefix,
             rotate_bytes=rotate_bytes,
             rotate_s=rotate_s,
-            metadata=metadata or {"record": {"keys": self._keys}},
+            metadata={"record": {"connect": connect, "keys": self._keys}},
             on_event=on_event,
         )
         self._newest_ns: dict[str, int] = {}
         self._closed = threading.Event()
-        self._subscriber: zenoh.Subscriber[None] | None = None
+        self._subscription: Subscription | None = None
 
     def start(self) -> Self:
         """Open the first file and subscribe.
@@ -75,7 +75,7 @@ class Recording:
         """
         self._recorder.start()
         try:
-            self._subscriber = subscribe(self._session, self._keys, self._arrived)
+            self._subscription = Subscription(self._session, [self._keys], self._arrived)
         except BaseException:
             self._recorder.close()
             raise
@@ -91,10 +91,9 @@ class Recording:
         """End the recording and finish the file; returns its statistics.  May be called again."""
         # Later messages are not part of the recording; a closed recorder would count them as dropped.
         self._closed.set()
-        subscriber, self._subscriber = self._subscriber, None
         try:
-            if subscriber is not None:
-                subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+            if self._subscription is not None:
+                self._subscription.close()
         finally:
             self._recorder.close()
         return self._recorder.stats()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import math
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -22,9 +22,9 @@ from google.protobuf.message import Message
 
 from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
-from gateway.client.connection import ask, new_id, open_bus, send, send_stop
+from gateway.client.connection import Subscription, ask, new_id, open_bus, send, send_stop
 from gateway.client.errors import accepted
-from gateway.client.feed import CAPACITY, Feed, check_topic
+from gateway.client.message_queue import CAPACITY, MessageQueue, check_topic
 from gateway.client.sample_stream import SampleStream
 from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
@@ -214,10 +214,10 @@ class Rig:
         Raises:
             ServiceError: the command was accepted, but the samples did not arrive.
         """
-        with Feed(self._session, self.site, self.board, ["capture"]) as feed:
+        with self.messages("capture") as queue:
             command = commands.capture(u_from_v=u_from_v, u_to_v=u_to_v, duration_s=duration_s, pre_s=pre_s)
             reply = self._execute(command)
-            record = feed.first(pb.CaptureRecord, CAPTURE_WAIT_S, lambda record: record.tick >= reply.tick)
+            record = queue.first(pb.CaptureRecord, CAPTURE_WAIT_S, lambda record: record.tick >= reply.tick)
         if record is not None:
             return Capture.of(record)
         raise ServiceError(
@@ -317,8 +317,8 @@ class Rig:
         Raises:
             NoSamplesError: during the iteration, no sample arrived for `timeout_s`.
         """
-        feed = Feed(self._session, self.site, self.board, ["state"], capacity=capacity)
-        return SampleStream(feed, f"{self.site}/{self.board}", duration_s, timeout_s)
+        queue = MessageQueue(self._session, self.site, self.board, ["state"], capacity=capacity)
+        return SampleStream(queue, f"{self.site}/{self.board}", duration_s, timeout_s)
 
     def read(self, duration_s: float, *, timeout_s: float = SILENCE_S) -> Samples:
         """Read the samples of the next `duration_s` s of the board's time, as arrays of shape (n,), SI units.
@@ -329,7 +329,7 @@ class Rig:
         with self.samples(duration_s, timeout_s=timeout_s) as stream:
             return Samples.of(stream)
 
-    def messages(self, *names: str, timeout_s: float | None = None) -> Iterator[Message]:
+    def messages(self, *names: str, timeout_s: float | None = None) -> MessageQueue:
         """Iterate over the messages of some topics from now on: `for event in rig.messages("event"):`.
 
         Args:
@@ -341,8 +341,11 @@ class Rig:
         """
         for name in names:
             check_topic(name)
-        feed = Feed(self._session, self.site, self.board, names)
-        return (arrival.message for arrival in iter(lambda: feed.take(timeout_s), None) if arrival.message is not None)
+        return MessageQueue(self._session, self.site, self.board, names, timeout_s=timeout_s)
+
+    def subscribe(self, receive: Callable[[zenoh.Sample], None]) -> Subscription:
+        """Call `receive` with all messages of the board, in their order, until the rig is closed; it must be fast."""
+        return Subscription(self._session, [f"{self.site}/{self.board}/**"], receive)
 
     def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
         """Wait for the next status of link, bus and log, which is sent every second.
@@ -369,8 +372,8 @@ class Rig:
         return self._next("alarms", pb.Alarms, timeout_s)
 
     def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
-        with Feed(self._session, self.site, self.board, [topic]) as feed:
-            message = feed.first(kind, timeout_s)
+        with self.messages(topic) as queue:
+            message = queue.first(kind, timeout_s)
         if message is not None:
             return message
         raise ServiceError(
@@ -395,7 +398,6 @@ class Rig:
         """
         from gateway.client.recording import Recording  # with the writer of logs, which no command needs
 
-        source = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}
-        recording = Recording(self._session, self.site, self.board, directory, prefix=prefix, metadata=source)
+        recording = Recording(self._session, self.site, self.board, directory, connect=self.connect, prefix=prefix)
         self._closing.callback(recording.start().close)
         return recording

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Self
 
 from gateway.client.errors import NoSamplesError
-from gateway.client.feed import Feed
+from gateway.client.message_queue import MessageQueue
 from gateway.client.values import Sample
 from protocol.bus import board51_pb2 as pb
 
@@ -17,8 +17,8 @@ class SampleStream(Iterator[Sample]):
     It subscribes when it is made, so no sample is missed before the loop begins.
     """
 
-    def __init__(self, feed: Feed, board: str, duration_s: float, timeout_s: float) -> None:
-        self._feed, self._board = feed, board
+    def __init__(self, queue: MessageQueue, board: str, duration_s: float, timeout_s: float) -> None:
+        self._queue, self._board = queue, board
         self._left_s, self._timeout_s = duration_s, timeout_s
         self._last: Sample | None = None
 
@@ -30,17 +30,17 @@ class SampleStream(Iterator[Sample]):
 
     def close(self) -> None:
         """End the subscription."""
-        self._feed.close()
+        self._queue.close()
 
     @property
     def dropped(self) -> int:
         """Samples dropped because the loop was too slow."""
-        return self._feed.dropped
+        return self._queue.dropped
 
     def __next__(self) -> Sample:
         state = None
         while not isinstance(state, pb.State):
-            arrival = self._feed.take(self._timeout_s)
+            arrival = self._queue.take(self._timeout_s)
             if arrival is None:
                 raise NoSamplesError(
                     f"No samples from {self._board} for {self._timeout_s:g} s",

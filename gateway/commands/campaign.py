@@ -18,9 +18,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.client.connection import add_bus_arguments, open_bus
+from gateway.client.connection import add_bus_arguments
 from protocol.arguments import number
-from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
@@ -95,24 +94,25 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> int:
+    from gateway.campaign.control import RigControl, Stopped
     from gateway.campaign.folder import ASSUMED, Folder
     from gateway.campaign.outcome import Wishes
-    from gateway.campaign.rig import RigControl, Stopped
     from gateway.campaign.runner import Runner
     from gateway.campaign.selection import chosen
     from gateway.campaign.subscriber import BoardSubscriber
+    from gateway.client.rig import Rig
     from protocol.campaign import load_plant
     from protocol.experiments import LIFT_OFF
 
     folder = Folder(args.folder)
     plant = load_plant(args.plant) if args.plant is not None else folder.plant or ASSUMED
     stop = threading.Event()
-    identity = find_identity(args.identity)
-    with open_bus(args.connect, identity) as session:
-        subscriber = BoardSubscriber(session, args.site, args.board, args.issued or time.time_ns())
-        rig = RigControl(
-            session, args.site, args.board, subscriber, stop, who=args.who, identity=identity, travel_m=plant.travel_m
-        )
+    rig = Rig(
+        args.board, connect=args.connect, site=args.site, identity=args.identity, who=args.who, stop_on_error=False
+    )
+    with rig:
+        subscriber = BoardSubscriber(rig, args.issued or time.time_ns())
+        control = RigControl(rig, subscriber, stop, travel_m=plant.travel_m)
         wishes = Wishes(
             experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
             seed=args.seed, quick=args.quick, u_max_v=args.u_max,
@@ -122,7 +122,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         )  # fmt: skip
         handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
-            summary = Runner(rig, subscriber, folder, args.board, wishes, _write_line).run()
+            summary = Runner(control, subscriber, folder, args.board, wishes, _write_line).run()
             ended_ns = time.time_ns()
         except Stopped:
             _write_line("interrupted before the board's first sample: nothing was sent to it")

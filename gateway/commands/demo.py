@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import re
 import shutil
 import signal
@@ -22,10 +23,10 @@ import time
 from pathlib import Path
 from types import FrameType
 
-from gateway.client.connection import open_bus
-from gateway.demo.bus import BusView
+from gateway.client.message_queue import MessageQueue
+from gateway.client.rig import SILENCE_S, Rig
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
-from gateway.demo.processes import call, finish, free_port, listens, running, wait
+from gateway.processes.run import call, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
 from protocol.errors import ServiceError, UsageError, require
@@ -88,12 +89,13 @@ def _demo(out: Path, effects: list[str]) -> int:
             running(out, "gateway", "--board", f"{BOARD}={tty}", "--listen", endpoint, "--log-dir", str(folder))
         )
         wait(lambda: listens(port), gateway, "the gateway")
-        bus = BusView(processes.enter_context(open_bus(endpoint)), BOARD)
-        wait(lambda: bus.count("state") > 100, gateway, "samples from the board")
-        wait(lambda: bus.count("twin/state") > 10, twin, "the twin")
+        rig = processes.enter_context(Rig(BOARD, connect=endpoint, who="demo"))
+        bus = rig.messages("state", "twin/state", "twin/divergence")
+        wait(lambda: bus.first(pb.State, 0.0) is not None, gateway, "samples from the board")
+        wait(lambda: bus.first(pb.TwinState, 0.0) is not None, twin, "the twin")
 
         _step(began, "2/8 lift the ball, follow a reference")
-        flights = [_fly(bus, "nominal")]
+        flights = [_fly(rig, bus, "nominal")]
 
         _step(began, "3/8 measure: a quick campaign of the paper's experiments")
         _, lines = call(
@@ -115,7 +117,7 @@ def _demo(out: Path, effects: list[str]) -> int:
 
         _step(began, "5/8 hand the identified model to the running twin, the same references again")
         _hand_over(out, model, endpoint)
-        flights.append(_fly(bus, "identified"))
+        flights.append(_fly(rig, bus, "identified"))
 
         _step(began, "6/8 validate: what the model leaves unexplained")
         _, answer = call(out, "validate", str(campaign), "--model", str(model), "--out", str(report), good=NOT_ALL)
@@ -127,12 +129,12 @@ def _demo(out: Path, effects: list[str]) -> int:
         _wrap(diagnosed.sentence)
         if diagnosed.model_offered:
             _hand_over(out, diagnosis / "extended_model.json", endpoint)
-            flights.append(_fly(bus, "extended"))
+            flights.append(_fly(rig, bus, "extended"))
         else:
             _wrap(
                 "no model of the diagnosis surely predicts better: the twin keeps the identified one, and flies no more"
             )
-        bus.hold(0.3)
+        time.sleep(0.3)  # for the last samples in the log
         processes.close()
 
         _step(began, "8/8 what the log says")
@@ -164,21 +166,36 @@ def _hand_over(out: Path, model: Path, endpoint: str) -> None:
         _wrap(line)
 
 
-def _fly(bus: BusView, name: str) -> Flight:
+def _fly(rig: Rig, bus: MessageQueue, name: str) -> Flight:
     """The staircase; coil off after it."""
-    begin_s = bus.catch_up()
-    bus.command(pb.Command(set_reference=pb.SetReference(x_ref_m=REFERENCES_M[0])))
-    bus.command(pb.Command(set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)))
+    begin_s = _read(bus, 0.0)[0].t_s
+    rig.set_reference(REFERENCES_M[0])
+    rig.set_mode("closed-loop")
     for x_ref in REFERENCES_M:
-        bus.command(pb.Command(set_reference=pb.SetReference(x_ref_m=x_ref)))
-        x, rms = bus.hold(HOLD_S)
+        rig.set_reference(x_ref)
+        state, rms = _read(bus, HOLD_S)
         _write_line(
-            f"      reference {x_ref * 1e3:.2f} mm: ball at {x * 1e3:.2f} mm, "
+            f"      reference {x_ref * 1e3:.2f} mm: ball at {state.x_m * 1e3:.2f} mm, "
             f"twin off by {rms * 1e3:.0f} mA rms in current"
         )
-    flight = Flight(name=name, from_t_s=begin_s, to_t_s=bus.catch_up())
-    bus.command(pb.Command(stop=pb.Stop()))
+    flight = Flight(name=name, from_t_s=begin_s, to_t_s=_read(bus, 0.0)[0].t_s)
+    rig.stop()
     return flight
+
+
+def _read(bus: MessageQueue, duration_s: float) -> tuple[pb.State, float]:
+    """Read for `duration_s` and what is waiting; return the newest sample, and measured minus twin current, A rms."""
+    end_s = time.monotonic() + duration_s
+    state, errors = bus.first(pb.State, SILENCE_S), []
+    if state is None:
+        raise ServiceError("No samples come from the board", remedy="Look at gateway.log and emulate.log in --out")
+    while (arrival := bus.take(max(0.0, end_s - time.monotonic()))) is not None:
+        match arrival.message:
+            case pb.State() as message:
+                state = message
+            case pb.Divergence(i_c_a=current) if math.isfinite(current.error):
+                errors.append(current.error)
+    return state, math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else math.nan
 
 
 def _show_model(path: Path) -> None:

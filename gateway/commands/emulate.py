@@ -152,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _firmware(args: argparse.Namespace) -> Callable[..., Board]:
     from firmware.sim import CHIPS
-    from gateway.emulator.firmware.board import Firmware
+    from gateway.emulator.firmware_model.board import Firmware
     from gateway.emulator.native.board import NativeFirmware
 
     if args.chip is not None:

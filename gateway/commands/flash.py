@@ -21,7 +21,7 @@ from protocol.errors import InstallError, ServiceError, UsageError, single_line
 from protocol.files import writing
 
 if TYPE_CHECKING:
-    from gateway.emulator.firmware.magnetoshield import HallCurve
+    from gateway.emulator.firmware_model.magnetoshield import HallCurve
 
 BOARDS = ("magnetoshield",)
 _HANG_S = 120.0  # writing and reading back 32 kB takes 10 s
@@ -58,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compile, check, and let avrdude write and verify."""
     from firmware.sim.avr.build import hex_of
-    from gateway.emulator.firmware.magnetoshield import header, magnetoshield
+    from gateway.emulator.firmware_model.magnetoshield import header, magnetoshield
 
     if args.out is None and args.port is None and not args.dry_run:
         raise UsageError("No port is given", remedy="Give --port /dev/ttyACM0, --dry-run, or --out FILE")
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _calibrated(ground_m: float | None, ceiling_m: float | None) -> HallCurve | None:
     """The curve of the Hall sensor through two readings; None: that of the authors' examples."""
-    from gateway.emulator.firmware.magnetoshield import HallCurve
+    from gateway.emulator.firmware_model.magnetoshield import HallCurve
 
     if ground_m is None and ceiling_m is None:
         return None

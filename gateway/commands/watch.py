@@ -11,7 +11,7 @@ from google.protobuf.json_format import MessageToDict
 from google.protobuf.message import Message
 
 from gateway.client.connection import add_bus_arguments, open_bus
-from gateway.client.feed import Feed
+from gateway.client.message_queue import MessageQueue
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
 
@@ -62,10 +62,10 @@ def run(args: argparse.Namespace) -> int:
     end = time.monotonic() + args.timeout if args.timeout else None
     with (
         open_bus(args.connect, find_identity(args.identity)) as session,
-        Feed(session, args.site, args.board, names) as feed,
+        MessageQueue(session, args.site, args.board, names) as queue,
     ):
         while not args.count or printed < args.count:
-            arrival = feed.take(max(0.0, end - time.monotonic()) if end else None)
+            arrival = queue.take(max(0.0, end - time.monotonic()) if end else None)
             if arrival is None:
                 break
             key, message, size = arrival
@@ -77,6 +77,6 @@ def run(args: argparse.Namespace) -> int:
                 last[key] = now
                 printed += 1
                 print(_line(key, message, as_json=args.json), flush=True)
-    if feed.dropped:
-        print(f"{feed.dropped} messages were lost: printing took too long", file=sys.stderr)
+    if queue.dropped:
+        print(f"{queue.dropped} messages were lost: printing took too long", file=sys.stderr)
     return 0 if printed else 1

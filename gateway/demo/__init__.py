@@ -1,4 +1,4 @@
-"""The parts of `board51 demo`: processes as a user starts them, a view of the bus, and an evaluation of the log.
+"""The evaluation of the log of `board51 demo`.
 
-It does not import the emulator or the twin; it uses their commands only.
+The demo does not import the emulator or the twin; it uses their commands only.
 """

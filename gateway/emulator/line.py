@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from gateway.emulator.faults import EVENTS, OUTPUTS, Fault, FaultyLine
-from gateway.emulator.firmware.flash import T_S_US
-from gateway.emulator.firmware.output import OutputFault
-from gateway.emulator.firmware.uart import Pacer
+from gateway.emulator.firmware_model.flash import T_S_US
+from gateway.emulator.firmware_model.output import OutputFault
+from gateway.emulator.firmware_model.uart import Pacer
 from gateway.emulator.ports import EmulatedPort
 from protocol.wire.messages import EventCode, Mode
 
@@ -22,7 +22,7 @@ _T_S = T_S_US * 1e-6
 
 
 class Board(Protocol):
-    """A board's firmware, in Python (`firmware/board.py`) or in C (`native/board.py`)."""
+    """A board's firmware, in Python (`firmware_model/board.py`) or in C (`native/board.py`)."""
 
     @property
     def dropped(self) -> int:

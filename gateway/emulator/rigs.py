@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.flash import CE152_BOARD, BoardProfile
-from gateway.emulator.firmware.magnetoshield import magnetoshield
+from gateway.emulator.firmware_model.flash import CE152_BOARD, BoardProfile
+from gateway.emulator.firmware_model.magnetoshield import magnetoshield
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 

@@ -25,12 +25,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import Self
+from types import TracebackType
+from typing import Self, TypedDict, Unpack
 
 from gateway.emulator.faults import Fault, parse
-from gateway.emulator.firmware.board import Firmware
-from gateway.emulator.firmware.flash import T_S_US
+from gateway.emulator.firmware_model.board import Firmware
+from gateway.emulator.firmware_model.flash import T_S_US
 from gateway.emulator.line import Board, BoardLine, LineCounts
 from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
 from gateway.emulator.rigs import RIGS
@@ -40,7 +40,20 @@ _T_NS = T_S_US * 1000
 _BURST = 50  # ticks made up for at once at most
 _CATCH_UP = 2.0  # times the speed, where more is late
 _PATIENCE_S = 1.0  # speed 0: how long a host may leave its buffer full before bytes are lost
-_NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
+
+
+class BoardOptions(TypedDict, total=False):
+    """What the boards of an emulator are."""
+
+    effects: Mapping[str, float]  # strengths by name (none)
+    faults: Iterable[str | Fault]  # as given to --fault, or parsed (none)
+    seed: int  # of noise and faults; board n has seed + n (0)
+    baud: int  # bits per second (115200)
+    board_id: int  # of the first board; the others count up (1)
+    firmware: Callable[
+        ..., Board
+    ]  # makes a board: the model (default), the core in C (`native`), a chip (`firmware.sim`)
+    rig: str  # plant and board (`rigs.RIGS`; ce152)
 
 
 class Server:
@@ -163,13 +176,7 @@ class Emulator:
         speed: Times faster than real time; 0: as fast as possible.
         lockstep: Time passes in `advance` alone, for code that talks to the port itself: a gateway takes a board whose
             time stands for one that is silent.
-        effects: Strengths by name, for every board.
-        faults: As given to --fault, or parsed; for every board.
-        seed: Of noise and faults; board n has seed + n.
-        baud: Bits per second.
-        board_id: Of the first board; the others count up.
-        firmware: Makes a board: the model in Python, the core in C (`native.board`), or a chip (`firmware.sim`).
-        rig: Plant and board (`rigs.RIGS`).
+        options: Of the boards.
 
     Raises:
         UsageError: the rig's board is not made for this chip.
@@ -184,13 +191,7 @@ class Emulator:
         pty: Path | None = None,
         speed: float = 1.0,
         lockstep: bool = False,
-        effects: Mapping[str, float] = _NO_EFFECTS,
-        faults: Iterable[str | Fault] = (),
-        seed: int = 0,
-        baud: int = 115200,
-        board_id: int = 1,
-        firmware: Callable[..., Board] = Firmware,
-        rig: str = "ce152",
+        **options: Unpack[BoardOptions],
     ) -> None:
         self._folder = None
         if not tcp and pty is None:
@@ -199,19 +200,7 @@ class Emulator:
         ports: list[EmulatedPort] = (
             [TcpPort("127.0.0.1", 0) for _ in range(boards)] if pty is None or tcp else list(pty_ports(pty, boards))
         )
-        self._server = Server(
-            build_lines(
-                ports,
-                effects=effects,
-                faults=faults,
-                seed=seed,
-                baud=baud,
-                board_id=board_id,
-                firmware=firmware,
-                rig=rig,
-            ),
-            speed=None if lockstep else speed,
-        )
+        self._server = Server(build_lines(ports, **options), speed=None if lockstep else speed)
         self._lockstep = lockstep
         self._thread = threading.Thread(target=self._server.run, name="emulator", daemon=True)
 
@@ -316,17 +305,7 @@ def tcp_ports(host: str, port: int, boards: int) -> list[EmulatedPort]:
     return [TcpPort(host, port + n if port else 0) for n in range(boards)]
 
 
-def build_lines(
-    ports: Iterable[EmulatedPort],
-    *,
-    effects: Mapping[str, float] = _NO_EFFECTS,
-    faults: Iterable[str | Fault] = (),
-    seed: int = 0,
-    baud: int = 115200,
-    board_id: int = 1,
-    firmware: Callable[..., Board] = Firmware,
-    rig: str = "ce152",
-) -> list[BoardLine]:
+def build_lines(ports: Iterable[EmulatedPort], **options: Unpack[BoardOptions]) -> list[BoardLine]:
     """Create a board with its own plant for each port; either all ports are opened or none.
 
     Raises:
@@ -335,13 +314,14 @@ def build_lines(
         InstallError: a compiler or simulator is asked for and missing.
         ServiceError: a TCP port is in use, or the compiler fails.
     """
-    parsed = [parse(fault) if isinstance(fault, str) else fault for fault in faults]
+    parsed = [parse(fault) if isinstance(fault, str) else fault for fault in options.get("faults", ())]
+    seed, baud, first_id = options.get("seed", 0), options.get("baud", 115200), options.get("board_id", 1)
+    make, rig = options.get("firmware", Firmware), RIGS[options.get("rig", "ce152")]
     lines: list[BoardLine] = []
-    emulated = RIGS[rig]
     try:
         for n, port in enumerate(ports):
-            plant = emulated.plant(effects=effects, seed=seed + n)
-            board = firmware(plant, board_id=board_id + n, profile=emulated.profile)
+            plant = rig.plant(effects=options.get("effects", {}), seed=seed + n)
+            board = make(plant, board_id=first_id + n, profile=rig.profile)
             lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n))
     except BaseException:
         for line in lines:

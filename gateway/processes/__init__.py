@@ -1,1 +1,1 @@
-"""`board51` commands as child processes: start and end (`command`), supervision (`supervisor`)."""
+"""`board51` commands as child processes: start and end (`command`), run with a log (`run`), keep (`supervisor`)."""

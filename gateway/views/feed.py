@@ -36,7 +36,7 @@ import zenoh
 from google.protobuf.message import Message
 
 from gateway.board.conditions import LINK
-from gateway.client.connection import send
+from gateway.client.connection import Subscription, send
 from gateway.views.alarms import Alarm, AlarmBook
 from gateway.views.bins import TopicBins, channels
 from gateway.views.decimate import Decimator
@@ -263,14 +263,13 @@ class Feed:
         self._session, self._now_s, self._replays = session, now_s, replays
         self._lock = threading.Lock()
         self._boards: dict[str, BoardFeed] = {}
-        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in _KEYS]
+        self._subscription = Subscription(session, [f"{site}/*/{topic}" for topic in _KEYS], self._arrived)
         self._token = session.liveliness().declare_subscriber(f"{site}/*/{topics.ALIVE}", self._alive, history=True)
 
     def close(self) -> None:
         """Unsubscribe."""
-        for subscriber in self._subscribers:
-            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
-        self._token.undeclare()  # type: ignore[no-untyped-call]  # the same
+        self._subscription.close()
+        self._token.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
 
     def boards(self) -> tuple[str, ...]:
         """Return the names of the boards seen so far, in order."""

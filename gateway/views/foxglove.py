@@ -19,6 +19,7 @@ import zenoh
 from foxglove import Channel, Context, Schema
 from google.protobuf.message import Message
 
+from gateway.client.connection import Subscription
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
@@ -61,12 +62,11 @@ class FoxgloveView:
         self.port = self._server.port
         # `states` has the same samples as `state`, in fewer messages.
         names = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and t.name != "state"]
-        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in names]
+        self._subscription = Subscription(session, [f"{site}/*/{topic}" for topic in names], self._arrived)
 
     def close(self) -> None:
         """End the server."""
-        for subscriber in self._subscribers:
-            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._subscription.close()
         self._server.stop()
 
     def _arrived(self, sample: zenoh.Sample) -> None:

@@ -11,8 +11,8 @@ from itertools import pairwise
 import pytest
 
 from firmware.sim.avr.board import AvrBoard, stored
-from gateway.emulator.firmware.flash import CE152_BOARD, GAINS, LIMITS
-from gateway.emulator.firmware.output import OutputFault
+from gateway.emulator.firmware_model.flash import CE152_BOARD, GAINS, LIMITS
+from gateway.emulator.firmware_model.output import OutputFault
 from protocol.wire.messages import EventCode, Flag, Message, Mode
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr
 from tests.harness.gateway.board_host import Bench, frame

@@ -9,7 +9,7 @@ import pytest
 
 from firmware.sim.avr.board import CYCLES_PER_TICK, AvrBoard
 from firmware.sim.avr.build import compile_image
-from gateway.emulator.firmware.magnetoshield import header, magnetoshield
+from gateway.emulator.firmware_model.magnetoshield import header, magnetoshield
 from gateway.emulator.native.build import SOURCES
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 from protocol.wire.messages import EventCode, HostLoss, Mode

@@ -16,7 +16,7 @@ import pytest
 
 from firmware.sim.avr.board import ADC_BITS, AvrBoard
 from firmware.sim.avr.build import OPTIONS
-from gateway.emulator.firmware.flash import CURRENT, POSITION
+from gateway.emulator.firmware_model.flash import CURRENT, POSITION
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compile_to
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder

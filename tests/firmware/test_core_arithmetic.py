@@ -7,8 +7,8 @@ import math
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gateway.emulator.firmware.arithmetic import divide_rounded, saturate, scaled_product, sine_q15
-from gateway.emulator.firmware.excitation import Excitation, Signal
+from gateway.emulator.firmware_model.arithmetic import divide_rounded, saturate, scaled_product, sine_q15
+from gateway.emulator.firmware_model.excitation import Excitation, Signal
 from protocol.wire.messages import Shape
 from tests.harness.firmware.core import Core
 

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from gateway.emulator.firmware.flash import GAINS, K_PID, OPERATING_POINT, gains_in_counts
-from gateway.emulator.firmware.law import ControlLaw, Gains
+from gateway.emulator.firmware_model.flash import GAINS, K_PID, OPERATING_POINT, gains_in_counts
+from gateway.emulator.firmware_model.law import ControlLaw, Gains
 from protocol.wire.messages import Law
 from tests.harness.firmware.core import Core
 from twin.control import rounded

@@ -12,8 +12,8 @@ import pytest
 
 import board51
 from firmware.sim.avr.build import compile_image, hex_of, load
-from gateway.emulator.firmware.flash import BoardProfile
-from gateway.emulator.firmware.magnetoshield import HallCurve, header, magnetoshield
+from gateway.emulator.firmware_model.flash import BoardProfile
+from gateway.emulator.firmware_model.magnetoshield import HallCurve, header, magnetoshield
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 from protocol.errors import ServiceError, UsageError
 from tests.harness.firmware.avr_bench import skip_without_avr

@@ -14,7 +14,7 @@ import pytest
 
 import board51
 from firmware.sim.mcs51.board import Mcs51Board
-from gateway.emulator.plant.rig import CE152
+from gateway.emulator.plant.constants import CE152
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import read

@@ -12,7 +12,7 @@ import pytest
 
 from firmware.sim.mcs51.board import TICK_CYCLES, Mcs51Board
 from firmware.sim.mcs51.build import CLOCK_HZ, CONFIGURATION, OPTIONS, actual_baud, image, image_sources
-from gateway.emulator.firmware.flash import T_S_US
+from gateway.emulator.firmware_model.flash import T_S_US
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import StreamDecoder

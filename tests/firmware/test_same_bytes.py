@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import State, StreamDecoder

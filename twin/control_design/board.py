@@ -1,7 +1,4 @@
-"""The board's number formats: gains as 16-bit mantissas, 12-bit converters (protocol/README.md, rules 9, 14).
-
-The gateway and the board have their own code for the same arithmetic.
-"""
+"""The board's number formats: gains as 16-bit mantissas, 12-bit converters (protocol/README.md, rules 9, 14)."""
 
 from __future__ import annotations
 
@@ -9,10 +6,8 @@ import math
 from dataclasses import dataclass
 
 from protocol.errors import UsageError
+from protocol.wire.mantissa import MANTISSA_MAX, to_mantissa
 from twin.control_design.gains import Law
-
-MANTISSA_MAX = 32767
-SHIFT_MAX = 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,18 +32,6 @@ class QuantisedGain:
     mantissa: int
     shift: int
     value: float
-
-
-def to_mantissa(gain: float) -> tuple[int, int]:
-    """Return (mantissa, shift) with mantissa * 2^-shift nearest to `gain`.  Raises OverflowError for |gain| > 32767."""
-    if abs(gain) > MANTISSA_MAX:
-        raise OverflowError(gain)
-    if gain == 0.0:
-        return 0, 0
-    shift = SHIFT_MAX
-    while abs(round(gain * 2.0**shift)) > MANTISSA_MAX:
-        shift -= 1
-    return round(gain * 2.0**shift), shift
 
 
 def quantise(

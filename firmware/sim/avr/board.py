@@ -18,10 +18,10 @@ from functools import cache
 from pathlib import Path
 
 from firmware.sim.avr.build import Image, image, simulator
-from gateway.emulator.firmware.board import AnalogSide
-from gateway.emulator.firmware.flash import CE152_BOARD, DAC_BITS, FIRMWARE, T_S_US, BoardProfile, FlashLimits
-from gateway.emulator.firmware.law import Gains
-from gateway.emulator.firmware.output import OutputFault
+from gateway.emulator.firmware_model.board import AnalogSide
+from gateway.emulator.firmware_model.flash import CE152_BOARD, DAC_BITS, FIRMWARE, T_S_US, BoardProfile, FlashLimits
+from gateway.emulator.firmware_model.law import Gains
+from gateway.emulator.firmware_model.output import OutputFault
 from protocol.errors import ServiceError
 from protocol.wire.framing import cobs_decode
 from protocol.wire.messages import ROW_OF_NAME, EventCode, Mode

@@ -1,4 +1,4 @@
-"""A board whose ADuC841 runs the image of `firmware/mcs51`: the seams of `firmware/board.py` around a simulated chip.
+"""A board whose ADuC841 runs the image of `firmware/mcs51`: as `firmware_model/board.py`, around a simulated chip.
 
     board = Mcs51Board(EmulatedPlant(), board_id=1)
 
@@ -20,9 +20,9 @@ from typing import Final
 
 from firmware.sim.mcs51.build import CLOCK_HZ, image, simulator
 from firmware.sim.mcs51.library import Chip, load
-from gateway.emulator.firmware.board import AnalogSide
-from gateway.emulator.firmware.flash import CE152_BOARD, CURRENT, INPUT, POSITION, T_S_US, BoardProfile
-from gateway.emulator.firmware.output import OutputFault
+from gateway.emulator.firmware_model.board import AnalogSide
+from gateway.emulator.firmware_model.flash import CE152_BOARD, CURRENT, INPUT, POSITION, T_S_US, BoardProfile
+from gateway.emulator.firmware_model.output import OutputFault
 from gateway.emulator.native.board import identity_of, settings_of
 from protocol.errors import UsageError
 from protocol.wire.framing import crc16

@@ -49,9 +49,8 @@ def run(args: argparse.Namespace) -> int:
     on_end_signal(stop.set)
     with open_bus(args.connect, find_identity(args.identity)) as session:
         recording = Recording(
-            session, args.site, args.board, args.out, prefix=args.prefix,
+            session, args.site, args.board, args.out, connect=args.connect, prefix=args.prefix,
             rotate_bytes=round(args.rotate_mb * 1e6), rotate_s=args.rotate_s,
-            metadata={"record": {"connect": args.connect, "keys": f"{args.site}/{args.board}/**"}},
             on_event=lambda name, severity, text: print(f"{severity}: {name}: {text}", file=sys.stderr, flush=True),
         )  # fmt: skip
         with recording.start():

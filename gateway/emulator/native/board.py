@@ -1,4 +1,4 @@
-"""A board that runs the firmware in C: the seams of `firmware/board.py`, and its hardware around the compiled core.
+"""A board that runs the firmware in C: as `firmware_model/board.py`, around the compiled core.
 
     firmware = NativeFirmware(EmulatedPlant(), board_id=1)
 
@@ -12,8 +12,8 @@ import ctypes
 import struct
 from pathlib import Path
 
-from gateway.emulator.firmware.board import AnalogSide
-from gateway.emulator.firmware.flash import (
+from gateway.emulator.firmware_model.board import AnalogSide
+from gateway.emulator.firmware_model.flash import (
     CE152_BOARD,
     DAC_BITS,
     FIRMWARE,
@@ -21,7 +21,7 @@ from gateway.emulator.firmware.flash import (
     BoardProfile,
     Settings,
 )
-from gateway.emulator.firmware.output import OutputFault
+from gateway.emulator.firmware_model.output import OutputFault
 from gateway.emulator.native.build import library
 from gateway.emulator.native.library import CGains, CIdentity, CLimits, CSettings, CView, load
 from protocol.wire.messages import EventCode, Mode

@@ -18,9 +18,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from gateway.emulator.plant.constants import CE152, PlantConstants
 from gateway.emulator.plant.effects import DISTURBANCE_FREQUENCY_HZ, HEATING_TIME_CONSTANT_S, MAX_DELAY_S, check
 from gateway.emulator.plant.physics import Constants, PlantState, advance, reading
-from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.errors import UsageError
 
 STEP_S = 20e-6  # divides the tick (2 ms) and the capture period (40 us)

@@ -24,8 +24,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from gateway.emulator.plant.constants import PlantConstants
 from gateway.emulator.plant.levitation import STEP_S, EmulatedPlant
-from gateway.emulator.plant.rig import PlantConstants
 
 GAP_BOTTOM_M = 17e-3  # coil to the top of the magnet that lies on the ground
 _TRAVEL_M = 5e-3

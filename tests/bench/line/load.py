@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder

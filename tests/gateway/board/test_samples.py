@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.board.scaling import Refusal, Scaling, StateEncoder, WireCommand, parameters_message, to_mantissa, to_wire
+from gateway.board.scaling import Refusal, Scaling, StateEncoder, WireCommand, parameters_message, to_wire
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State
 from protocol.wire.events import Sample
+from protocol.wire.mantissa import to_mantissa
 from protocol.wire.messages import Message
 
 SCALING = Scaling(

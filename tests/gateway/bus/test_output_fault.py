@@ -8,7 +8,7 @@ import pytest
 
 from gateway.board import faults
 from gateway.bus.status import fault_condition
-from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.line import Board
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.serve import Emulator

@@ -9,8 +9,8 @@ import pytest
 
 import board51
 from gateway.config import LimitsConfig
+from gateway.emulator.plant.constants import CE152
 from gateway.emulator.plant.magnetoshield import MAGNETOSHIELD
-from gateway.emulator.plant.rig import CE152
 from tests.harness.gateway.campaign_line import emulated_line
 
 TRUTH = {

@@ -29,7 +29,7 @@ from gateway.client import (
     read_log,
 )
 from gateway.client.connection import open_bus
-from gateway.client.feed import Feed
+from gateway.client.message_queue import MessageQueue
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ConfigError, ServiceError, UsageError
@@ -86,7 +86,7 @@ def test_samples_come_one_by_one_without_a_gap_from_the_call_on(rig: Rig) -> Non
 def test_a_loop_that_is_left_ends_its_subscription(rig: Rig) -> None:
     taken = 0
     stream = rig.samples()
-    waiting = stream._feed._waiting
+    waiting = stream._queue._waiting
     for _ in stream:
         taken += 1
         if taken == 3:
@@ -317,7 +317,7 @@ def test_a_data_frame_needs_pandas_and_says_so() -> None:
 
 def test_a_closed_feed_hears_nothing_more(endpoint: str) -> None:
     with open_bus(endpoint) as session:
-        with Feed(session, "board51", "rig", ["state"]) as feed:
+        with MessageQueue(session, "board51", "rig", ["state"]) as feed:
             assert feed.take(HANG_S) is not None
         while feed.take(0.05) is not None:
             pass

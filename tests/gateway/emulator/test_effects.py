@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import pytest
 
+from gateway.emulator.plant.constants import CE152, PlantConstants
 from gateway.emulator.plant.effects import EFFECTS, HEATING_TIME_CONSTANT_S, MAX_DELAY_S, check, listing, parse
 from gateway.emulator.plant.levitation import STEP_S, EmulatedPlant
-from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.errors import UsageError
 
 CATALOGUE = """

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from gateway.emulator.faults import parse
-from gateway.emulator.firmware.flash import BOOT_TICKS, INPUT, WATCHDOG_TICKS
+from gateway.emulator.firmware_model.flash import BOOT_TICKS, INPUT, WATCHDOG_TICKS
 from gateway.emulator.line import BoardLine
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message, Mode

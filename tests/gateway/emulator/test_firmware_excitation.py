@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.emulator.firmware.excitation import Excitation, Signal
+from gateway.emulator.firmware_model.excitation import Excitation, Signal
 from protocol.wire.messages import Shape
 
 OFFSET = 1700

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.emulator.firmware.arithmetic import saturate, scaled_product, sine_q15, to_mantissa
-from gateway.emulator.firmware.flash import (
+from gateway.emulator.firmware_model.arithmetic import saturate, scaled_product, sine_q15
+from gateway.emulator.firmware_model.flash import (
     CURRENT,
     GAINS,
     INPUT,
@@ -22,7 +22,7 @@ from gateway.emulator.firmware.flash import (
     ConverterScale,
     gains_in_counts,
 )
-from gateway.emulator.firmware.law import ControlLaw
+from gateway.emulator.firmware_model.law import ControlLaw
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.messages import COUNTS_MAX, Law
 from tests.harness.gateway.board_host import Host
@@ -75,20 +75,6 @@ def test_fixed_point_costs_a_fraction_of_what_the_converter_costs(capsys: pytest
     assert max(map(abs, before_rounding)) <= TERMS / 256 + gains
     assert max(map(abs, after)) <= 0.5 + TERMS / 256 + gains
     assert rms < 1.05 * ROUNDING_RMS
-
-
-@given(gain=st.floats(-32767, 32767, allow_subnormal=False))
-def test_a_gain_is_right_to_half_a_unit_of_its_mantissa(gain: float) -> None:
-    mantissa, shift = to_mantissa(gain)
-
-    assert -32767 <= mantissa <= 32767
-    assert 0 <= shift <= 30
-    assert abs(mantissa * 2.0**-shift - gain) <= 0.5 * 2.0**-shift
-
-
-def test_a_gain_beyond_the_format_is_an_error() -> None:
-    with pytest.raises(ValueError, match="mantissa"):
-        to_mantissa(32768.0)
 
 
 @given(mantissa=st.integers(-32767, 32767), shift=st.integers(0, 30), operand=st.integers(-(1 << 23), (1 << 23) - 1))

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from gateway.emulator.firmware.flash import LIMITS
+from gateway.emulator.firmware_model.flash import LIMITS
 from gateway.emulator.native.build import compiler
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.messages import Message, Reason

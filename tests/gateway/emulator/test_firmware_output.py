@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.emulator.firmware.flash import BOOT_TICKS, CE152_BOARD, GAINS, INPUT, LIMITS, Settings
-from gateway.emulator.firmware.output import OutputFault
+from gateway.emulator.firmware_model.flash import BOOT_TICKS, CE152_BOARD, GAINS, INPUT, LIMITS, Settings
+from gateway.emulator.firmware_model.output import OutputFault
 from protocol.wire.messages import COUNTS_MAX, ROW_OF_NAME, EventCode, Flag, Mode, Reason
 from tests.harness.firmware.random_host import random_settings
 from tests.harness.gateway.board_host import Bench, Host, refusal

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.emulator.firmware.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
+from gateway.emulator.firmware_model.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.codec import unpack_pair
 from protocol.wire.decoder import State, StreamDecoder

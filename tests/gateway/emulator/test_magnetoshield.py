@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 
 from firmware.sim.mcs51.board import Mcs51Board
-from gateway.emulator.firmware.board import Firmware
-from gateway.emulator.firmware.magnetoshield import HallCurve, magnetoshield
+from gateway.emulator.firmware_model.board import Firmware
+from gateway.emulator.firmware_model.magnetoshield import HallCurve, magnetoshield
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.magnetoshield import MAGNETOSHIELD, EmulatedMagnetoShield
 from protocol.errors import UsageError

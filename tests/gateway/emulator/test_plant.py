@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gateway.emulator.plant.constants import CE152, MEASURED_EQUILIBRIA, PlantConstants
 from gateway.emulator.plant.levitation import STEP_S, EmulatedPlant
-from gateway.emulator.plant.rig import CE152, MEASURED_EQUILIBRIA, PlantConstants
 from protocol.errors import ConfigError, UsageError
 from tests.patience import HANG_S
 

@@ -24,8 +24,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION
-from gateway.emulator.plant.rig import CE152, PlantConstants
+from gateway.emulator.firmware_model.flash import CURRENT, INPUT, POSITION
+from gateway.emulator.plant.constants import CE152, PlantConstants
 from protocol.wire.messages import Mode, Shape
 from tests.harness.twin.emulated_campaign import TICK_S, Lab, random_rig
 

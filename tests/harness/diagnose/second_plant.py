@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.emulator.plant.rig import PlantConstants
+from gateway.emulator.plant.constants import PlantConstants
 from tests.harness.diagnose.hidden_campaign import (
     CAPTURE_COUNT,
     CAPTURE_PRE,

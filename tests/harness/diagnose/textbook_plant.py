@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.emulator.plant.rig import PlantConstants
+from gateway.emulator.plant.constants import PlantConstants
 from tests.harness.diagnose.forms import FORMS
 from tests.harness.diagnose.hidden_campaign import (
     CAPTURE_COUNT,

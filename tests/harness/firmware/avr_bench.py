@@ -6,7 +6,7 @@ import pytest
 
 from firmware.sim.avr.board import AvrBoard
 from firmware.sim.avr.build import missing
-from gateway.emulator.firmware.board import AnalogSide
+from gateway.emulator.firmware_model.board import AnalogSide
 from protocol.wire.decoder import BadFrame, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message, Value
 from tests.harness.gateway.board_host import Bench, frame

@@ -6,8 +6,8 @@ import ctypes
 from ctypes import POINTER, byref, c_bool, c_char_p, c_int16, c_int32, c_uint8, c_uint16, c_uint32
 from pathlib import Path
 
-from gateway.emulator.firmware.excitation import Signal
-from gateway.emulator.firmware.law import Gains
+from gateway.emulator.firmware_model.excitation import Signal
+from gateway.emulator.firmware_model.law import Gains
 from gateway.emulator.native.library import CGains
 
 

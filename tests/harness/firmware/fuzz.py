@@ -10,7 +10,7 @@ import random
 import sys
 from pathlib import Path
 
-from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.native.board import NativeFirmware
 from protocol.wire.codec import BODY_SIZE
 from protocol.wire.framing import encode_frame

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from firmware.sim.mcs51.board import Mcs51Board
-from gateway.emulator.firmware.board import AnalogSide
-from gateway.emulator.firmware.flash import CURRENT, POSITION, T_S_US
+from gateway.emulator.firmware_model.board import AnalogSide
+from gateway.emulator.firmware_model.flash import CURRENT, POSITION, T_S_US
 from gateway.emulator.native.board import NativeFirmware
 from protocol.wire.framing import cobs_decode, encode_frame
 from protocol.wire.messages import ROW_OF_NAME, ROWS

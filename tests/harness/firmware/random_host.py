@@ -12,10 +12,10 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gateway.emulator.firmware.board import AnalogSide, Firmware
-from gateway.emulator.firmware.flash import FlashLimits, Settings
-from gateway.emulator.firmware.law import Gains
-from gateway.emulator.firmware.output import OutputFault
+from gateway.emulator.firmware_model.board import AnalogSide, Firmware
+from gateway.emulator.firmware_model.flash import FlashLimits, Settings
+from gateway.emulator.firmware_model.law import Gains
+from gateway.emulator.firmware_model.output import OutputFault
 from gateway.emulator.native.board import NativeFirmware
 from protocol.wire.codec import BODY_SIZE
 from protocol.wire.decoder import StreamDecoder

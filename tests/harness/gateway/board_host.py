@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import pytest
 
-from gateway.emulator.firmware.board import AnalogSide, Firmware
+from gateway.emulator.firmware_model.board import AnalogSide, Firmware
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compiler
 from protocol.wire.codec import encode_body

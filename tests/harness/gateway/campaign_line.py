@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import board51
-from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.line import Board
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb

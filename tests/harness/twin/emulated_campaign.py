@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.emulator.firmware.board import Firmware
-from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION, gains_in_counts
+from gateway.emulator.firmware_model.board import Firmware
+from gateway.emulator.firmware_model.flash import CURRENT, INPUT, POSITION, gains_in_counts
+from gateway.emulator.plant.constants import CE152, PlantConstants
 from gateway.emulator.plant.levitation import EmulatedPlant
-from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.campaign import Campaign, Kind, parse
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder

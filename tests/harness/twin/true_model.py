@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.emulator.plant.rig import CE152, PlantConstants
+from gateway.emulator.plant.constants import CE152, PlantConstants
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, model_from_dict
 

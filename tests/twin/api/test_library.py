@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import board51
-from gateway.emulator.plant.rig import CE152
+from gateway.emulator.plant.constants import CE152
 from protocol.errors import DataError, UsageError
 from tests.harness.twin.emulated_campaign import run_campaign
 from twin import Campaign, Model, design, diagnose, identify, predict, validate

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import board51
-from gateway.emulator.firmware.flash import POSITION, gains_in_counts
-from gateway.emulator.plant.rig import CE152
+from gateway.emulator.firmware_model.flash import POSITION, gains_in_counts
+from gateway.emulator.plant.constants import CE152
 from protocol.wire.messages import Law, Mode, Shape
 from tests.harness.twin.emulated_campaign import Lab
 from tests.harness.twin.true_model import true_model

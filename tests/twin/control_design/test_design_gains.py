@@ -13,7 +13,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.errors import UsageError
 from tests.harness.twin.one_tick import tick
 from twin.control import law, law_numbers, linearise
-from twin.control_design.board import Converters, to_mantissa
+from twin.control_design.board import Converters
 from twin.control_design.design import Design, design
 from twin.control_design.gains import Weights, in_order_of
 from twin.control_design.loop import backward, closed_loop
@@ -213,14 +213,6 @@ def test_a_wide_interval_is_warned_of_and_a_narrow_one_is_not() -> None:
     assert wide.robustness.worst_pole > 1.0
     assert any("could destabilise" in warning for warning in wide.warnings)
     assert wide.robustness == design(uncertain(0.7)).robustness
-
-
-def test_a_mantissa_is_the_nearest_with_fifteen_bits() -> None:
-    for gain in (0.5, -0.041, 1.9e-3, 32767.0, 3.0, -1.0):
-        mantissa, shift = to_mantissa(gain)
-        assert abs(mantissa) <= 32767
-        assert abs(mantissa * 2.0**-shift - gain) <= 2.0**-shift / 2
-        assert shift == 30 or abs(round(gain * 2.0 ** (shift + 1))) > 32767
 
 
 def test_pid_counts_its_integral_positive() -> None:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gateway.emulator.plant.constants import CE152
 from gateway.emulator.plant.effects import EFFECTS
-from gateway.emulator.plant.rig import CE152
 from tests.harness.diagnose.forms import FORMS
 from tests.harness.diagnose.hidden_campaign import (
     MIDDLE_M,

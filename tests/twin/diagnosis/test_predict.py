@@ -12,9 +12,9 @@ import pytest
 from scipy.io import savemat
 
 import board51
-from gateway.emulator.firmware.flash import POSITION
+from gateway.emulator.firmware_model.flash import POSITION
+from gateway.emulator.plant.constants import CE152
 from gateway.emulator.plant.effects import EFFECTS
-from gateway.emulator.plant.rig import CE152
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.wire.messages import Shape

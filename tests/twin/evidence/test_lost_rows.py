@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.plant.rig import CE152
+from gateway.emulator.plant.constants import CE152
 from tests.harness.diagnose.simulated_rig import (
     MIDDLE_M,
     PLANT,

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.firmware.flash import POSITION
-from gateway.emulator.plant.rig import CE152
+from gateway.emulator.firmware_model.flash import POSITION
+from gateway.emulator.plant.constants import CE152
 from protocol.campaign import Campaign, parse
 from protocol.errors import DataError
 from protocol.wire.messages import Shape

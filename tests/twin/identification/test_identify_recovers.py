@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.firmware.flash import INPUT
+from gateway.emulator.firmware_model.flash import INPUT
 from protocol.wire.messages import Mode, Shape
 from tests.harness.twin.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
 from tests.harness.twin.independent_plant import Ball, wandering

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.emulator.firmware.flash import INPUT, POSITION
-from gateway.emulator.plant.rig import CE152
+from gateway.emulator.firmware_model.flash import INPUT, POSITION
+from gateway.emulator.plant.constants import CE152
 from protocol.campaign import parse
 from protocol.wire.messages import Mode, Shape
 from tests.harness.twin.emulated_campaign import Lab

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION
+from gateway.emulator.firmware_model.flash import CURRENT, INPUT, POSITION
+from gateway.emulator.plant.constants import CE152
 from gateway.emulator.plant.effects import EFFECTS
-from gateway.emulator.plant.rig import CE152
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Shape
 from tests.harness.twin.emulated_campaign import TICK_S, Lab

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION
-from gateway.emulator.plant.rig import CE152, PlantConstants
+from gateway.emulator.firmware_model.flash import CURRENT, INPUT, POSITION
+from gateway.emulator.plant.constants import CE152, PlantConstants
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.codec import encode_body
 from protocol.wire.framing import encode_frame

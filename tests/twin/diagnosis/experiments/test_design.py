@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.firmware.flash import POSITION
-from gateway.emulator.plant.rig import CE152, PlantConstants
+from gateway.emulator.firmware_model.flash import POSITION
+from gateway.emulator.plant.constants import CE152, PlantConstants
 from protocol.campaign import Controller, OperatingPoint, Plant
 from protocol.experiments import Experiment, Wave
 from protocol.wire.messages import Shape

@@ -145,8 +145,8 @@ def test_what_was_not_recorded_is_not_made_up() -> None:
 
 
 def test_the_emulated_board_flies_the_ball_along_the_same_path() -> None:
-    from gateway.emulator.firmware.flash import POSITION
-    from gateway.emulator.plant.rig import CE152
+    from gateway.emulator.firmware_model.flash import POSITION
+    from gateway.emulator.plant.constants import CE152
 
     rig = replace(CE152, coil_plane_above_stop_m=2.4e-3)
     lab = Lab(rig, seed=2)

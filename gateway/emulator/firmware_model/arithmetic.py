@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 
 FRACTION_BITS = 8  # of the 32-bit accumulator: Q23.8
-MANTISSA_MAX = 32767
-SHIFT_MAX = 30
 PHASE_BITS = 32  # a phase is a fraction of a turn, modulo 2^32
 
 _TABLE_BITS = 8
@@ -34,22 +32,6 @@ def scaled_product(mantissa: int, shift: int, operand: int) -> int:
     product = mantissa * operand
     move = shift - FRACTION_BITS
     return saturate(product >> move if move >= 0 else product << -move, 32)
-
-
-def to_mantissa(gain: float) -> tuple[int, int]:
-    """Return the pair (mantissa, shift) closest to `gain`, with as many bits of mantissa as fit.
-
-    The host does this before SET_GAINS, the build does it for the gains in flash; the board has no floating point.
-
-    Raises:
-        ValueError: |gain| is above 32767, the largest that the format holds.
-    """
-    if abs(gain) > MANTISSA_MAX:
-        raise ValueError(f"gain {gain} does not fit a 16-bit mantissa; scale the gains down")
-    shift = SHIFT_MAX
-    while abs(round(gain * 2**shift)) > MANTISSA_MAX:
-        shift -= 1
-    return round(gain * 2**shift), shift
 
 
 def divide_rounded(numerator: int, denominator: int) -> int:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-import uuid
 from collections.abc import Callable
 
 import zenoh
@@ -19,9 +18,9 @@ import zenoh
 from gateway.campaign.checks import AT_STOP_S, STOP_SHARE, Problem, rest_level_m
 from gateway.campaign.plan import CAPTURE_PRE_S, CAPTURE_S, Action, GoTo, Send, Shoot
 from gateway.campaign.subscriber import ID_PREFIX, BoardSubscriber
-from gateway.client.connection import send
+from gateway.client.connection import new_id
+from gateway.client.rig import Rig
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.identity import Identity
 from protocol.errors import Board51Error, ServiceError
 from protocol.wire.messages import Flag
 
@@ -50,30 +49,15 @@ class RigControl:
     """The control of one board through its gateway.
 
     Args:
-        session: of the bus.
-        site: first chunk of the keys.
-        board: second chunk of the keys.
+        rig: sends the commands.
         subscriber: of the same board.
         stop: is set when the user ends the run.
-        who: sender of the commands, for the log.
         travel_m: travel of the ball, m.
-        identity: on a guarded bus.
     """
 
-    def __init__(
-        self,
-        session: zenoh.Session,
-        site: str,
-        board: str,
-        subscriber: BoardSubscriber,
-        stop: threading.Event,
-        *,
-        who: str,
-        travel_m: float,
-        identity: Identity | None = None,
-    ) -> None:
-        self._session, self._site, self._board, self._subscriber, self._stop = session, site, board, subscriber, stop
-        self._who, self._travel_m, self._identity = who, travel_m, identity
+    def __init__(self, rig: Rig, subscriber: BoardSubscriber, stop: threading.Event, *, travel_m: float) -> None:
+        self._rig, self._subscriber, self._stop, self._travel_m = rig, subscriber, stop, travel_m
+        self._address = f"{rig.site}/{rig.board}"
         self.rest_m = float("nan")
 
     # --- waiting
@@ -110,7 +94,7 @@ class RigControl:
 
     def _lost(self, what: str) -> ServiceError:
         return ServiceError(
-            f"{what} from {self._site}/{self._board} for {SILENCE_S:g} s: gateway, link or board is gone",
+            f"{what} from {self._address} for {SILENCE_S:g} s: gateway, link or board is gone",
             remedy="Look at `board51 watch --topic status`. When it is back, repeat the command: it continues",
         )
 
@@ -128,8 +112,7 @@ class RigControl:
         )
         if not is_known:
             raise ServiceError(
-                f"{self._site}/{self._board} streams but does not send its parameters and status",
-                remedy="Restart its gateway",
+                f"{self._address} streams but does not send its parameters and status", remedy="Restart its gateway"
             )
         self._heed()
         assert self._subscriber.state is not None
@@ -211,8 +194,8 @@ class RigControl:
     def _send(self, command: pb.Command, *, timeout_s: float = 5.0) -> pb.CommandReply:
         request = pb.Command()
         request.CopyFrom(command)
-        request.id, request.who = f"{ID_PREFIX}{uuid.uuid4().hex}", self._who
-        return send(self._session, self._site, self._board, request, timeout_s=timeout_s, identity=self._identity)
+        request.id = f"{ID_PREFIX}{new_id()}"
+        return self._rig.send(request, timeout_s=timeout_s)
 
     def mode(self, mode: pb.Mode) -> None:
         """Enter a mode."""

@@ -5,18 +5,17 @@ A full queue drops the OLDEST message and counts it, because zenoh's thread must
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Self, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
 
-from gateway.client.connection import subscribe
+from gateway.client.connection import Subscription
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.errors import UsageError
@@ -33,8 +32,8 @@ class Arrival(NamedTuple):
     size: int  # of the payload, bytes
 
 
-class Feed:
-    """The messages of some topics from now on, until it is closed or garbage-collected.
+class MessageQueue(Iterator[Message]):
+    """The messages of some topics from now on: an iterator that ends when it is closed or garbage-collected.
 
     Args:
         session: of the bus.
@@ -42,21 +41,36 @@ class Feed:
         board: second chunk of the keys; "*": every board.
         names: of topics.
         capacity: of the queue, messages.
+        timeout_s: time without a message after which an iteration ends, s; None: no end.
     """
 
     def __init__(
-        self, session: zenoh.Session, site: str, board: str, names: Iterable[str], *, capacity: int = CAPACITY
+        self,
+        session: zenoh.Session,
+        site: str,
+        board: str,
+        names: Iterable[str],
+        *,
+        capacity: int = CAPACITY,
+        timeout_s: float | None = None,
     ) -> None:
         self._waiting = _Waiting(capacity)
-        subscribers = [subscribe(session, f"{site}/{board}/{name}", self._waiting.put) for name in names]
+        self._timeout_s = timeout_s
+        subscription = Subscription(session, [f"{site}/{board}/{name}" for name in names], self._waiting.put)
         # The callbacks refer to the queue and not to the feed, so that a loop left with `break` ends the subscription.
-        self._end = weakref.finalize(self, _undeclare, subscribers)
+        self._end = weakref.finalize(self, subscription.close)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def __next__(self) -> Message:
+        while (arrival := self.take(self._timeout_s)) is not None:
+            if arrival.message is not None:
+                return arrival.message
+        raise StopIteration
 
     def close(self) -> None:
         """End the subscription."""
@@ -107,12 +121,6 @@ class _Waiting:
             address = topics.split(key)
             if address is not None:
                 return Arrival(key, parse(topics.TOPIC_OF_NAME[address[2]].message, data), len(data))
-
-
-def _undeclare(subscribers: list[zenoh.Subscriber[None]]) -> None:
-    for subscriber in subscribers:
-        with contextlib.suppress(zenoh.ZError):  # the session is closed
-            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
 
 
 def check_topic(name: str) -> None:

@@ -15,8 +15,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.arithmetic import to_mantissa
-from gateway.emulator.firmware.law import Gains
+from gateway.emulator.firmware_model.law import Gains
+from protocol.wire.mantissa import to_mantissa
 from protocol.wire.messages import COUNTS_MAX, Law
 
 T_S_US = 2000  # eq. (15)

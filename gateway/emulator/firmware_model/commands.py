@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.capture import FirmwareCapture
-from gateway.emulator.firmware.control_loop import TARGET_U, ControlLoop
-from gateway.emulator.firmware.excitation import Excitation, Signal
-from gateway.emulator.firmware.flash import (
+from gateway.emulator.firmware_model.capture import FirmwareCapture
+from gateway.emulator.firmware_model.control_loop import TARGET_U, ControlLoop
+from gateway.emulator.firmware_model.excitation import Excitation, Signal
+from gateway.emulator.firmware_model.flash import (
     CAPTURE_SIZE,
     CAPTURE_US,
     DAC_BITS,
@@ -20,8 +20,8 @@ from gateway.emulator.firmware.flash import (
     T_S_US,
     BoardProfile,
 )
-from gateway.emulator.firmware.law import Gains
-from gateway.emulator.firmware.settings import in_parameters
+from gateway.emulator.firmware_model.law import Gains
+from gateway.emulator.firmware_model.settings import in_parameters
 from protocol.wire.messages import ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.capture import FirmwareCapture
-from gateway.emulator.firmware.excitation import Excitation
-from gateway.emulator.firmware.flash import TICKS_PER_S, FlashLimits, Settings
-from gateway.emulator.firmware.law import ControlLaw
-from gateway.emulator.firmware.output import InputConverter, Output
+from gateway.emulator.firmware_model.capture import FirmwareCapture
+from gateway.emulator.firmware_model.excitation import Excitation
+from gateway.emulator.firmware_model.flash import TICKS_PER_S, FlashLimits, Settings
+from gateway.emulator.firmware_model.law import ControlLaw
+from gateway.emulator.firmware_model.output import InputConverter, Output
 from protocol.wire.messages import COUNTS_MAX, EventCode, Flag, Mode
 
 OVER_CURRENT_TICKS = 50

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
-from gateway.emulator.firmware.arithmetic import PHASE_BITS, divide_rounded, sine_q15
+from gateway.emulator.firmware_model.arithmetic import PHASE_BITS, divide_rounded, sine_q15
 from protocol.wire.messages import Shape
 
 _TURN = 1 << PHASE_BITS

@@ -1,7 +1,7 @@
 """Run board51 commands as child processes, and stop them in every case.
 
-Rule: each has a process session of its own.  So Ctrl-C reaches only the demo, which then stops them in order: the
-      campaign parks the ball while gateway and board still run.  They end with the demo, also after kill -9.
+Rule: each has a process session of its own.  So Ctrl-C reaches only their parent, which then stops them in order: the
+      campaign parks the ball while gateway and board still run.  They end with it, also after kill -9.
 """
 
 from __future__ import annotations

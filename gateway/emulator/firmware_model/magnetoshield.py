@@ -15,7 +15,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.flash import (
+from gateway.emulator.firmware_model.flash import (
     DAC_BITS,
     FIRMWARE,
     BoardProfile,
@@ -166,7 +166,7 @@ def header(profile: MagnetoShieldProfile) -> str:
     numbers = (limits.x_ref_min, limits.x_ref_max, limits.x_ref_step, limits.x_ref_slew, limits.u_max)
     return "\n".join(
         (
-            "/* A MagnetoShield (R3, R4): written by gateway/emulator/firmware/magnetoshield.py, `header`; the numbers",
+            "/* A MagnetoShield (R3, R4), by gateway/emulator/firmware_model/magnetoshield.py, `header`; numbers",
             " * are explained there and in ../magnetoshield.md. */",
             f"#define PROFILE_FIRMWARE {FIRMWARE[0]}, {FIRMWARE[1]}, {profile.adc_bits}, {DAC_BITS}",
             "#define PROFILE_SCALINGS \\",

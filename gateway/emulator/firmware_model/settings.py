@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from gateway.emulator.firmware.flash import FlashLimits, Settings
-from gateway.emulator.firmware.law import Gains
+from gateway.emulator.firmware_model.flash import FlashLimits, Settings
+from gateway.emulator.firmware_model.law import Gains
 from protocol.wire.messages import ROW_OF_NAME, Value
 
 

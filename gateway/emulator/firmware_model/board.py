@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
-from gateway.emulator.firmware.commands import (
+from gateway.emulator.firmware_model.commands import (
     HANDLERS,
     Acceptance,
     Nack,
@@ -23,8 +23,8 @@ from gateway.emulator.firmware.commands import (
     parameters,
     refuse_range,
 )
-from gateway.emulator.firmware.control_loop import ControlLoop, Tick
-from gateway.emulator.firmware.flash import (
+from gateway.emulator.firmware_model.control_loop import ControlLoop, Tick
+from gateway.emulator.firmware_model.flash import (
     BOOT_TICKS,
     CE152_BOARD,
     T_S_US,
@@ -33,9 +33,9 @@ from gateway.emulator.firmware.flash import (
     BoardProfile,
     Settings,
 )
-from gateway.emulator.firmware.output import InputConverter, OutputFault
-from gateway.emulator.firmware.settings import first_bad_field
-from gateway.emulator.firmware.uart import Inbox, Outbox, Priority
+from gateway.emulator.firmware_model.output import InputConverter, OutputFault
+from gateway.emulator.firmware_model.settings import first_bad_field
+from gateway.emulator.firmware_model.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import ROW_OF_NAME, ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Value

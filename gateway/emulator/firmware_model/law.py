@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.arithmetic import FRACTION_BITS, saturate, scaled_product
+from gateway.emulator.firmware_model.arithmetic import FRACTION_BITS, saturate, scaled_product
 from protocol.wire.messages import COUNTS_MAX, Law
 
 SUM_BITS = 24

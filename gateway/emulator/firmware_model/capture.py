@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gateway.emulator.firmware.flash import CAPTURE_SETTLE_US, CAPTURE_US, T_S_US
+from gateway.emulator.firmware_model.flash import CAPTURE_SETTLE_US, CAPTURE_US, T_S_US
 from protocol.wire.codec import pack_pair
 from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES
 
