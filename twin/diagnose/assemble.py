@@ -156,7 +156,7 @@ def assemble(
     with timed(stages, "remainder"):
         remainder = _remainder(search, records, judge, whole, choice, options)
         if not _harmless(bench, outcome.before, choice, remainder):
-            warnings.append("a curve of what is left was tried and refused: with it the judge recordings get worse")
+            warnings.append("a curve for the rest was tried and refused: the judge recordings get worse with it")
             remainder = None
     final = choice.fit if remainder is None else remainder.fit
     final_spread = spread if final is selection.fit else {} if final is None else spreads(criterion, final)
@@ -169,7 +169,7 @@ def assemble(
         where = harm_sentence(choice.refused[0])
     elif search.is_adequate and whole is not None and exceeds_floor(whole):
         where = beyond_sentence(whole)
-    warnings += [f"not all is explained {where}"] * bool(where) if search.is_adequate else [search.why_not]
+    warnings += [f"not everything is explained {where}"] * bool(where) if search.is_adequate else [search.why_not]
     minor_effects = (
         tuple(minor_effects_of(criterion, selection)) if search.is_adequate and search.change is None else ()
     )
@@ -340,7 +340,7 @@ def _proposals(criterion: Criterion, selection: Selection, campaign: Campaign, o
         members = selection.classes.get(cause, ())
         if not members:
             continue
-        question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in members)}"
+        question = f"which experiment separates {cause} from {', '.join(trial.cause for trial in members)}"
         options.say(f"{question}?")
         ranked = []
         with suppress(Spent), options.budget.question(question):
@@ -349,7 +349,7 @@ def _proposals(criterion: Criterion, selection: Selection, campaign: Campaign, o
             continue
         best = ranked[0]
         outside = tuple(
-            f"{pair.cause} and {pair.confounder}: no experiment on this rig tells them apart; {pair.measurement}"
+            f"{pair.cause} and {pair.confounder}: no experiment on this rig separates them; {pair.measurement}"
             for pair in best.pairs
             if not pair.separable
         )

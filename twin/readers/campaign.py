@@ -100,7 +100,7 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     check_table(path, names, row.replace('"', "").split(separator))
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise DataError(f"{path}: column {twice!r} is there twice", remedy="Give each column its own name")
+        raise DataError(f"{path}: column {twice!r} appears twice", remedy="Give each column its own name")
     options = {
         "read_options": csv.ReadOptions(column_names=names),
         "parse_options": csv.ParseOptions(delimiter=separator),
@@ -312,7 +312,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
     table[np.array([at in switched for at in ticks], np.bool_), 1] = nan
     notes = [f"{recording.file}: {lost} samples were lost on the way"] if lost else []
     if not reader.finished:
-        notes.append(f"{recording.file}: the log was not closed; read as far as it goes")
+        notes.append(f"{recording.file}: the log was not closed; it was read as far as possible")
     return Record(
         name=recording.file,
         kind=recording.kind,
