@@ -88,12 +88,12 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     notes = list(evidence.notes)
     if has_phase(c):
         notes.append(
-            f"the phase of {cause_of_detector('spectral-line').name} is taken from the readings before each prediction"
+            f"the phase of {cause_of_detector('spectral-line').name} comes from the readings before each prediction"
         )
     if source.delay:
         notes.append(f"u_c acts {source.delay} samples later than recorded, as where the model was identified")
     if source.unknown_delay:
-        notes.append(f"u_c acts {source.unknown_delay} samples later than recorded, which the model does not know")
+        notes.append(f"u_c acts {source.unknown_delay} samples later than recorded, which the model does not include")
     return Prediction(
         ahead=ahead,
         interval_s=tick_s,
@@ -122,7 +122,7 @@ def _left_out(
         (why, count)
         for why, count in (
             ("at a stop, or in a flight too short to use", int(contact.sum())),
-            ("no reading of x, or a wild one", int(unread.sum())),
+            ("no reading of x, or an outlier", int(unread.sum())),
             (f"within {SETTLE_S:g} s and the horizon of the start of a flight ({gaps} gaps in time)", int(begun.sum())),
         )
         if count

@@ -245,7 +245,7 @@ def _listed(campaign: Campaign, recording: Path, data: Path | None) -> tuple[Rec
     result = exact or [r for r in campaign.recordings if Path(r.file).name == recording.name]
     if len(result) != 1:
         listed = ", ".join(r.file for r in campaign.recordings) or "none"
-        problem = "is there twice" if result else "is not one of its recordings"
+        problem = "appears twice" if result else "is not one of its recordings"
         raise DataError(f"{campaign.where}: {str(recording)!r} {problem}", remedy=f"Name one of: {listed}")
     return result[0], recording if recording.is_file() else campaign.path_of(result[0], data=data)
 
@@ -304,7 +304,7 @@ def design(
     if with_observer and law != "lqi":
         raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
     if settling_time_s is not None and Q is not None and R is not None:
-        raise UsageError("--settling-time beside --Q and --R has no effect", remedy="Leave out the one or the other")
+        raise UsageError("--settling-time has no effect with --Q and --R", remedy="Leave out the one or the other")
     known = _model(model)
     work.require_known(known)
     chosen = bryson(known, operating_point(known, x_m, u_max_v=u_max_v), settling_time_s=settling_time_s)

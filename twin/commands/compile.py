@@ -18,7 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = (
         "example:\n  board51 compile    after pipx install, or an update\n"
-        "\nexit code 0: done, or there is no place for compiled code, so that each command compiles anew"
+        "\nexit code 0: done, or no folder for compiled code is writable, so each command compiles again"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
 

@@ -26,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 design model.json --Q 17 3e6 7e3 1.3e9 --R 1.5 --observer\n"
         "  board51 design model.json --send rig1\n"
         "\nexit code 0: done; 1: the board's loop is unstable on the model itself, nothing is written or sent,\n"
-        "or the board did not take the gains; 2: bad input"
+        "or the board did not accept the gains; 2: bad input"
     )
     parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco, magnetoshield")
     parser.add_argument(

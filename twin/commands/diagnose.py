@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 diagnose runs/monday --out diagnosis\n"
         "  board51 diagnose runs/monday --model model.json --quick --out diagnosis\n"
         "  board51 diagnose --live 2 --board rig1 --out diagnosis --hand-over    the last two minutes of a board\n"
-        "\nexit code 0: causes found, if only for a part, or the model is adequate; 1: the model is wrong and no\n"
+        "\nexit code 0: causes found, possibly for a part, or the model is adequate; 1: the model is wrong and no\n"
         "known cause explains it, or the search ended by its budget; 2: bad input"
     )
     parser.add_argument("campaign", type=Path, nargs="?", metavar="CAMPAIGN", help="campaign.toml, or its folder")
@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="fewer candidates, the first seconds of each flight; confidence means less then",
+        help="fewer candidates, the first seconds of each flight; confidence is then less reliable",
     )
     parser.add_argument(
         "--share",
@@ -47,12 +47,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--next-experiment",
         action="store_true",
-        help="with --quick, too: which experiment tells the causes of a class apart",
+        help="also with --quick: find the experiment that separates the causes of a class",
     )
     parser.add_argument(
         "--free-form",
         action="store_true",
-        help="model what is left by smooth curves also with --quick, and where it looks like noise",
+        help="model the rest by smooth curves also with --quick, and if it looks like noise",
     )
     parser.add_argument(
         "--budget",
@@ -101,5 +101,5 @@ def run(args: argparse.Namespace) -> int:
         if not accepted:
             return 1
     elif args.hand_over:
-        progress("no model of this diagnosis surely predicts better than the reference: the twin keeps its model")
+        progress("no model of this diagnosis is significantly better than the reference: the twin keeps its model")
     return 1 if result.verdict in ("unknown-cause", "unfinished") else 0

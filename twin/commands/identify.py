@@ -19,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 identify runs/monday --out model.json\n"
         "  board51 identify twin/campaigns/inteco.toml --data ../shared/data --out inteco.json\n"
-        "\nexit code 0: K_A and K_c are known and the fit converged; 1: not (the best so far is written anyway);\n"
+        "\nexit code 0: K_A and K_c are known and the fit converged; 1: otherwise (the best fit so far is written);\n"
         "2: bad input"
     )
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN", help="campaign.toml or the folder that holds it")
@@ -47,5 +47,5 @@ def run(args: argparse.Namespace) -> int:
         for warning in result.warnings:
             progress(f"! {warning}")
     if not result.usable:
-        progress("no usable model: the best so far" + (f" is in {args.out}" if args.out else ""))
+        progress("no usable model; this is the best fit so far" + (f" is in {args.out}" if args.out else ""))
     return 0 if result.usable else 1

@@ -37,8 +37,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 plot run.mcap --out run.png --span 2:12=before --span 60:70=after    side by side"
     )
     parser.add_argument("log", type=Path, metavar="LOG", help="MCAP log")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the picture; is overwritten")
-    parser.add_argument("--board", help="which board (default: the only one)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture file; it is overwritten")
+    parser.add_argument("--board", help="board (default: the only one)")
     parser.add_argument("--from", dest="from_s", type=float, metavar="S", help="board time, s (default: coil on)")
     parser.add_argument("--to", dest="to_s", type=float, metavar="S", help="board time, s (default: coil off)")
     parser.add_argument(

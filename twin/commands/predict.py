@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--campaign", type=Path, metavar="CAMPAIGN", help="campaign.toml or its folder: columns and skip_s of RECORDING"
     )
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
-    parser.add_argument("--board", metavar="BOARD", help="in a log of several boards, the one that is meant")
+    parser.add_argument("--board", metavar="BOARD", help="board, for a log of several boards")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
 
 

@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 twin                                  every board behind the gateway on this machine\n"
         "  board51 twin --board rig1 --model model.json  one board, parameters as identified\n"
-        "  board51 twin --hand-over model.json           the twins that run take this model, without a restart\n"
+        "  board51 twin --hand-over model.json           the running twins change to this model, without a restart\n"
         "  board51 twin --log run.mcap --out twin.mcap   over a log; twin topics into a new one\n"
         "\nexit code 0: done; 1: with --hand-over, a twin refused or none answered; with --fail-on-alarm, an alarm on\n"
         "divergence or innovation was raised; 2: bad input"
@@ -63,13 +63,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="with --log: samples and twin topics go there")
     parser.add_argument("--json", action="store_true", help="with --log, --hand-over: print the outcome as JSON")
     parser.add_argument("--fail-on-alarm", action="store_true", help="with --log: exit code 1 where the model is wrong")
-    parser.add_argument("--duration", type=float, metavar="S", help="live: stop after so many seconds")
+    parser.add_argument("--duration", type=float, metavar="S", help="live: stop after this many seconds")
     parser.add_argument(
         "--diagnosis-after",
         type=float,
         default=Settings().diagnosis_after_s,
         metavar="S",
-        help="live: alarms that last so long raise diagnosis-wanted (%(default)s; 0: never)",
+        help="live: alarms that last this long raise diagnosis-wanted (%(default)s; 0: never)",
     )
 
 
@@ -105,7 +105,7 @@ def _model(name: str) -> Model:
 def chosen_settings(args: argparse.Namespace) -> Settings:
     """The settings of the options.  Raises UsageError for a value out of range."""
     if not (math.isfinite(args.window) and 0.05 <= args.window <= 60.0):
-        raise UsageError(f"--window {args.window:g} is outside 0.05 .. 60 s", remedy="Use 1 s unless you know better")
+        raise UsageError(f"--window {args.window:g} is outside 0.05 .. 60 s", remedy="Use 1 s")
     rate = args.false_alarms_per_day
     if not (math.isfinite(rate) and 1e-6 <= rate <= 1e4):
         raise UsageError(f"--false-alarms-per-day {rate:g} is outside 1e-6 .. 1e4", remedy="Use 0.1: one in ten days")
@@ -242,7 +242,7 @@ def _over_log(args: argparse.Namespace, model: Model, settings: Settings) -> int
         print(json.dumps(result, indent=2))
     else:
         if not complete:
-            print(f"{args.log} was not closed; read as far as it goes")
+            print(f"{args.log} was not closed; it was read as far as possible")
         print(f"model {believe(model).title} throughout")
         for summary in summaries:
             _print(summary)
@@ -268,9 +268,9 @@ def _print(summary: dict[str, Any]) -> None:
         print(f"  lost step {count} x: {why}")
     for model in summary["models_logged"]:
         title, whose = f"{model['name']} ({model['sha256'][:12]})", f", handed over by {model['who']}"
-        print(f"  the live twin had {title} from tick {model['since_tick']}" + (whose if model["who"] else ""))
+        print(f"  the live twin ran on {title} from tick {model['since_tick']}" + (whose if model["who"] else ""))
     if not summary["starts"]:
-        print("  no free twin: the log does not say which law ran (or no sample could start it); the observer alone")
+        print("  no free twin: the log lacks the control law (or no sample could start it); only the observer ran")
     rmse, bias = summary["rmse"], summary["bias"]
     for name, (scale, unit) in {"x_m": (1e6, "um"), "i_c_a": (1e3, "mA"), "u_c_v": (1e3, "mV")}.items():
         if rmse[name] is not None:

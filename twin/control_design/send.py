@@ -57,10 +57,10 @@ def send(
         reply = _send(session, site, board, _command(design, who), identity)
     if not reply.accepted:
         raise ServiceError(
-            f"{site}/{board} did not take the gains: refused by {reply.refused_by}, {reply.reason} ({reply.text})",
-            remedy="Its gains are as they were; `board51 watch` shows its state",
+            f"{site}/{board} did not accept the gains: refused by {reply.refused_by}, {reply.reason} ({reply.text})",
+            remedy="Its gains are unchanged; `board51 watch` shows its state",
         )
-    return f"{site}/{board} took the gains, in force from tick {reply.tick}" + (
+    return f"{site}/{board} accepted the gains, in force from tick {reply.tick}" + (
         f" ({reply.text})" if reply.text else ""
     )
 
@@ -75,7 +75,7 @@ def check_board(design: Design, parameters: pb.Parameters) -> None:
     x = design.point.x_m
     if not parameters.x_ref_min_m <= x <= parameters.x_ref_max_m:
         raise UsageError(
-            f"operating point x = {x:g} m is outside what the board accepts as reference, "
+            f"operating point x = {x:g} m is outside the board's reference range, "
             f"{parameters.x_ref_min_m:g} to {parameters.x_ref_max_m:g} m",
             remedy="Choose --operating-point within it",
         )
@@ -101,7 +101,7 @@ def _parameters(session: zenoh.Session, site: str, board: str) -> pb.Parameters:
     except queue.Empty:
         raise ServiceError(
             f"no message from {site}/{board} within {PARAMETERS_WAIT_S:g} s",
-            remedy="Check the name of the board and that its gateway runs; `board51 watch` lists what is there",
+            remedy="Check the name of the board and that its gateway runs; `board51 watch` lists the boards",
         ) from None
 
 

@@ -133,7 +133,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     with timed(stages, "remainder"):
         remainder = _remainder(inputs, search, whole, choice, options)
         if not _harmless(bench, outcome.before, choice, remainder):
-            warnings.append("a curve of what is left was tried and refused: with it the judge recordings get worse")
+            warnings.append("a curve for the rest was tried and refused: the judge recordings get worse with it")
             remainder = None
     final = choice.fit if remainder is None else remainder.fit
     final_spread = spread if final is selection.fit else {} if final is None else spreads(criterion, final)
@@ -146,7 +146,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         where = harm_sentence(choice.refused[0])
     elif search.is_adequate and whole is not None and exceeds_floor(whole):
         where = beyond_sentence(whole)
-    warnings += [f"not all is explained {where}"] * bool(where) if search.is_adequate else [search.why_not]
+    warnings += [f"not everything is explained {where}"] * bool(where) if search.is_adequate else [search.why_not]
     minor_effects = (
         tuple(minor_effects_of(criterion, selection)) if search.is_adequate and search.change is None else ()
     )
@@ -317,7 +317,7 @@ def _proposals(search: SearchResult, campaign: Campaign, options: Options) -> di
         members = selection.classes.get(cause, ())
         if not members:
             continue
-        question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in members)}"
+        question = f"which experiment separates {cause} from {', '.join(trial.cause for trial in members)}"
         options.say(f"{question}?")
         ranked = []
         with suppress(Spent), search.budget.question(question):
@@ -326,7 +326,7 @@ def _proposals(search: SearchResult, campaign: Campaign, options: Options) -> di
             continue
         best = ranked[0]
         outside = tuple(
-            f"{pair.cause} and {pair.confounder}: no experiment on this rig tells them apart; {pair.measurement}"
+            f"{pair.cause} and {pair.confounder}: no experiment on this rig separates them; {pair.measurement}"
             for pair in best.pairs
             if not pair.separable
         )

@@ -48,7 +48,7 @@ from twin.inference.theta import BASE, STOPS, Theta, parameter_of
 from twin.model.assumed import assumption_warning
 from twin.readers.campaign import read_campaign
 
-UNASKED = "--quick: not asked whether an effect begins or ends in the middle of the campaign"
+UNASKED = "--quick did not examine whether an effect begins or ends in the middle of the campaign"
 MIN_FLIGHT_S = 2.0  # 120 time constants of the unstable pole
 
 
@@ -104,7 +104,7 @@ def diagnose_records(
         wanders = _wanders(search.selection.fit.theta)
         outlier = _outlier(criterion, search) if look_for_outlier and (wanders or not search.is_adequate) else None
         if outlier is not None:
-            options.say(f"{outlier.name} contradicts the others: once more without it")
+            options.say(f"{outlier.name} contradicts the others: repeating without it")
             (remaining,) = budget.shares(1)
             others = [record for index, record in enumerate(everything) if index != outlier.recording]
             rest = diagnose_records(campaign, others, judges, options, budget=remaining, look_for_outlier=False)
@@ -190,7 +190,7 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
     say, max_fits, budget = options.say, 3 if options.quick else 6, criterion.budget
     stages: dict[str, float] = {}
     with timed(stages, "base fit"):
-        say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; the paper's model first")
+        say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; fitting the paper's model")
         try:
             base = climb(criterion, start, (*BASE, *start.colours, *STOPS))
             floor = floor_of(criterion, base.theta)
@@ -271,5 +271,5 @@ def check_flight_time(evidence: Evidence) -> None:
     if any(record.has("x") for record in evidence.records) and flown_s < MIN_FLIGHT_S:
         raise DataError(
             f"the recordings for fitting hold {flown_s:.2g} s of flight: too little to tell one cause from another",
-            remedy=f"Record at least {MIN_FLIGHT_S:g} s with the ball in flight, better a minute with steps of x_ref",
+            remedy=f"Record at least {MIN_FLIGHT_S:g} s with the ball in flight, or a minute with steps of x_ref",
         )

@@ -27,7 +27,7 @@ class Horizon:
 
     horizon_s: float
     rmse_m: float
-    constant_m: float  # rmse of the constant prediction "x stays where it is"
+    constant_m: float  # rmse of the constant prediction "constant x"
     count: int
 
 

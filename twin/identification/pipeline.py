@@ -179,8 +179,8 @@ def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, 
     possible = ball is not None and 0.0 <= ball.d <= max_drag(plant)
     steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
     warnings.append(
-        f"the best fit has more drag than b/m = {max_drag(plant):.0f} 1/s, the unstable pole: no ball "
-        "in air has so much: it makes up for an effect that (6) lacks. "
+        f"the best fit has more drag than b/m = {max_drag(plant):.0f} 1/s, the unstable pole: a ball "
+        "in air has far less, so it replaces an effect that (6) lacks. "
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
@@ -192,16 +192,16 @@ def _misfit(
 ) -> Horizon | None:
     """The prediction error of a model with coloured residuals; `warnings` receives sentences."""
     warnings.append(
-        f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model does not explain all. "
-        "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
+        f"the residuals are not white (autocorrelation up to {white.worst:.2f}): not everything is explained. "
+        "The intervals are those of its best approximation, and b is the least reliable; board51 diagnose looks "
         "for the cause"
     )
     ahead = _ahead(records, campaign, fitted, tick_s)
     if ahead is not None and ahead.rmse_m > ahead.constant_m:
         warnings.append(
-            f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, 'x stays "
-            f"where it is' by {ahead.constant_m * 1e6:.0f} um: it is no model to "
-            "predict with. board51 diagnose extends it by what is missing"
+            f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, a constant "
+            f"x by {ahead.constant_m * 1e6:.0f} um: it cannot be used for "
+            "predictions. board51 diagnose extends it by what is missing"
         )
     return ahead
 
@@ -230,8 +230,8 @@ def grouped(messages: list[str], names: list[str]) -> list[str]:
 def _left_out(usages: list[Usage]) -> list[str]:
     messages = []
     for count, what in (
-        ([u.outliers for u in usages], "wild readings were left out"),
-        ([u.gaps for u in usages], "gaps; the filter starts anew behind each"),
+        ([u.outliers for u in usages], "outlying readings were left out"),
+        ([u.gaps for u in usages], "gaps; the filter starts anew after each"),
         ([u.clipped for u in usages], "readings of i_c at the converter's end were left out"),
         (
             [u.steep_samples for u in usages],

@@ -136,9 +136,7 @@ def table(result: Identification) -> str:
     )
     if result.whiteness is not None:
         w = result.whiteness
-        colour = (
-            "white" if w.white else f"coloured (autocorrelation up to {w.worst:.2f}): the model does not explain all"
-        )
+        colour = "white" if w.white else f"coloured (autocorrelation up to {w.worst:.2f}): not everything is explained"
         lines.append(f"innovations: chi2 {w.chi2_x:.2f} (x), {w.chi2_i:.2f} (i_c), {colour}")
     lines += [f"! {warning}" for warning in result.warnings]
     return "\n".join(lines)

@@ -110,7 +110,7 @@ def time_constant(
     if parameter.verdict != "identified":
         warnings.append(
             f"T_A is {parameter.verdict}: samples every {tick_s * 1e3:g} ms see little of "
-            f"{fitted.point.T_A * 1e3:.3g} ms. To know it, {_HELP['T_A']}"
+            f"{fitted.point.T_A * 1e3:.3g} ms. To determine it, {_HELP['T_A']}"
         )
     return parameter
 
@@ -257,7 +257,7 @@ def _parameter(name: str, value: float, spread: Interval | float, method: str, e
         verdict = "not-identifiable"
         method += f"; at its bound (unbounded {value:.3g})"
     if verdict != "identified":
-        method += f"; to know it, {_HELP[name]}"
+        method += f"; to determine it, {_HELP[name]}"
     return Parameter(
         value=bounded,
         unit=unit,

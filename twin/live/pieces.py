@@ -71,7 +71,7 @@ def cut(
         raise DataError(
             f"only {flown_s:.0f} s of the {total_s:.0f} s at hand are closed-loop flight; {FLIGHT_S:.0f} s are needed",
             remedy="Fly steps of the reference for a while, or perform an experiment with "
-            "`board51 campaign run FOLDER --experiment wide-steps`, then ask again",
+            "`board51 campaign run FOLDER --experiment wide-steps`, then run it again",
         )
     judge_from = _judges(flights, flown_s)
     pieces: list[Piece] = []

@@ -52,7 +52,7 @@ def check_options(args: argparse.Namespace) -> None:
     if not (math.isfinite(args.live) and 0.1 <= args.live <= LONGEST_MIN):
         raise UsageError(f"--live {args.live:g} is outside 0.1 .. {LONGEST_MIN:g} minutes", remedy="Try --live 2")
     if args.out is None:
-        raise UsageError("--live writes recordings and needs a place", remedy="Give --out DIR")
+        raise UsageError("--live writes recordings and needs a folder", remedy="Give --out DIR")
     check_name(args.site, what="--site")
     if args.board:
         check_name(args.board, what="--board")
@@ -88,7 +88,7 @@ def record_live(args: argparse.Namespace, progress: Callable[[str], None]) -> tu
     listed = ", ".join(f"{piece.name} {piece.duration_s:.0f} s" for piece in pieces)
     progress(f"{args.site}/{board}, from {live.where}: {listed}")
     if not moves(pieces):
-        progress("! the reference hardly moves: force and drag are estimated from noise alone; fly steps of it")
+        progress("! the reference hardly moves: force and drag come from noise alone; fly steps of the reference")
     progress(f"recordings in {folder}")
     return folder, board
 

@@ -102,7 +102,7 @@ def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[st
             remedy="Start `board51 gateway`, or check --site and --board",
         )
     if len(boards) > 1:
-        raise UsageError(f"There are boards {', '.join(sorted(boards))}", remedy="Choose one with --board")
+        raise UsageError(f"Several boards report: {', '.join(sorted(boards))}", remedy="Choose one with --board")
     return next(iter(boards.items()))
 
 

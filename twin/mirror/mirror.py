@@ -149,7 +149,7 @@ class Mirror:
         if regime is not None:
             regime = Regime(model, self.settings, sample_time_s=regime.sample_time_s, parameters=regime.parameters)
         self.model, self._regime = model, regime
-        alarms = self.comparison.forget("another model is used from here on")
+        alarms = self.comparison.forget("another model is used from now on")
         if regime is not None:
             self._packed = self._hold(regime)
         self._stop()

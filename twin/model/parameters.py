@@ -154,7 +154,7 @@ def _usual(cause: str) -> Mapping[str, Parameter]:
 def _each_once(causes: tuple[ModelCause, ...]) -> tuple[ModelCause, ...]:
     for n, cause in enumerate(causes):
         if any(cause.name == other.name for other in causes[:n]):
-            raise RuleError(f" {n + 1} ({cause.name}) is there already", remedy="Name each cause once")
+            raise RuleError(f" {n + 1} ({cause.name}) appears twice", remedy="Name each cause once")
     return causes
 
 

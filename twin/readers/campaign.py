@@ -286,7 +286,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
     table[np.array([at in switched for at in ticks], np.bool_), 1] = nan
     notes = [f"{recording.file}: {lost} samples were lost on the way"] if lost else []
     if not reader.finished:
-        notes.append(f"{recording.file}: the log was not closed; read as far as it goes")
+        notes.append(f"{recording.file}: the log was not closed; it was read as far as possible")
     return Record(
         name=recording.file,
         kind=recording.kind,

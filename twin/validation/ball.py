@@ -34,10 +34,10 @@ class Ahead:
     floor_m: float
     ratio: float  # rmse / floor
     ratio_ci95: tuple[float, float]
-    still_m: float  # rmse of the constant prediction "x stays where it is"
+    still_m: float  # rmse of the constant prediction "constant x"
     count: int
     at_floor: bool  # whether the interval of the ratio includes a right model
-    beats_still: bool  # whether it is not significantly worse than "x stays where it is"
+    beats_still: bool  # whether it is not significantly worse than "constant x"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -63,7 +63,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     figure, axes = grid(1, 1, height=3.6, width=6.4)
     ax = axes[0][0]
     h = np.array([row.horizon_s for row in rows]) * 1e3
-    ax.loglog(h, [row.still_m * 1e6 for row in rows], color=REFERENCE, ls=":", marker=".", label="x stays where it is")
+    ax.loglog(h, [row.still_m * 1e6 for row in rows], color=REFERENCE, ls=":", marker=".", label="constant x")
     ax.loglog(h, [row.rmse_m * 1e6 for row in rows], color=MODEL, marker="o", label="model")
     ax.loglog(h, [row.floor_m * 1e6 for row in rows], color="black", ls="--", marker="_", label="noise floor")
     ax.set_xticks(h, [f"{value:g}" for value in h])

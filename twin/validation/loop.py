@@ -113,7 +113,7 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
         if left > UNEXPLAINED:
             reason = (
                 f"the law does not give the recorded u_c ({100 * left:.0f} % of its changes are left): "
-                "other gains, another filter or another operating point ran"
+                "other gains, another filter or another operating point was in use"
             )
             continue
         simulated.append(_simulate(run, model, c, part, integral, seed=seed))

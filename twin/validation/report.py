@@ -124,7 +124,7 @@ def _ahead_row(row: Ahead) -> list[str | Mark]:
         f"{row.ratio_ci95[0]:.3f} .. {row.ratio_ci95[1]:.3f}",
         f"{row.still_m * 1e6:.4g}",
         f"{row.count}",
-        yes_or_no(row.at_floor) if row.beats_still or not row.at_floor else "worse than x stays",
+        yes_or_no(row.at_floor) if row.beats_still or not row.at_floor else "worse than a constant x",
     ]
 
 

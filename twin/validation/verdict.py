@@ -84,7 +84,7 @@ class Validation:
             row = self.ahead[0]
             messages.append(
                 f"it predicts nothing: {row.horizon_s * 1e3:.0f} ms ahead its error is {row.rmse_m * 1e6:.3g} µm, more "
-                f"than the {row.still_m * 1e6:.3g} µm of x that stays where it is"
+                f"than the {row.still_m * 1e6:.3g} µm of a constant x"
             )
         if not isinstance(self.channels, str):
             for channel in self.channels:
@@ -210,7 +210,7 @@ def validate(
         in_model, in_campaign = getattr(model.plant, name), getattr(campaign.plant, name)
         if abs(in_model - in_campaign) > 1e-3 * abs(in_campaign):
             raise DataError(
-                f"The model has {name} = {in_model:g}, the campaign {in_campaign:g}: they are of different rigs",
+                f"The model has {name} = {in_model:g}, the campaign {in_campaign:g}: they describe different rigs",
                 remedy=f"Give a model of the campaign's rig ({campaign.plant.name}), e.g. of `board51 identify`",
             )
     progress("reading the recordings")
@@ -247,13 +247,13 @@ def validate_sources(
             more = "" if not source.delay else "still "
             notes.append(
                 f"{source.record.name}: u_c acts {source.unknown_delay} sample(s) {more}later than recorded, by the "
-                "response of i_c; the model knows of no such delay"
+                "response of i_c; the model has no such delay"
             )
     progress("filtering")
     runs: list[Filtered] = [run for source in judges if (run := filtered(source, model)) is not None]
     if sum(run.wild for run in runs):
         where = ", ".join(f"{run.source.record.name} {run.wild}" for run in runs if run.wild)
-        notes.append(f"{sum(run.wild for run in runs)} wild readings were left out ({where})")
+        notes.append(f"{sum(run.wild for run in runs)} outlying readings were left out ({where})")
     unflown = "no recording shows the ball in flight with u_c and i_c"
     progress("predicting")
     shortest = windows(runs) if runs else None

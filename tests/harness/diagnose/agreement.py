@@ -110,7 +110,8 @@ def _sentence(data: Mapping[str, Any]) -> Iterator[str]:
         for key in ("baseline_rmse_m", "extended_rmse_m", "noise_floor_m"):
             if judge[key] is not None and micrometres(judge[key]) not in text:
                 yield f"the sentence lacks {key} = {micrometres(judge[key])}: {text}"
-    reserved = "imitate an unknown" in text or "not all is explained" in text or "none of the known causes" in text
+    reservations = ("imitate an unknown", "not everything is explained", "none of the known causes")
+    reserved = any(words in text for words in reservations)
     if reserved != (data["verdict"] in ("partly-explained", "unknown-cause")):
         yield f"{data['verdict']} is not what the sentence says: {text}"
 

@@ -213,7 +213,7 @@ def test_an_effect_that_begins_in_the_middle_is_named_with_its_place(
     data, hasty = answered(capsys, tmp_path / "late", quick=False), answered(capsys, tmp_path / "late")
 
     assert hasty["verdict"] == "unknown-cause"
-    assert any("--quick: not asked whether an effect begins" in warning for warning in hasty["warnings"])
+    assert any("--quick did not examine whether an effect begins" in warning for warning in hasty["warnings"])
     (cause,) = data["causes"]
     assert cause["name"] == "constant-force"
     assert cause["begins_in"] == "closed_loop_3.csv.gz"
@@ -232,7 +232,7 @@ def test_without_x_the_amplifier_alone_is_judged(
     data = answered(capsys, folder)
 
     assert data["verdict"] == "model-adequate"
-    assert data["sentence"].startswith("Of the amplifier alone")
+    assert data["sentence"].startswith("For the amplifier only")
     why = {entry["name"]: entry["why"] for entry in data["not_testable"]}
     assert why["air-gap-offset"] == "no recording has x"
     assert why["position-sensor-lag"] == "no recording has x"
@@ -365,7 +365,7 @@ def test_a_recording_that_asks_for_another_k_c_is_said() -> None:
         agreeing.close()
 
     sentences = [contradiction_sentence(one) for one in said]
-    assert any(line.startswith("flight_2 contradicts the others: alone it asks for K_c +") for line in sentences)
+    assert any(line.startswith("flight_2 contradicts the others: a fit of it alone gives K_c +") for line in sentences)
     assert nothing == []
 
 

@@ -187,7 +187,7 @@ def test_a_constant_channel_does_not_move_the_others(records: list[Record], camp
     ):
         found = identify_records(campaign, [*records[:2], dead, *records[3:]])
 
-        assert any("a constant channel tells nothing" in warning for warning in found.warnings)
+        assert any("a constant channel has no information" in warning for warning in found.warnings)
         for name, parameter in found.model.parameters.items():
             other = whole.model.parameters[name]
             assert other.std is not None
@@ -201,7 +201,7 @@ def test_a_ball_that_is_held_off_its_stops_is_not_fitted(records: list[Record], 
 
     found = identify_records(campaign, [records[0], held])
 
-    assert any("x is noise alone" in warning for warning in found.warnings)
+    assert any("x is only noise" in warning for warning in found.warnings)
     assert found.model.parameters["K_c"].verdict == "not-identifiable"
     assert not found.usable
 

@@ -105,7 +105,7 @@ def test_damage_is_reported_and_does_no_harm(flight: Record) -> None:
     (usage,) = found.usages
     assert usage.gaps >= 25
     assert 15 <= usage.outliers <= 25
-    assert any("wild readings" in warning for warning in found.warnings)
+    assert any("outlying readings" in warning for warning in found.warnings)
     assert any("gaps" in warning for warning in found.warnings)
     check(found, truth_of(BALL))
 

@@ -104,7 +104,7 @@ def test_a_model_that_predicts_worse_than_none_is_said_to() -> None:
 
     assert found.ahead is not None
     assert found.ahead.rmse_m > found.ahead.constant_m
-    assert any("it is no model to predict with" in warning for warning in found.warnings)
+    assert any("it cannot be used for predictions" in warning for warning in found.warnings)
 
 
 def test_a_predicted_ball_stays_between_the_stops() -> None:

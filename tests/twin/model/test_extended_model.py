@@ -88,7 +88,7 @@ def twice(data: Data) -> None:
         (renamed, "causes 1 (gremlins) is not in the catalogue"),
         (without, "causes 2 (amplifier-gain-drift).parameters.tau_s is missing"),
         (more, "causes 1 (air-gap-offset).parameters.e_m is not a parameter"),
-        (twice, "causes 3 (air-gap-offset) is there already"),
+        (twice, "causes 3 (air-gap-offset) appears twice"),
         (changed(unit="mm"), "d_m.unit = 'mm' is not 'm'"),
         (changed(value=0.8), "d_m.value = 0.8 is not in -0.002 .. 0.03"),
         (changed(value=None), "d_m.value = None is not"),

@@ -3,7 +3,7 @@
 Rule 1: causes whose best fits leave as much as the best one, within what chance does to so few points, are one class.
 Rule 2: members of a class differ in the unstable pole at mid-travel, which any closed-loop flight shows.  Members of
         equal pole need another instrument.
-Rule 3: there is no motion, so no prediction of 20 ms: the gain is of each point predicted from the others.
+Rule 3: there is no motion, so no prediction of 20 ms: the gain is measured by predicting each point from the others.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def diagnose_points(
     better = bool(members) and _predicts_better(members[0], judge, points, plant, base)
     if members and not better:
         warnings.append(
-            f"extended_model.json is (3) alone: {members[0].name} predicts points that were left out no better"
+            f"extended_model.json is (3) alone: {members[0].name} does not predict the left-out points better"
         )
     extended, assumed = _extended(
         campaign, after if better else base, members if better else (), points, model, computed, base
@@ -267,7 +267,7 @@ def _verdict(
 
 
 def _remarks(points: Points, computed: float | None, members: Sequence[Explanation]) -> list[str]:
-    remarks = ['no recording has use = "judge" and motion: the gain is of each point predicted from the others']
+    remarks = ['no recording has use = "judge" and motion: each point is predicted from the others for the gain']
     if computed is not None:
         remarks.append(
             f"i_c is u_c times {computed:.4g} A/V in every row: it was computed, so an error of the amplifier"
@@ -331,7 +331,7 @@ def _extended(
     plant = campaign.plant
     like = model or nominal()
     origin = "of the model that was given" if model else "of the shipped CE 152"
-    assumed = [f"K_A, T_A, b and the noise in extended_model.json are {origin}: points of rest do not hold them"]
+    assumed = [f"K_A, T_A, b and the noise in extended_model.json are {origin}: points of rest do not determine them"]
     parameters = {
         name: replace(entry, std=None, ci95=None, verdict="assumed", method=f"{origin}; not in these data")
         for name, entry in like.parameters.items()

@@ -24,7 +24,7 @@ def page(diagnosis: StaticDiagnosis, title: str) -> str:
         best.fit.residual_a if best else base.residual_a,
         best.left_out_a if best else diagnosis.base_left_out_a,
     )
-    caption = "points of rest, what (3) and the extended model say of them, and the errors of both"
+    caption = "points of rest with the curves of (3) and of the extended model, and the errors of both"
     return render(
         "diagnosis/equilibria/page.html",
         title=title,

@@ -26,8 +26,8 @@ def sentence_of(diagnosis: StaticDiagnosis) -> str:
     off, i = base_a[worst], diagnosis.points.i_c_a[worst]
     wrong = (
         f"With K_c at its best, (3) is off by {1e3 * rms(base_a):.3g} mA rms over {n} points of rest,"
-        f" most at x = {1e3 * diagnosis.points.x_m[worst]:.2f} mm: the ball took {1e3 * off:+.0f} mA"
-        f" ({100 * off / i:+.0f} % of its holding current) against what (3) says"
+        f" most at x = {1e3 * diagnosis.points.x_m[worst]:.2f} mm: the ball needed {1e3 * off:+.0f} mA"
+        f" ({100 * off / i:+.0f} % of its holding current) compared with (3)"
     )
     if diagnosis.verdict == "model-adequate":
         off_ma = 1e3 * rms(diagnosis.base.residual_a)
@@ -39,7 +39,7 @@ def sentence_of(diagnosis: StaticDiagnosis) -> str:
             return f"{wrong}; no single cause of the catalogue explains it."
         chance_percent = 100 * min(nearest.p * len(diagnosis.rejected), 1.0)
         return (
-            f"{wrong}. {nearest.name} would take {100 * removed:.0f} % of the squares away, but {n} points are too few"
+            f"{wrong}. {nearest.name} would remove {100 * removed:.0f} % of the squares, but {n} points are too few"
             f" to name it: of {len(diagnosis.rejected)} causes one does as much by chance"
             f" in {chance_percent:.0f} % of campaigns."
         )
@@ -92,7 +92,7 @@ def to_json(diagnosis: StaticDiagnosis) -> dict[str, Any]:
             "judge": None
             if diagnosis.judge is None
             else {"baseline_rmse_a": rms(diagnosis.judge[0]), "extended_rmse_a": rms(diagnosis.judge[1])},
-            "why": "points of rest hold no motion to predict",
+            "why": "points of rest contain no motion to predict",
             "leave_one_out": {
                 "baseline_rmse_a": rms(diagnosis.base_left_out_a),
                 "extended_rmse_a": rms(after),
@@ -168,9 +168,9 @@ def not_testable(diagnosis: StaticDiagnosis) -> list[tuple[str, str]]:
         if cause.not_testable:
             why = cause.not_testable
         elif cause.name in diagnosis.absorbed:
-            why = "at rest K_c does what it does"
+            why = "at rest K_c has the same effect"
         elif cause.at_rest == "amplifier":
-            why = "i_c was measured: what the amplifier makes of u_c does not matter to the force balance"
+            why = "i_c was measured, so the amplifier does not affect the force balance"
         else:
             why = f"nothing moves in these data ({', '.join(cause.shows_in) or 'no experiment'} would show it)"
         entries.append((cause.name, why))

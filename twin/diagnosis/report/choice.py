@@ -50,7 +50,7 @@ def harm_sentence(refusal: Refusal) -> str:
 def _reason(refusal: Refusal) -> str:
     if refusal.gain is None:
         return f"{_causes_clause(refusal.causes)} no error was computed {ON_JUDGES}"
-    return f"{_errors(refusal)} {ON_JUDGES}" + ("" if refusal.worse else ", which is not surely better")
+    return f"{_errors(refusal)} {ON_JUDGES}" + ("" if refusal.worse else ", which is not significantly better")
 
 
 def _errors(refusal: Refusal) -> str:

@@ -165,7 +165,7 @@ def _extended_fit(diagnosis: Diagnosis) -> Fit:
 
 
 def _floor(diagnosis: Diagnosis) -> str:
-    at_rest = "" if diagnosis.floor.measured else ", taken from the fit: it never rested long enough"
+    at_rest = "" if diagnosis.floor.measured else " (from the fit, because it never rested long enough)"
     return f"{quantity(diagnosis.floor.sigma_x_m, 'm')} and {quantity(diagnosis.floor.sigma_i_c_a, 'A')}{at_rest}."
 
 
@@ -203,8 +203,8 @@ def _numbers(diagnosis: Diagnosis) -> list[list[str]]:
     noise = [
         ("noise of x", diagnosis.before.sigma_x_m, diagnosis.after.sigma_x_m, "m"),
         ("noise of i_c", diagnosis.before.sigma_i_c_a, diagnosis.after.sigma_i_c_a, "A"),
-        ("acceleration left to chance", diagnosis.before.process_a_m_s2, diagnosis.after.process_a_m_s2, "m/s^2"),
-        ("current left to chance", diagnosis.before.process_i_c_a, diagnosis.after.process_i_c_a, "A"),
+        ("unexplained acceleration", diagnosis.before.process_a_m_s2, diagnosis.after.process_a_m_s2, "m/s^2"),
+        ("unexplained current", diagnosis.before.process_i_c_a, diagnosis.after.process_i_c_a, "A"),
     ]
     rows += [[name, quantity(a, unit), quantity(b, unit)] for name, a, b, unit in noise]
     return rows

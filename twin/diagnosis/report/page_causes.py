@@ -71,7 +71,7 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
 def _experiment(proposal: Proposal | None) -> dict[str, Any]:
     """The one that would tell a class apart."""
     if proposal is None:
-        return {"experiment": "No experiment was computed that would tell them apart.", "command": ""}
+        return {"experiment": "No experiment was computed that would separate them.", "command": ""}
     instruction = _sentence(proposal.what)
     separation = f"With it they would be {proposal.separation_z:.0f} standard errors apart; 3 are enough."
     return {

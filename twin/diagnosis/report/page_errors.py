@@ -15,7 +15,7 @@ from twin.estimation.step_figures import FIGURES, definition
 from twin.page.figures import inline
 
 _QUICK_REGIMES = ("position", "speed")
-_MISSING = {"N": "Force that is not explained", "A": "Current that was not foreseen, one sample ahead"}
+_MISSING = {"N": "Unexplained force", "A": "Unexplained current, one sample ahead"}
 _UNEXPLAINED = ("unknown-cause", "partly-explained")
 _STEP_FIGURES = ("rise_s", "settling_s", "overshoot")
 
@@ -121,10 +121,11 @@ def _rest(diagnosis: Diagnosis) -> str:
     """Say how much is left, and in which quantity."""
     if diagnosis.unexplained_where.startswith(ON_JUDGES):
         return (
-            f"Nothing measurable of the recordings for fitting, but not all is explained {diagnosis.unexplained_where}."
+            "Nothing measurable is left of the recordings for fitting, but not everything is explained "
+            f"{diagnosis.unexplained_where}."
         )
     share = percent(diagnosis.account.unexplained)
-    text = f"{capital(share)} of {LACKED} on the recordings for fitting is left, and it is no sensor noise."
+    text = f"{capital(share)} of {LACKED} on the recordings for fitting is left, and it is not sensor noise."
     return text + (
         f" It is largest {diagnosis.unexplained_where.removeprefix('most ')}." * bool(diagnosis.unexplained_where)
     )
@@ -139,6 +140,6 @@ def _largest(summary: Summary) -> list[str]:
         if largest.extended.low > smallest.extended.high:
             lines.append(
                 f"{regime.title}: {largest.label}, {largest.extended.value * 1e6:.3g} µm "
-                f"(least: {smallest.label}, {smallest.extended.value * 1e6:.3g} µm)"
+                f"(smallest: {smallest.label}, {smallest.extended.value * 1e6:.3g} µm)"
             )
     return lines

@@ -38,7 +38,7 @@ def instruments(diagnosis: Diagnosis) -> tuple[list[list[str]], list[str]]:
         sigma, tau = quantity(colour["sigma"], "m" if name == "x" else "A"), quantity(colour["correlation_time_s"], "s")
         white = f"{100.0 * colour['white_share_of_variance']:.2g} %"
         sentences.append(
-            f"The noise of {name} at rest is coloured: {sigma}, forgotten within {tau} but for {white} of it."
+            f"The noise of {name} at rest is coloured: {sigma}, correlation time {tau}, {white} of it white."
         )
     return rows, sentences
 

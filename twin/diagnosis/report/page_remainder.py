@@ -56,7 +56,7 @@ def answer_with(diagnosis: Diagnosis, sentence: str) -> str:
         return f"{sentence} {text}"
     names = ", ".join(cause.name for cause in diagnosis.causes)
     return (
-        f"The model is wrong, and none of the known causes explains it. {text} Beside this curve the candidates "
+        f"The model is wrong, and none of the known causes explains it. {text} With this curve the candidates "
         f"({names}) are not needed: they may only imitate it."
     )
 

@@ -149,7 +149,7 @@ def bound_sentence(cause: Cause, score: Score) -> str:
     reach = abs(score.step) + 1.96 / score.detectable
     if math.isinf(strength.neutral):
         if score.step <= 0.0:
-            return f"not reached: nothing as low as {quantity(score.probe, strength.unit)} is seen"
+            return f"not reached: {quantity(score.probe, strength.unit)} would already show"
         return f"would gain {score.gain:.1f} of log-likelihood: too little"
     size = abs(strength.coordinate(score.probe)) * reach
     change = "differs by at most" if strength.neutral else "is at most"
@@ -167,7 +167,7 @@ def round_sentence(step: Round) -> str:
     because = {
         "chance": f", with a gain of {best.gain:.1f}: chance does that",
         "outside its range": ", but outside its physical range",
-        "minor": ", but is a minor effect beside what was found",
+        "minor": ", but is a minor effect compared with the named causes",
         "minor beside noise": ", but hardly more than noise is left, and it is a minor effect",
         "small share": f", but explains {100 * step.share:.0f} % of what is left",
     }
@@ -179,13 +179,13 @@ def answer_sentence(diagnosis: Diagnosis, *, blind: bool, off: str) -> str:
     if off and diagnosis.verdict == "model-adequate":
         return f"The form of the model is adequate, but {off}."
     sentence = summary_sentence(diagnosis)
-    return f"Of the amplifier alone, as no recording has x: {sentence}" if blind else sentence
+    return f"For the amplifier only, because no recording has x: {sentence}" if blind else sentence
 
 
 def summary_sentence(diagnosis: Diagnosis) -> str:
     """The answer, first."""
     if diagnosis.verdict == "model-adequate":
-        return "The model is adequate: what it gets wrong is sensor noise." + _floor_clause(diagnosis.gain)
+        return "The model is adequate: its errors are sensor noise." + _floor_clause(diagnosis.gain)
     gain = _gain_sentence(diagnosis)
     if diagnosis.verdict == "unfinished":
         return _unfinished(diagnosis) + gain
@@ -196,11 +196,12 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
         unsure = [finding for finding in diagnosis.causes if not diagnosis.holds(finding)]
         where = diagnosis.unexplained_where
         if where.startswith(ON_JUDGES):
-            rest = f" But not all is explained {where}."
+            rest = f" But not everything is explained {where}."
         else:
             largest = f", most {where.removeprefix('most ')}" if where else ""
-            rest = f" But not all is explained: {percent(diagnosis.account.unexplained)} of {LACKED} is left{largest}."
-        small = " Smaller than what is left, and perhaps only a matter of form: " if unsure else ""
+            left = percent(diagnosis.account.unexplained)
+            rest = f" But not everything is explained: {left} of {LACKED} is left{largest}."
+        small = " Smaller than the rest, and possibly only a matter of form: " if unsure else ""
         return (
             _causes_sentence(sure, whole=not unsure)
             + _classes_sentence(sure)
@@ -213,12 +214,12 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
     rest = f" What is left is largest {where}." if where else ""
     if not diagnosis.causes:
         if diagnosis.unexplained_where.startswith(ON_JUDGES):
-            rest = f" It explains the recordings for fitting, and not all {diagnosis.unexplained_where}."
+            rest = f" It explains the recordings for fitting, but not all {diagnosis.unexplained_where}."
         return f"The model is wrong, and none of the known causes explains it.{rest}"
     nearest = _causes_sentence(diagnosis.causes, whole=False)
     nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
     return (
-        "The model is wrong, and the known causes do not explain all of it. What comes nearest may only "
+        "The model is wrong, and the known causes do not explain all of it. The nearest candidates may only "
         f"imitate an unknown cause: {nearest}{_classes_sentence(diagnosis.causes)}{rest}{gain}"
     )
 
@@ -227,8 +228,8 @@ def _unfinished(diagnosis: Diagnosis) -> str:
     budget = diagnosis.budget
     so_far = _causes_sentence(diagnosis.causes, whole=False) if diagnosis.causes else "no cause was named."
     return (
-        f"No answer yet: the search ended by its budget of {millions(budget.limit)}. Not examined: "
-        f"{'; '.join(budget.unanswered)}. Up to there: {so_far}"
+        f"No answer yet: the search used up its budget of {millions(budget.limit)}. Not examined: "
+        f"{'; '.join(budget.unanswered)}. So far: {so_far}"
     )
 
 
@@ -298,14 +299,14 @@ def beyond_sentence(gain: Gain) -> str:
 def contradiction_sentence(contradiction: Contradiction) -> str:
     """Say which recording contradicts the others, and by how much."""
     size = f"{contradiction.parameter} {100 * contradiction.change:+.0f} %"
-    return f"{contradiction.recording} contradicts the others: alone it asks for {size}"
+    return f"{contradiction.recording} contradicts the others: a fit of it alone gives {size}"
 
 
 def outlier_sentence(outlier: Outlier) -> str:
     """Say which recording was left out, and why."""
     changes = " and ".join(f"{name} {100.0 * change:+.0f} %" for name, change in outlier.moves)
     return (
-        f"{outlier.name} contradicts the others and was left out: alone it is explained by {changes}, as by another "
+        f"{outlier.name} contradicts the others and was left out: alone it is explained by {changes}, like another "
         "rig. Check where it comes from"
     )
 
@@ -313,7 +314,7 @@ def outlier_sentence(outlier: Outlier) -> str:
 def beginning_sentence(beginning: Beginning) -> str:
     """Say which cause is absent at first, and where it begins."""
     where = f"{beginning.recording} at about {beginning.t_s:.0f} s"
-    return f"{beginning.cause} is not there from the start: it begins in {where}"
+    return f"{beginning.cause} is absent at first: it begins in {where}"
 
 
 def change_sentence(change: Change) -> str:

@@ -38,7 +38,7 @@ class LawGap:
         if self.explained < settings.LAW_EXPLAINED:
             return (
                 f"no gains on i_c, x, speed and integral give it (the best explain {100 * self.explained:.0f} %): "
-                "another filter or another law ran"
+                "another filter or another law was in use"
             )
         listed = ", ".join(f"{value:.4g}" for value in self.fitted)
         return f"it follows gains of about [{listed}], which explain {100 * self.explained:.1f} % of it"

@@ -54,7 +54,7 @@ def _without_constant(record: Record) -> tuple[Record, list[str]]:
             continue
         messages.append(
             f"{record.name}: {channel} is {values[np.isfinite(values)][0]:g} {unit} throughout; a constant channel "
-            "tells nothing and was left out. Check its column"
+            "has no information and was left out. Check its column"
         )
         absent = np.full(len(values), _ABSENT)
         if channel == "u_c":
@@ -92,7 +92,7 @@ def _without_unmoving(record: Record, plant: Plant) -> tuple[Record, list[str]]:
     if answer > settings.ANSWER_SHARE * whole or whole - answer < settings.ANSWER_ERRORS * error:
         return record, []
     return replace(record, x=np.full(len(record.x), _ABSENT)), [
-        f"{record.name}: x is noise alone ({spread * 1e6:.3g} um about {np.nanmean(known) * 1e3:.3g} mm), although "
+        f"{record.name}: x is only noise ({spread * 1e6:.3g} um about {np.nanmean(known) * 1e3:.3g} mm), although "
         f"the force on the ball changes by {100 * float(np.std(force)) / abs(float(force.mean())):.2g} %: the ball is "
         "held, or the sensor does not see it. x was left out. Check the sensor and its column"
     ]

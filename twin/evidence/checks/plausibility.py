@@ -85,7 +85,7 @@ def _time(record: Record) -> list[str]:
         )
     elif missing:
         messages.append(
-            f"{record.name}: {missing} samples are missing beside {len(record.t)}; look for what drops them: the "
+            f"{record.name}: {missing} samples are missing among {len(record.t)}; look for the cause: the "
             "line, its adapter, a busy computer"
         )
     return messages
@@ -102,8 +102,8 @@ def _input(record: Record) -> list[str]:
         )
     if high < 0.0 and record.has("i_c") and float(np.nanpercentile(record.i_c, 99)) < 0.0:
         return [
-            f"{record.name}: u_c and i_c are negative throughout: their polarity is reversed. The force does not care, "
-            "lift-off (8) and [controller] do: give both scale = -1.0"
+            f"{record.name}: u_c and i_c are negative throughout: their polarity is reversed. This matters for "
+            "lift-off (8) and [controller], not for the force: give both scale = -1.0"
         ]
     return []
 

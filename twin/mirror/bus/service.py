@@ -161,7 +161,7 @@ class TwinService:
         try:
             self._queue.put_nowait(query)
         except queue.Full:
-            text = "More samples wait than this twin can answer; try again."
+            text = "More samples are queued than this twin can process; try again."
             _reply(query, [(str(query.key_expr), refusal("queue-full", text))])
 
     # ---- in the worker's thread
@@ -236,7 +236,7 @@ class TwinService:
         self.renewed += 1
         self._sampled_s.clear()
         log.warning(
-            "board %s: its gateway sends %.0f samples/s and none came for %g s: hearing through a new session",
+            "board %s: its gateway sends %.0f samples/s and none came for %g s: opening a new session",
             board, status.samples_per_s, DEAF_S,
         )  # fmt: skip
         before, deaf = self._subscribers, self._hearing
@@ -289,7 +289,7 @@ class TwinService:
         }
         everybody = boards.includes(self._commands)
         if not addressed and not everybody:
-            text = f"Not a board of this twin; it has {', '.join(sorted(self.boards)) or 'none seen yet'}."
+            text = f"This twin does not serve that board; it has {', '.join(sorted(self.boards)) or 'none seen yet'}."
             return [(key_expr, refusal("unknown-board", text, command_id=command.id))]
         belief = read_model(command)
         if isinstance(belief, pb.CommandReply):

@@ -120,7 +120,7 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     axes[3].semilogy(t, rmse * 1e6, color=MODEL, lw=1.6, label="rolling RMSE")
     axes[3].semilogy(t, std * np.sqrt(error_on) * 1e6, color=ALARM, lw=1.4, ls="-.", label="alarm line")
     if not np.isfinite(twin_x).any():
-        why = "no free twin: the log does not say which law ran"
+        why = "no free twin: the log does not contain the control law"
         axes[3].text(0.5, 0.5, why, transform=axes[3].transAxes, ha="center", color=REFERENCE)
     axes[3].set_ylabel("x: measured - twin\n[µm]")
     axes[4].semilogy(t, nis, color=MODEL, lw=1.4, label="NIS, window mean")

@@ -36,7 +36,7 @@ CAUSE = Cause(
     signature="i_c begins to move a fixed time after u_c, whatever the size of the step; in a capture as well, unless "
     "it is the loop's output that is late",
     shows_in=("amplifier-steps", "prbs-reference"),
-    confirm="trigger an oscilloscope on the board's output pin and look when i_c begins",
+    confirm="trigger an oscilloscope on the board's output pin and see when i_c begins",
     cure="output right after the computation, or predict the state by that time in the law",
     needs=("u_c", "i_c"),
     deciding_measurements={

@@ -20,13 +20,13 @@ CAUSE = Cause(
     acts_on="magnetic force (3)",
     equation="F_m = K_c i_c^2 / (x_max + d - x)^2",
     source="(3) counts the gap from x_max, taken for the top of the travel; four published equilibria of a CE "
-    "152 ask for d = 2.4 mm",
+    "152 give d = 2.4 mm",
     parameters=(
         CauseParameter(name="d_m", symbol="d", unit="m", index=D, neutral=0.0, low=-0.002, high=0.03, probes=(0.0002,)),
     ),
     signature="the current that holds the ball is a straight line in x that meets 0 A at x_max + d, not at x_max",
     shows_in=("holds", "lift-off", "wide-steps"),
-    confirm="hold the ball at six heights, plot i_c over x and draw the line on to 0 A; or measure from rest to core",
+    confirm="hold the ball at six heights, plot i_c over x and extend the line to 0 A; or measure from rest to core",
     cure="x_max + d in place of x_max, in the model and in the design",
     deciding_measurements={
         "position-sensor-offset": SHIM,

@@ -19,7 +19,7 @@ CAUSE = Cause(
     name="core-saturation",
     family="force",
     title="the iron saturates: the force grows less than with i^2",
-    sentence="the iron saturates: at {i_s_a} it pulls half as hard as i^2 says",
+    sentence="the iron saturates: at {i_s_a} it pulls half as hard as i^2 predicts",
     acts_on="magnetic force (3)",
     equation="i -> i / (1 + a (i / i_s)^n)^(1/n), a = 2^(n/2) - 1",
     source="from about 1.5 T on iron takes up less and less field",
@@ -31,7 +31,7 @@ CAUSE = Cause(
             name="knee", symbol="n", unit="", index=KNEE, neutral=2.0, low=0.7, high=8.0, probes=(2.3,), spread=1.0
         ),
     ),
-    signature="low positions need more current than (3) says; large pulls upwards are weaker than small ones promise",
+    signature="low positions need more current than (3) says; large pulls upwards are weaker than small ones suggest",
     shows_in=("holds", "lift-off", "prbs-open-loop"),
     confirm="note i_c at six heights: the line bends up where the gap is large",
     cure="less current (a lighter ball, a smaller gap), or a table of the force in place of (3)",

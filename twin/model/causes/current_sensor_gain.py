@@ -22,7 +22,7 @@ CAUSE = Cause(
     parameters=(
         CauseParameter(name="gain", symbol="gain", unit="", index=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.98,)),
     ),
-    signature="none: K_A and K_c take it up exactly",
+    signature="none: K_A and K_c absorb it exactly",
     shows_in=(),
     confirm="put a clamp meter beside the sensor at a large constant current",
     cure="calibrate the shunt",

@@ -24,7 +24,7 @@ CAUSE = Cause(
     opposite="the force falls with the gap to the power of {n} in the middle, not of 2",
     acts_on="magnetic force (3)",
     equation="d ln F_m / d ln gap = -(n + q (r - 1) + p (r - 1)^2), r = gap / gap_mid; (3) holds at r = 1",
-    source="(3) is of a thin gap between flat poles; a ball below a round core is neither",
+    source="(3) holds for a thin gap between flat poles, and a ball below a round core is different",
     parameters=(
         CauseParameter(name="n", symbol="n", unit="", index=N, neutral=2.0, low=0.0, high=8.0, probes=(2.05,)),
         CauseParameter(

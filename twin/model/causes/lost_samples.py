@@ -35,5 +35,5 @@ CAUSE = Cause(
     cure="a faster line, a larger stream divider, or less load on the host",
     needs=("u_c",),
     detector="gaps",
-    not_simulated="it is the line's, not the rig's",
+    not_simulated="it belongs to the serial line, not to the rig",
 )

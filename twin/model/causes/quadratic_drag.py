@@ -27,7 +27,7 @@ CAUSE = Cause(
             name="power", symbol="p", unit="", index=POWER, neutral=2.0, low=1.2, high=3.0, probes=(2.1,), spread=0.5
         ),
     ),
-    signature="fast flights are braked more than b of slow ones says, by the square of the speed",
+    signature="fast flights are braked more than b from slow ones predicts, by the square of the speed",
     shows_in=("prbs-open-loop", "wide-steps"),
     confirm="let the ball drop with the coil off and time it; once more without the guide tube",
     cure="a wider or vented guide; for control the term hardly matters near an equilibrium",

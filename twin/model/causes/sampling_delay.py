@@ -1,4 +1,4 @@
-"""sampling-delay: both sensors show what was some time ago.
+"""sampling-delay: both sensors show past values.
 
 i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay); in a capture, which has its own clock, r delay
 """
@@ -13,8 +13,8 @@ DELAY, IN_CAPTURES = 26, 110
 CAUSE = Cause(
     name="sampling-delay",
     family="timing",
-    title="both sensors show what was some time ago",
-    sentence="both sensors show what was {delay_s} ago",
+    title="both sensors show past values",
+    sentence="both sensors show the values of {delay_s} ago",
     acts_on="sampling",
     equation="i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)",
     source="sample-and-hold and multiplexing before conversion, or a filter in front of both",

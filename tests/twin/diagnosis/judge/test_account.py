@@ -176,7 +176,7 @@ def test_an_answer_that_leaves_more_than_noise_on_the_judge_recordings_says_so_e
 
     assert disagreements(data) == []
     assert data["verdict"] == "partly-explained"
-    assert "not all is explained on the judge recordings" in data["sentence"]
+    assert "not everything is explained on the judge recordings" in data["sentence"]
     assert data["gain"]["judge"]["ci95_over_floor"][0] > TOLERANCE
 
 
@@ -192,7 +192,8 @@ def test_the_page_says_of_which_quantity_each_share_is() -> None:
         assert "On the judge recordings extending the model cuts the 20 ms prediction error" in text
         assert "confidence in the name" in text
     assert "Nothing that can be measured: what is left is white" in whole
-    assert "Nothing measurable of the recordings for fitting, but not all is explained on the judge recordings" in part
+    assert "Nothing measurable is left of the recordings for fitting" in part
+    assert "but not everything is explained on the judge recordings" in part
 
 
 def changed(data: dict[str, Any], path: str, value: object) -> dict[str, Any]:

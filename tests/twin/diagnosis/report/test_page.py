@@ -103,7 +103,7 @@ def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_show
     small = MinorEffect(name="quadratic-drag", parameters=parameters, loglik_gain=31.4)
 
     text = text_of(page(replace(found, minor_effects=(small,))))
-    listed = text[text.index("too small to be named") : text.index("ruled out but for a size")]
+    listed = text[text.index("too small to be named") : text.index("ruled out above this size")]
 
     for part in ("quadratic-drag", "c = 0.20 N s^2/m^2", "31", *BY_NAME["quadratic-drag"].shows_in):
         assert part in listed, part
@@ -112,7 +112,7 @@ def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_show
 
 def test_a_pair_that_no_experiment_separates_has_no_command() -> None:
     found = found_gap()
-    why = "air-gap-offset and position-sensor-gain: no experiment on this rig tells them apart; a shim would"
+    why = "air-gap-offset and position-sensor-gain: no experiment on this rig separates them; a shim would"
     (cause,) = found.causes
     found = replace(found, causes=(replace(cause, next_experiment=Proposal(what=why, separation_z=0.3)),))
 

@@ -18,7 +18,7 @@ HELD = 2.85e-3
 
 
 def alarm(name: str, *, active: bool) -> pb.Alarm:
-    return pb.Alarm(name=name, active=active, text="back to what noise explains")
+    return pb.Alarm(name=name, active=active, text="back within the range of noise")
 
 
 def asked(request: DiagnosisRequest, from_s: float, to_s: float, *, judged: bool = True) -> list[pb.Alarm]:
