@@ -165,8 +165,8 @@ class Emulator:
         tcp: On free TCP ports of 127.0.0.1; else on ptys.
         pty: With tcp false: path of the link (several boards: PATH-1, PATH-2, ...); None: in a temporary folder.
         speed: Times faster than real time; 0: as fast as possible.
-        lockstep: Time passes in `advance` alone, for code that talks to the port itself: a gateway takes a board whose
-            time stands for one that is silent.
+        lockstep: Time passes in `advance` alone, for code that talks to the port itself.  A gateway would take a board
+            whose time stands for a silent one.
         effects: Strengths by name, for every board.
         faults: As given to --fault, or parsed; for every board.
         seed: Of noise and faults; board n has seed + n.
@@ -338,7 +338,7 @@ def build_lines(
     """Create a board with its own plant for each port; either all ports are opened or none.
 
     Raises:
-        UsageError: an effect or fault is unknown, a pty path is in use, a chip does not give the baud rate, or the
+        UsageError: an effect or fault is unknown; a pty path is in use; a chip does not give the baud rate, or the
             rig's board is not made for it.
         InstallError: a compiler or simulator is asked for and missing.
         ServiceError: a TCP port is in use, or the compiler fails.

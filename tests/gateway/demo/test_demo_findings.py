@@ -116,7 +116,7 @@ def test_a_right_model_leaves_nothing_to_speak_of(log: Log) -> None:
 
     _, said = found(log, before, after)
 
-    assert "What is left there is below 5 mA" in said
+    assert "The rest is below 5 mA" in said
 
 
 def test_a_flight_without_a_twin_is_said_so(log: Log) -> None:
