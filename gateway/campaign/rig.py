@@ -115,16 +115,23 @@ class RigControl:
         )
 
     def await_board(self) -> tuple[pb.State, pb.Parameters]:
-        """Wait for the first state and the parameters, which are sent every 5 s.
+        """Wait for the first state, the gateway's status and the parameters, which are sent every 5 s.
+
+        The status has the time of the last STOP, which may have come while this process started.
 
         Raises:
-            ServiceError: the board does not send them.
+            ServiceError: one of them does not come, or there was a STOP since the run was ordered.
         """
         self.wait(lambda: self._subscriber.state is not None)
-        if not self.wait(lambda: self._subscriber.parameters is not None, timeout_s=8.0):
+        is_known = self.wait(
+            lambda: self._subscriber.parameters is not None and self._subscriber.status is not None, timeout_s=8.0
+        )
+        if not is_known:
             raise ServiceError(
-                f"{self._site}/{self._board} streams but does not send its parameters", remedy="Restart its gateway"
+                f"{self._site}/{self._board} streams but does not send its parameters and status",
+                remedy="Restart its gateway",
             )
+        self._heed()
         assert self._subscriber.state is not None
         assert self._subscriber.parameters is not None
         return self._subscriber.state, self._subscriber.parameters

@@ -46,10 +46,19 @@ def is_foreign(record: pb.CommandRecord) -> bool:
 
 
 class BoardSubscriber:
-    """Receives the messages of one board until the session is closed."""
+    """Receives the messages of one board until the session is closed.
 
-    def __init__(self, session: zenoh.Session, site: str, board: str) -> None:
+    Args:
+        session: of the bus.
+        site: first chunk of the keys.
+        board: second chunk of the keys.
+        ordered_ns: when the run was ordered, Unix time.  A later STOP ends it.
+    """
+
+    def __init__(self, session: zenoh.Session, site: str, board: str, ordered_ns: int) -> None:
+        self._ordered_ns = ordered_ns
         self.changed = threading.Condition()  # guards everything below
+        self.status: pb.Status | None = None
         self.state: pb.State | None = None
         self.parameters: pb.Parameters | None = None
         self.captures = 0  # number since the start
@@ -100,6 +109,11 @@ class BoardSubscriber:
                         recorded.states.append(message)
                 case pb.Parameters():
                     self.parameters, self._parameters_message = message, logged
+                case pb.Status():
+                    first, self.status = self.status is None, message
+                    # Only the first one: a later STOP is heard here, and may be the run's own.
+                    if first and message.last_stop_ns > self._ordered_ns and self.stop_sender is None:
+                        self.stop_sender = "somebody"
                 case pb.CaptureRecord():
                     self.captures += 1
                     if recorded is not None:

@@ -14,6 +14,7 @@ import shlex
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,6 +65,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     run_.add_argument("--x-max", type=_positive, metavar="MM", help="highest reference (default: the board's limit)")
     run_.add_argument("--yes", action="store_true", help="the preparation by hand (blocked-ball) is done")
     run_.add_argument("--json", action="store_true", help="print the summary as JSON")
+    run_.add_argument(
+        "--issued", type=int, default=0, metavar="NS", help="when it was ordered, Unix time: a STOP since then ends it"
+    )
     run_.add_argument("--who", default="campaign", help="who sends the commands, for the log (default campaign)")
 
 
@@ -109,7 +113,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     stop = threading.Event()
     identity = find_identity(args.identity)
     with open_bus(args.connect, identity) as session:
-        subscriber = BoardSubscriber(session, args.site, args.board)
+        subscriber = BoardSubscriber(session, args.site, args.board, args.issued or time.time_ns())
         rig = RigControl(
             session, args.site, args.board, subscriber, stop, who=args.who, identity=identity, travel_m=plant.travel_m
         )
@@ -123,13 +127,14 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
             summary = Runner(rig, subscriber, folder, args.board, wishes, _write_line).run()
+            ended_ns = time.time_ns()
         except Stopped:
             _write_line("interrupted before the board's first sample: nothing was sent to it")
             return 1
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-    _report(args, summary)
+    _report(args, summary, ended_ns)
     return 0 if summary.complete else 1
 
 
@@ -167,7 +172,7 @@ def _print_menu(*, as_json: bool) -> None:
     print(f"\nThe default run has {seconds:.0f} s of data.")
 
 
-def _report(args: argparse.Namespace, summary: Summary) -> None:
+def _report(args: argparse.Namespace, summary: Summary, ended_ns: int) -> None:
     again = "board51 " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["campaign"] else "the same command"
     if args.json:
         rows = [
@@ -179,7 +184,7 @@ def _report(args: argparse.Namespace, summary: Summary) -> None:
             json.dumps(
                 {"folder": str(args.folder), "complete": summary.complete, "interrupted": summary.interrupted,
                  "failure": summary.failure, "parked": not summary.parked, "lift_off_v": summary.lift_off_v,
-                 "rig_s": summary.rig_s, "experiments": rows, "again": again}
+                 "rig_s": summary.rig_s, "ended_ns": ended_ns, "experiments": rows, "again": again}
             )
         )  # fmt: skip
     else:

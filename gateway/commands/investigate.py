@@ -15,6 +15,7 @@ import math
 import shlex
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -65,6 +66,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(option, type=float, metavar=unit, help=f"{what} (default: the board's limit)")
     parser.add_argument("--workers", type=int, default=2, help="threads of a diagnosis (2)")
     parser.add_argument("--json", action="store_true", help="print the steps and the answer as JSON")
+    parser.add_argument(
+        "--issued", type=int, default=0, metavar="NS", help="when it was ordered, Unix time: a STOP since then ends it"
+    )
     parser.add_argument("--who", default="investigate", help="who sends the commands, for the log (investigate)")
 
 
@@ -84,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         _print_plan(args, journal, menu)
         return 0
-    work = Work(folder, _rig_words(args), workers=args.workers, write_line=_write_line)
+    ordered_ns = args.issued or time.time_ns()
+    work = Work(folder, _rig_words(args), ordered_ns=ordered_ns, workers=args.workers, write_line=_write_line)
 
     def write_line(line: str) -> None:
         _write_line(f"[{journal.rig_s:3.0f} s on the rig] {line}")

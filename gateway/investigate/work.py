@@ -31,12 +31,16 @@ class Work:
     Args:
         folder: of the campaign.
         rig: options of `campaign run`: board, bus, plant, limits.
+        ordered_ns: when the investigation was ordered, Unix time: a STOP since then ends it, also during a diagnosis.
         workers: threads of a diagnosis.
         write_line: is called with lines of progress.
     """
 
-    def __init__(self, folder: Path, rig: Sequence[str], *, workers: int, write_line: WriteLine) -> None:
+    def __init__(
+        self, folder: Path, rig: Sequence[str], *, ordered_ns: int, workers: int, write_line: WriteLine
+    ) -> None:
         self._folder, self._rig, self._workers, self._write_line = folder, tuple(rig), workers, write_line
+        self._ordered_ns = ordered_ns
         self._process: Process | None = None
         self._stopped = False
         self._ending = signal.SIGTERM
@@ -61,11 +65,13 @@ class Work:
         """
         options = [word for name in experiments for word in ("--experiment", name)]
         self._ending = signal.SIGINT  # as Ctrl-C: the command parks the ball and prints its summary
+        options += ["--issued", str(self._ordered_ns)]
         code, out, last = self._call("campaign", "run", str(self._folder), *self._rig, *options, "--json")
         try:
             summary: dict[str, Any] = json.loads(out)
         except ValueError:
             raise self._failed("campaign run", code, last) from None
+        self._ordered_ns = int(summary["ended_ns"])  # the run itself parks the ball with a STOP
         return summary
 
     def diagnose(self, *, thorough: bool) -> dict[str, Any]:

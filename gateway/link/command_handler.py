@@ -114,7 +114,7 @@ class CommandHandler:
         self._x_ref_m: float | None = None  # commanded, not yet seen in a state
         self._x_ref_tick: float = -1  # seen from this tick on
         self._mode_tick: float = -1
-        self._stopped_ns = 0  # arrival of the last STOP, Unix time
+        self.stopped_ns = 0  # arrival of the last STOP, Unix time
         self._stale: OrderedDict[str, int] = OrderedDict()  # id -> first arrival of a command that was not fresh
 
     def take(
@@ -152,7 +152,7 @@ class CommandHandler:
         if not_allowed is not None:
             return not_allowed
         if command.WhichOneof("what") == "stop":
-            self._stopped_ns = max(self._stopped_ns, sender.arrived_ns)  # also of a STOP that cannot be sent now
+            self.stopped_ns = max(self.stopped_ns, sender.arrived_ns)  # also of a STOP that cannot be sent now
             return self._stop(request, now_s, link, reason)
         waiting = (r for pending in self._pending.values() for r in pending.requests)
         pending = next((r for r in waiting if r.command.id == command.id and not _is_stop(r.command)), None)
@@ -182,7 +182,7 @@ class CommandHandler:
         if command.WhichOneof("what") in KINDS:
             self._note(request)
             return None
-        before_s = (self._stopped_ns - self._issued_ns(command, sender)) * 1e-9
+        before_s = (self.stopped_ns - self._issued_ns(command, sender)) * 1e-9
         if before_s > 0:
             return _before_stop(before_s)
         return self._carry_on(request, now_s, link, reason, sender.left_s(command))
@@ -289,8 +289,8 @@ class CommandHandler:
 
     def clock_stepped(self, step_ns: int) -> None:
         """Correct the time of the last STOP after a step of the host's clock."""
-        if self._stopped_ns:
-            self._stopped_ns += step_ns
+        if self.stopped_ns:
+            self.stopped_ns += step_ns
 
     def session_ended(self) -> None:
         """Discard the commanded reference: after a new count of ticks it does not describe the board."""

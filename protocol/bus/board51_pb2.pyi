@@ -343,7 +343,7 @@ class RawBytes(_message.Message):
     def __init__(self, host_time_ns: _Optional[int] = ..., to_board: _Optional[bool] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("host_time_ns", "link", "port", "uptime_s", "session", "samples_per_s", "samples", "samples_lost", "bad_frames", "bytes_received", "bytes_sent", "reconnects", "board_resets", "commands_accepted", "commands_refused", "commands_timed_out", "latency_p50_ms", "latency_p99_ms", "publish_queue_depth", "publish_dropped", "log_queue_depth", "log_dropped", "log_file", "log_bytes", "log_state", "line_load", "board_bad_frames", "board_overruns", "states", "states_ignored", "to_board", "unanswered_s")
+    __slots__ = ("host_time_ns", "link", "port", "uptime_s", "session", "samples_per_s", "samples", "samples_lost", "bad_frames", "bytes_received", "bytes_sent", "reconnects", "board_resets", "commands_accepted", "commands_refused", "commands_timed_out", "latency_p50_ms", "latency_p99_ms", "publish_queue_depth", "publish_dropped", "log_queue_depth", "log_dropped", "log_file", "log_bytes", "log_state", "line_load", "board_bad_frames", "board_overruns", "states", "states_ignored", "to_board", "unanswered_s", "last_stop_ns")
     class BadFramesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -390,6 +390,7 @@ class Status(_message.Message):
     STATES_IGNORED_FIELD_NUMBER: _ClassVar[int]
     TO_BOARD_FIELD_NUMBER: _ClassVar[int]
     UNANSWERED_S_FIELD_NUMBER: _ClassVar[int]
+    LAST_STOP_NS_FIELD_NUMBER: _ClassVar[int]
     host_time_ns: int
     link: str
     port: str
@@ -422,7 +423,8 @@ class Status(_message.Message):
     states_ignored: _containers.ScalarMap[str, int]
     to_board: str
     unanswered_s: float
-    def __init__(self, host_time_ns: _Optional[int] = ..., link: _Optional[str] = ..., port: _Optional[str] = ..., uptime_s: _Optional[float] = ..., session: _Optional[int] = ..., samples_per_s: _Optional[float] = ..., samples: _Optional[int] = ..., samples_lost: _Optional[int] = ..., bad_frames: _Optional[_Mapping[str, int]] = ..., bytes_received: _Optional[int] = ..., bytes_sent: _Optional[int] = ..., reconnects: _Optional[int] = ..., board_resets: _Optional[int] = ..., commands_accepted: _Optional[int] = ..., commands_refused: _Optional[int] = ..., commands_timed_out: _Optional[int] = ..., latency_p50_ms: _Optional[float] = ..., latency_p99_ms: _Optional[float] = ..., publish_queue_depth: _Optional[int] = ..., publish_dropped: _Optional[int] = ..., log_queue_depth: _Optional[int] = ..., log_dropped: _Optional[int] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., log_state: _Optional[str] = ..., line_load: _Optional[float] = ..., board_bad_frames: _Optional[int] = ..., board_overruns: _Optional[int] = ..., states: _Optional[int] = ..., states_ignored: _Optional[_Mapping[str, int]] = ..., to_board: _Optional[str] = ..., unanswered_s: _Optional[float] = ...) -> None: ...
+    last_stop_ns: int
+    def __init__(self, host_time_ns: _Optional[int] = ..., link: _Optional[str] = ..., port: _Optional[str] = ..., uptime_s: _Optional[float] = ..., session: _Optional[int] = ..., samples_per_s: _Optional[float] = ..., samples: _Optional[int] = ..., samples_lost: _Optional[int] = ..., bad_frames: _Optional[_Mapping[str, int]] = ..., bytes_received: _Optional[int] = ..., bytes_sent: _Optional[int] = ..., reconnects: _Optional[int] = ..., board_resets: _Optional[int] = ..., commands_accepted: _Optional[int] = ..., commands_refused: _Optional[int] = ..., commands_timed_out: _Optional[int] = ..., latency_p50_ms: _Optional[float] = ..., latency_p99_ms: _Optional[float] = ..., publish_queue_depth: _Optional[int] = ..., publish_dropped: _Optional[int] = ..., log_queue_depth: _Optional[int] = ..., log_dropped: _Optional[int] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., log_state: _Optional[str] = ..., line_load: _Optional[float] = ..., board_bad_frames: _Optional[int] = ..., board_overruns: _Optional[int] = ..., states: _Optional[int] = ..., states_ignored: _Optional[_Mapping[str, int]] = ..., to_board: _Optional[str] = ..., unanswered_s: _Optional[float] = ..., last_stop_ns: _Optional[int] = ...) -> None: ...
 
 class TwinState(_message.Message):
     __slots__ = ("sequence", "tick", "session", "t_s", "i_c_a", "x_m", "v_m_s", "u_c_v", "x_ref_m", "sync", "bridged_ticks")

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.bench.line.processes import HERE, cpu_s, end, free_port, listening, ready, start
+from tests.bench.line.processes import HERE, cpu_s, end, listening, ready, start
+from tests.harness.ports import free_port
 
 WARM_S = 4.0  # start-up, handshake, caches
 WINDOW_S = float(os.environ.get("BOARD51_BENCH_SECONDS", "10"))

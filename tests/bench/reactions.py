@@ -22,8 +22,9 @@ from tests.gateway.views.test_hmi_slow_reader import never_reading
 from tests.harness.gateway.access_peers import fresh, guarded_rig, made_folder
 from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
-from tests.harness.gateway.gateway_peers import Bus, client, free_port, wait_for
+from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.hmi_peers import Page, Process, frame, hmi
+from tests.harness.ports import free_port
 
 Row = dict[str, Any]
 ROUNDS = 5

@@ -27,6 +27,7 @@ from protocol.log.reader import read
 from tests.bench.gateway import TAIL_S, WINDOW_S, Result, result
 from tests.bench.line import processes as line
 from tests.bench.line.browsers import CHROMIUM
+from tests.harness.ports import free_port
 
 BOARDS = 8
 CLIENTS = 4  # of either kind
@@ -83,7 +84,7 @@ def measure(*, clients: bool) -> Found:
     """One run, with views and clients or without."""
     with tempfile.TemporaryDirectory(prefix="board51-bench-") as name:
         folder = Path(name)
-        endpoint, opcua, hmi = f"tcp/127.0.0.1:{line.free_port()}", line.free_port(), line.free_port()
+        endpoint, opcua, hmi = f"tcp/127.0.0.1:{free_port()}", free_port(), free_port()
         running: list[subprocess.Popen[str]] = []
         counting: list[subprocess.Popen[str]] = []
         clocks: dict[str, Callable[[], float]] = {}

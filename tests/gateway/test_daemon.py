@@ -29,13 +29,13 @@ from tests.harness.gateway.gateway_peers import (
     Bus,
     ScriptedBoard,
     client,
-    free_port,
     gateway_and_client,
     gateway_config,
     running,
     wait_for,
     with_log,
 )
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 
@@ -439,13 +439,15 @@ def test_the_printed_configuration_is_one_that_passes_the_check(tmp_path: Path) 
 
 
 PANICS = """
-import os, sys, threading
+import os, pathlib, sys, threading, time
 import board51
 
 def panic():  # what Rust writes, in the way it writes it: to the descriptor, past Python
+    while not list(pathlib.Path(sys.argv[1]).glob("*.mcap")):
+        time.sleep(0.01)
     os.write(2, b"\\nthread 'rx-0' (4711) panicked at zenoh/src/net/routing/dispatcher/resource.rs:823:44:\\n")
 
-threading.Timer(float(sys.argv[1]), panic).start()
+threading.Thread(target=panic, daemon=True).start()
 sys.exit(board51.main(sys.argv[2:]))
 """
 
@@ -455,7 +457,7 @@ def test_a_panic_in_a_thread_of_zenoh_ends_it_in_good_order_to_be_started_again(
     with ScriptedBoard() as board:
         words = ["gateway", "--board", f"rig={board.url}", "--listen", endpoint, "--log-dir", str(tmp_path)]
         done = subprocess.run(
-            [sys.executable, "-c", PANICS, "5.0", *words],
+            [sys.executable, "-c", PANICS, str(tmp_path), *words],
             stderr=subprocess.PIPE,
             text=True,
             timeout=HANG_S,

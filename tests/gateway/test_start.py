@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from gateway.demo.processes import listens
-from tests.harness.gateway.gateway_peers import client, free_port, wait_for
+from tests.harness.gateway.gateway_peers import client, wait_for
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 START = [sys.executable, "-m", "board51", "start"]
@@ -97,6 +98,6 @@ def test_a_port_that_is_taken_is_named_before_anything_starts(tmp_path: Path) ->
         )  # fmt: skip
 
     assert done.returncode == 2
-    assert re.search(rf"127\.0\.0\.1:{port} cannot be listened on .*give --page HOST:PORT", done.stderr)
+    assert re.search(rf"Cannot listen on 127\.0\.0\.1:{port} .*give --page HOST:PORT", done.stderr)
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "logs").exists()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import socket
 import time
 from pathlib import Path
 
@@ -13,12 +12,7 @@ import zenoh
 from protocol.bus.endpoint import check_endpoint, zenoh_config
 from protocol.errors import ConfigError
 from tests.harness.gateway.stopped_subscriber import STALL_S, longest_round_s
-
-
-def _endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+from tests.harness.ports import free_endpoint
 
 
 def _open(text: str) -> zenoh.Session:
@@ -40,7 +34,7 @@ def _reaches(publisher: zenoh.Session, subscriber: zenoh.Session, limit_s: float
 
 
 def test_daemons_that_started_before_their_router_hear_each_other_through_it() -> None:
-    endpoint = _endpoint()
+    endpoint = free_endpoint()
     daemon = zenoh_config("client", connect=[endpoint], wait_for_router=False)
     with _open(daemon) as one, _open(daemon) as other:
         with _open(zenoh_config("router", listen=[endpoint])):
@@ -55,12 +49,12 @@ def test_daemons_that_started_before_their_router_hear_each_other_through_it() -
 
 def test_a_command_without_a_router_fails_instead_of_waiting_for_ever() -> None:
     with pytest.raises(zenoh.ZError):
-        _open(zenoh_config("client", connect=[_endpoint()]))
+        _open(zenoh_config("client", connect=[free_endpoint()]))
 
 
 @pytest.mark.parametrize("apart", [False, True], ids=["the gateway is the router", "router apart"])
 def test_a_subscriber_that_does_not_read_stalls_nobody_else(apart: bool) -> None:
-    endpoint = _endpoint()
+    endpoint = free_endpoint()
     client = zenoh_config("client", connect=[endpoint])
     with _open(zenoh_config("router", listen=[endpoint])) as router, _open(client) as healthy:
         if not apart:

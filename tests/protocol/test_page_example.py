@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 import subprocess
 import sys
 import time
@@ -14,14 +13,9 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
 from protocol.bus.endpoint import zenoh_config
+from tests.harness.ports import free_port
 
 ROOT = Path(__file__).parents[2]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_the_subscriber_on_the_page_prints_samples() -> None:

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ import pytest
 import board51
 from gateway.commands import bench
 from gateway.emulator.serve import Emulator
+from tests.harness.ports import free_endpoint
 from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]
@@ -50,12 +50,6 @@ def _answer(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
     except SystemExit as end:  # argparse
         code = int(end.code or 0)
     return code, *capsys.readouterr()
-
-
-def _endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.mark.parametrize("name", sorted(board51.COMMANDS))
@@ -163,7 +157,7 @@ def test_every_benchmark_can_be_started(name: str) -> None:
 
 @pytest.mark.slow
 def test_without_a_gateway_a_command_says_where_it_looked(tmp_path: Path) -> None:
-    endpoint = _endpoint()
+    endpoint = free_endpoint()
 
     done = _call("send", "rig1", "ping", "--connect", endpoint, cwd=tmp_path)
 
@@ -174,7 +168,7 @@ def test_without_a_gateway_a_command_says_where_it_looked(tmp_path: Path) -> Non
 @pytest.fixture
 def line(tmp_path: Path) -> Iterator[str]:
     """Router, gateway (its client) and an emulated board; the router's endpoint."""
-    endpoint = _endpoint()
+    endpoint = free_endpoint()
     with Emulator(boards=1, tcp=True) as emulator:
         gateway = _start(
             "gateway", "--board", f"rig1={emulator.urls[0]}", "--connect", endpoint, "--log-dir", "logs", cwd=tmp_path
@@ -198,7 +192,7 @@ def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -
     while _call("watch", *bus, "--topic", "state", "--count", 1, "--timeout", 2, cwd=tmp_path).returncode:
         assert time.monotonic() < deadline, "no samples"
 
-    recorded = _call("record", "-o", "new/folder", "--seconds", 2, *bus, cwd=tmp_path)
+    recorded = _call("record", "-o", "new/folder", "--seconds", 5, *bus, cwd=tmp_path)
     accepted = _call("send", "rig1", "mode", "closed-loop", "--json", "--who", "me", *bus, cwd=tmp_path)
     refused = _call("send", "rig1", "reference", "0.1", *bus, cwd=tmp_path)
     nobody = _call("send", "rig2", "ping", *bus, "--timeout", 1, cwd=tmp_path)

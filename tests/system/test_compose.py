@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import uuid
@@ -16,6 +15,8 @@ from typing import Any
 
 import pytest
 import yaml  # type: ignore[import-untyped]  # comes with mkdocs, without types
+
+from tests.harness.ports import free_port
 
 ROOT = Path(__file__).parents[2]
 SERVICES = {"router", "emulator", "gateway", "twin", "page"}
@@ -108,12 +109,7 @@ def stack(compose: list[str], tmp_path: Path, request: pytest.FixtureRequest) ->
         pulled = subprocess.run(["docker", "pull", "python:3.11-slim"], capture_output=True, check=False)
         if pulled.returncode != 0:
             pytest.skip("the base image python:3.11-slim is neither here nor to be had")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        free = str(probe.getsockname()[1])
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        page = str(probe.getsockname()[1])
+    free, page = str(free_port()), str(free_port())
     files = [word for file in getattr(request, "param", ()) for word in ("-f", file)]
     stack = Stack(
         [*compose, *files, "--project-name", f"board51-{uuid.uuid4().hex[:8]}"],

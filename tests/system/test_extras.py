@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 
 import board51
 from gateway.emulator.serve import Emulator
-from tests.harness.gateway.gateway_peers import free_port
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]

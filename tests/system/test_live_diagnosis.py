@@ -18,6 +18,7 @@ import zenoh
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from tests.harness.ports import free_endpoint
 
 ROOT = Path(__file__).parents[2]
 LIMIT_S = 120.0
@@ -67,9 +68,7 @@ class Line:
 
 @pytest.fixture
 def line(tmp_path: Path) -> Iterator[Line]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     line = Line(tmp_path, endpoint)
     tty = tmp_path / "tty"
     with ExitStack() as stack:

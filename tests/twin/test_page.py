@@ -16,7 +16,7 @@ VALUES = {
     "points": [["<b>1</b>", "2"]],
     "members": [],
     "proposals": [],
-    "others": ["a<b"],
+    "rejected": ["a<b"],
     "not_testable": [],
     "warnings": [],
 }
@@ -57,9 +57,9 @@ def test_a_page_needs_nothing_else() -> None:
 
 
 def test_a_value_that_a_template_misses_is_an_error() -> None:
-    values = {name: value for name, value in VALUES.items() if name != "others"}
+    values = {name: value for name, value in VALUES.items() if name != "rejected"}
 
-    with pytest.raises(UndefinedError, match="others"):
+    with pytest.raises(UndefinedError, match="rejected"):
         render("diagnose/equilibria/page.html", **{**values, "picture": inline(grid(1, 1, height=2.0)[0], "x")})
 
 

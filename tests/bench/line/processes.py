@@ -68,13 +68,6 @@ def listening(endpoint: str) -> None:
     raise RuntimeError(f"nothing listens on {endpoint}")
 
 
-def free_port() -> int:
-    """A TCP port of loopback that nobody has now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def end(processes: list[subprocess.Popen[str]]) -> None:
     """SIGTERM to the youngest first, so that nobody loses what is under way; who does not end is killed."""
     for process in reversed(processes):

@@ -19,7 +19,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import router_refusal, zenoh_config
 from protocol.errors import ConfigError
 from tests.harness.gateway.access_peers import Client, GuardedRig, fresh, guarded_rig, join
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_port
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")
 PATIENCE_S = 0.5  # a router that takes a client takes it within 0.1 s

@@ -20,8 +20,9 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.gateway.access_peers import Client, GuardedRig, fresh, join
-from tests.harness.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
+from tests.harness.gateway.gateway_peers import ScriptedBoard, gateway_config, running, wait_for
 from tests.harness.gateway.stopped_subscriber import STALL_S, longest_round_s
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 from twin.mirror.bus.service import TwinService
 from twin.model.nominal import nominal

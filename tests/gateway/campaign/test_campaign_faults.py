@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -126,6 +127,21 @@ def test_somebody_elses_stop_ends_the_campaign(tmp_path: Path) -> None:
     assert process.returncode == 1
     assert "test stopped the board" in err
     assert all(state.mode == pb.MODE_IDLE for state in later)
+
+
+def test_a_stop_since_its_order_ends_a_campaign_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The STOP comes while the process of the campaign starts, and hears nothing yet."""
+    with emulated_line(tmp_path) as line:
+        ordered_ns = time.time_ns()
+        line.bus.command("emergency", stop=pb.Stop())
+        code = line.run(tmp_path / "c", *LIFT_OFF, "--issued", str(ordered_ns))
+        states = line.bus.states()
+
+    assert code == 1
+    assert "somebody stopped the board" in capsys.readouterr().err
+    assert not any(state.u_c_v for state in states)
 
 
 @pytest.mark.slow

@@ -33,7 +33,8 @@ from gateway.client.feed import Feed
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ConfigError, ServiceError, UsageError
-from tests.harness.gateway.gateway_peers import free_port, gateway_and_client, gateway_config
+from tests.harness.gateway.gateway_peers import gateway_and_client, gateway_config
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 

@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 from gateway.demo.processes import listens, running
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_port
 
 ROOT = Path(__file__).parents[3]
 

@@ -41,7 +41,7 @@ def test_the_syntax(text: str, fault: Fault) -> None:
         ("", "form"),
         ("flip", "needs a value"),
         ("flip=", "form"),
-        ("flip=x", "no number"),
+        ("flip=x", "is not a number"),
         ("flip=-1", "not negative"),
         ("flip=nan", "finite"),
         ("flip=1.5", "at most 1"),
@@ -51,7 +51,7 @@ def test_the_syntax(text: str, fault: Fault) -> None:
         ("stall=2@5/1", "EVERY"),
         ("reset@5:tx", "no option tx"),
         ("flip=1:up", "no option up"),
-        ("flip=1e-4@5@6", "no number"),
+        ("flip=1e-4@5@6", "is not a number"),
     ],
 )
 def test_a_bad_fault_says_what_is_wrong_with_it(text: str, why: str) -> None:

@@ -7,14 +7,17 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import board51
+from gateway.investigate.work import Work
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
+from protocol.errors import ServiceError
 from tests.harness.gateway.campaign_line import ROOT, Line, emulated_line
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S
@@ -83,6 +86,18 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     assert json.loads((folder / "investigation.json").read_text())["ended"] == table["ended"]
 
 
+def test_a_stop_during_a_diagnosis_ends_the_investigation(tmp_path: Path) -> None:
+    with emulated_line(tmp_path) as line:
+        rig = ("--board", "rig", "--connect", line.endpoint, "--plant", str(line.plant), "--quick")
+        work = Work(tmp_path / "i", rig, ordered_ns=time.time_ns(), workers=1, write_line=print)
+        line.bus.command("emergency", stop=pb.Stop())
+        with pytest.raises(ServiceError, match="somebody stopped the board"):
+            work.perform(["lift-off"])
+        states = line.bus.states()
+
+    assert not any(state.u_c_v for state in states)
+
+
 @pytest.mark.slow
 def test_a_killed_investigation_leaves_the_ball_parked(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
@@ -148,7 +163,7 @@ def test_a_gateway_that_is_not_there_is_one_line_and_nothing_is_lost(
     err = capsys.readouterr().err.strip().splitlines()
     assert code == 1
     assert "board51 investigate: campaign run ended with exit code 1" in err[-1]
-    assert "the same command goes on" in err[-1]
+    assert "the same command continues" in err[-1]
 
 
 @pytest.mark.parametrize(

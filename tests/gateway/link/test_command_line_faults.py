@@ -22,15 +22,8 @@ from gateway.views.opcua.address_space.model import methods
 from gateway.views.opcua.operations import called, code_of
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Message
-from tests.harness.gateway.gateway_peers import (
-    Bus,
-    ScriptedBoard,
-    client,
-    free_port,
-    gateway_and_client,
-    gateway_config,
-    wait_for,
-)
+from tests.harness.gateway.gateway_peers import Bus, ScriptedBoard, client, gateway_and_client, gateway_config, wait_for
+from tests.harness.ports import free_port
 
 QUICK: dict[str, Any] = {"command_timeout_s": 0.3, "command_retries": 1}
 CLOSED = pb.SetMode(mode=pb.MODE_CLOSED_LOOP)
@@ -108,7 +101,7 @@ def test_what_the_port_does_not_take_expires_and_stop_goes_first() -> None:
 
     assert (mode.reason, mode.attempts) == ("timed-out", 0)
     assert (stop.reason, stop.attempts) == ("timed-out", 0)
-    assert "goes out as soon as" in stop.text
+    assert "is sent as soon as" in stop.text
     assert modes(board) == []
     assert [m.name for m in board.heard[ping_limit:] if m.name not in ("PING", "GET_PARAMETERS")] == ["STOP"]
 

@@ -13,7 +13,7 @@ import pytest
 
 from gateway.link.port import Port, PortProblem, check_url, open_port
 from protocol.errors import ConfigError
-from tests.harness.gateway.gateway_peers import free_port
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 

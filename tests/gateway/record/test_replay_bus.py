@@ -168,8 +168,8 @@ def test_a_living_board_is_not_overwritten(log: Path, endpoint: str, capsys: pyt
     [
         (["--speed", "-1"], "not a speed"),
         (["--connect", "localhost"], "not a zenoh endpoint"),
-        (["--topic", "twin/alarm"], "has nothing of twin/alarm"),
-        (["--board", "other"], "has nothing of other"),
+        (["--topic", "twin/alarm"], "has no messages of twin/alarm"),
+        (["--board", "other"], "has no messages of other"),
         (["--as", "Two Words"], "is not a name"),
         (["--pty", "/tmp/x"], "take bytes"),
         (["--connect", "tcp/127.0.0.1:1", "--listen", "tcp/127.0.0.1:1"], "exclude each other"),

@@ -10,9 +10,10 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import read
-from tests.harness.gateway.gateway_peers import ScriptedBoard, client, free_port, gateway_config, running, wait_for
+from tests.harness.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 from tests.harness.gateway.hmi_peers import Page, Process, hmi, users_file
 from tests.harness.gateway.opcua_peers import peer, until
+from tests.harness.ports import free_port
 
 ALARM = "divergence-x"
 

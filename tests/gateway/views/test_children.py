@@ -19,7 +19,8 @@ from gateway.processes.child import NICER
 from gateway.processes.supervisor import Service, running
 from gateway.views.launch import views_for
 from protocol.errors import ConfigError
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_port
 
 ROOT = Path(__file__).parents[3]
 CONFIG = GatewayConfig(boards=(BoardConfig(name="rig", port="/dev/null"),))

@@ -216,7 +216,7 @@ def test_the_alarm_that_there_is_no_gateway_can_be_acknowledged_without_one(gate
 
         reply = feed.acknowledge("rig", LINK, who="eva")
 
-        assert (reply.accepted, "this view alone" in reply.text) == (True, True)
+        assert (reply.accepted, "this view only" in reply.text) == (True, True)
         assert [(a.name, a.acknowledger) for a in rig.alarms()] == [(LINK, "eva")]
         feed.close()
 

@@ -20,7 +20,8 @@ from gateway.views.foxglove import FoxgloveView
 from protocol.bus import topics
 from protocol.errors import ServiceError
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
-from tests.harness.gateway.gateway_peers import client, free_port
+from tests.harness.gateway.gateway_peers import client
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 

@@ -17,8 +17,9 @@ from protocol.campaign import load
 from protocol.log.reader import read
 from tests.harness.gateway.access_peers import PASSWORD, guarded_rig, made_folder
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, Process, hmi
+from tests.harness.ports import free_port
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
 in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)

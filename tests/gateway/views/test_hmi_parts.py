@@ -22,7 +22,8 @@ from gateway.views.hmi.traces import MAX_ROWS, Traces
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError
 from tests.harness.gateway.bus_peers import feed_of, played_gateway
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_port
 
 BOARD = pb.Parameters(sample_time_s=2e-3, x_ref_min_m=0.3e-3, x_ref_max_m=5.2e-3, gains=[0.5, 1700.0, 17.7, -17600.0])
 FILE = {

@@ -165,7 +165,7 @@ def test_a_page_says_what_its_stop_stops(page: Page, site: Site) -> None:
     for path, what in (("/", "all rigs"), ("/rig/rig", "rig"), ("/replay/rig", "all live rigs")):
         page.goto(f"{site.url}{path}")
         assert " ".join(page.locator("button.stop").inner_text().split()) == f"STOP {what}"
-        assert "STOP or Esc: the coil" in page.locator(".messages .hint").inner_text()
+        assert "STOP or Esc switches off the coil" in page.locator(".messages .hint").inner_text()
 
 
 def test_one_rig_is_stopped_from_the_overview_by_its_own_button(page: Page, site: Site) -> None:

@@ -16,8 +16,9 @@ import pytest
 from gateway.access.folder import SecurityFolder
 from gateway.access.roles import Role, may
 from gateway.access.users import User
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.npm import installed
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 pytestmark = pytest.mark.slow  # test_opcua_* ask the same of a client in Python

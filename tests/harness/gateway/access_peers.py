@@ -21,7 +21,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
 from protocol.bus.identity import Identity
-from tests.harness.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
+from tests.harness.gateway.gateway_peers import ScriptedBoard, gateway_config, running, wait_for
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 PEOPLE = {"ana": Role.ENGINEER, "ben": Role.OPERATOR, "vic": Role.VIEWER}

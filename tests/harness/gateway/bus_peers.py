@@ -15,7 +15,8 @@ from gateway.views.feed import Feed
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_port
 
 JUNK = b"\xff\xff"  # no message of any kind
 HEARD = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state")  # one of each subscriber

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import select
-import socket
 import threading
 import time
 import tty
@@ -29,6 +28,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import ROW_OF_NAME, Flag, Message
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 T = TypeVar("T")
@@ -164,12 +164,6 @@ class Collector:
 
     def event(self, name: str) -> pb.Event | None:
         return next((e for e in self.messages["event"] if e.name == name), None)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Bus:

@@ -20,7 +20,8 @@ from websockets.typing import Origin, Subprotocol
 
 from gateway.access.roles import Role
 from gateway.access.users import User, set_user
-from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 PASSWORDS = {"vic": "viewer-pass", "ben": "operator-pass", "ana": "engineer-pass"}

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from tests.harness.gateway.gateway_peers import free_port
 from tests.harness.gateway.hmi_peers import Process, hmi
+from tests.harness.ports import free_port
 
 
 class Rig:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -16,12 +15,6 @@ from protocol.bus.endpoint import zenoh_config
 from tests.harness.twin.rig import Rig
 from tests.patience import HANG_S
 from twin.mirror.bus.service import TwinService
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @contextmanager

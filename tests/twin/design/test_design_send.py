@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,13 +13,8 @@ import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
+from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import Rig
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @contextmanager

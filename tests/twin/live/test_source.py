@@ -13,7 +13,8 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from protocol.errors import ServiceError, UsageError
-from tests.harness.twin.twin_bus import free_endpoint, router
+from tests.harness.ports import free_endpoint
+from tests.harness.twin.twin_bus import router
 from twin.live.folder import changes_of, controller_of, plant_of, write
 from twin.live.pieces import cut
 from twin.live.source import LiveData, find_board, from_bus, from_log, open_client

@@ -297,7 +297,7 @@ def _measured() -> Markup:
 
 
 def _list(title: str, name: str) -> Markup:
-    entries = _live(name, "div", class_="entries", tabindex="0", aria_label=title)
+    entries = _live(name, "div", class_="entries", tabindex="0", role="group", aria_label=title)
     return tag("section", tag("h2", title, class_="card-title"), entries, class_=f"card list {name}")
 
 

@@ -149,6 +149,8 @@ class ModelWork:
     def _start(
         self, session: LoginSession, act: str, kind: str, board: str, words: list[str], folder: Path, entry: str
     ) -> pb.CommandReply:
+        if kind == "campaign":  # a STOP ends it that comes from elsewhere before the process listens
+            words = [*words, "--issued", str(time.time_ns())]
         reply = self._actions.start_job(session, act, kind, board, words, title=folder.name)
         if reply.accepted:
             try:

@@ -13,8 +13,9 @@ from contextlib import contextmanager
 import pytest
 import zenoh
 
+from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import Rig
-from tests.harness.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait
+from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait
 from tests.patience import HANG_S
 from twin.mirror.bus.service import TwinService
 from twin.model.nominal import nominal

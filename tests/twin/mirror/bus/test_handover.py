@@ -14,8 +14,9 @@ import zenoh
 import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import zenoh_encoding
+from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import TRAVEL, G, M, Rig
-from tests.harness.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait, wait_for_count
+from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait, wait_for_count
 from twin.mirror.bus.handover import MAX_PAYLOAD, believe
 from twin.mirror.bus.service import TwinService
 from twin.mirror.bus.watched import REPEAT_S

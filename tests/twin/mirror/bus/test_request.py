@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from protocol.bus import board51_pb2 as pb
-from tests.harness.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
+from tests.harness.ports import free_endpoint
+from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait_for_count
 from tests.twin.mirror.bus.test_handover import alarms, ask, command, divergences, offset_rig, right_model
 from twin.commands import diagnose
 from twin.mirror.bus.request import NAME, DiagnosisRequest

@@ -10,8 +10,9 @@ import zenoh
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import Rig
-from tests.harness.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait, wait_for_count
+from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait, wait_for_count
 from twin.mirror.bus import service as service_module
 from twin.mirror.bus.service import TwinService
 from twin.mirror.mirror import IN_STEP, Mirror

@@ -9,8 +9,9 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
+from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import T_S, Rig
-from tests.harness.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
+from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait_for_count
 from tests.twin.mirror.bus.test_handover import alarms as alarms_on_bus
 from tests.twin.mirror.bus.test_handover import divergences, offset_rig
 from twin.mirror.bus.request import NAME
