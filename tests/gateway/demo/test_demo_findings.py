@@ -150,5 +150,5 @@ def test_the_causes_of_a_diagnosis_are_named() -> None:
     none = conclusion({"verdict": "model-adequate", "sentence": "The model is adequate.", "causes": []})
 
     assert named == "Cause: air-gap-offset (the coil sits 2.4 mm higher than in the model)."
-    assert part.endswith("no known cause explains.")
+    assert part.endswith("no known cause explains it.")
     assert none == "Cause: The model is adequate."
