@@ -107,6 +107,14 @@ def test_no_page_has_a_text_of_its_own(name: str) -> None:
     assert [word for word in content if re.search(r"[A-Za-z]", word)] == []
 
 
+@pytest.mark.parametrize("name", PYTHON)
+def test_no_refusal_has_a_text_of_its_own(name: str) -> None:
+    for call in calls(PYTHON[name], "refusal"):
+        words = constants(call)
+        if not {"malformed", "empty-command"} & set(words):  # of a program that is not a page
+            assert [word for word in words if WORDS.search(word)] == []
+
+
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_no_script_has_a_text_of_its_own(name: str) -> None:
     shown = re.findall(r'(?:textContent = |\b(?:cell|element)\("\w+", |\bput\("[\w-]+", )["`]([^"`$]*)', SCRIPTS[name])
