@@ -44,7 +44,7 @@ def _patient(board: BoardConfig) -> BoardConfig:
             f": host_loss_timeout_s {board.host_loss_timeout_s:g} is below host_loss_min_s"
             f" {board.limits.host_loss_min_s:g}: on a busy computer the gateway is sometimes silent for longer, and"
             " the board would act",
-            remedy="Give a longer one; where this computer is never late, set host_loss_min_s in [board.limits]",
+            remedy="Give a longer one; if this computer is never late, set host_loss_min_s in [board.limits]",
         )
     return board
 
@@ -105,7 +105,7 @@ class BoardConfig:
         ),
     ]
     baud: Annotated[Whole, key("of the UART; sockets and ptys ignore it [bit/s]", 300, 4_000_000)] = 115200
-    board_id: Annotated[Whole, key("refuse any board with another serial number; 0 takes any", 0, 0xFFFFFFFF)] = 0
+    board_id: Annotated[Whole, key("refuse any board with another serial number; 0 accepts any", 0, 0xFFFFFFFF)] = 0
     stream_divider: Annotated[Whole, key("ask the board for every n-th tick", 1, 1000)] = 1
     host_loss: Annotated[
         Literal["keep", "coil-off", "hold"], key("action of the board when this gateway falls silent")

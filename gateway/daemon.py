@@ -246,8 +246,8 @@ def _check_free(endpoint: str) -> None:
 def gateway_identity(config: GatewayConfig) -> Identity:
     """Return the gateway's identity, for a gateway that is a client of a guarded router.
 
-    The folder may be the complete folder of `security init`, or only the gateway's identity: a machine that is not the
-    router does not need the keys of others.
+    The folder may be the complete folder of `security init`, or only the gateway's identity.  A machine that is not
+    the router does not need the keys of others.
 
     Raises:
         ConfigError: the identity is not usable.

@@ -227,9 +227,9 @@ class Gate:
             return None
         return Refusal(
             "out-of-range",
-            f"A host-loss time-out of {timeout_s:g} s is below host_loss_min_s {shortest_s:g} s: on a busy computer the"
-            " gateway is sometimes silent for longer, and the board would act. Where this computer is never late, its"
-            " configuration may set a smaller one.",
+            f"A host-loss time-out of {timeout_s:g} s is below host_loss_min_s {shortest_s:g} s. On a busy computer the"
+            " gateway is sometimes silent for longer, and the board would act. If this computer is never late, its"
+            " configuration may set a smaller limit.",
         )
 
     def _capture(self, capture: pb.Capture, wire: WireCommand, board: BoardView) -> Refusal | None:

@@ -146,7 +146,7 @@ def lift_off_v(samples: Samples, rig: CheckedRig) -> float | None:
 
 def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> tuple[Problem, ...]:
     if len(s) < 2:
-        return (Problem(code="no-samples", text=f"{len(s)} samples came"),)
+        return (Problem(code="no-samples", text=f"{len(s)} samples arrived"),)
     if len(np.unique(s.session)) > 1:
         why = next((e.text for e in events if e.source == "board" and e.name.startswith("reset")), "")
         return (Problem(code="board-reset", text=f"the board began a new session in between. {why}".rstrip(" .")),)
@@ -175,7 +175,9 @@ def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Pr
     if current > CLIPPED_SHARE:
         problems.append(
             Problem(
-                code="clipped-i_c", cure="lower", text=f"i_c is at its converter's end in {100 * current:.0f} % of it"
+                code="clipped-i_c",
+                cure="lower",
+                text=f"i_c is at an end of its converter in {100 * current:.0f} % of it",
             )
         )
     position = float(np.mean((s.flags & Flag.POSITION_RANGE) != 0))
@@ -183,7 +185,9 @@ def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Pr
         position > CLIPPED_SHARE and experiment.expects == "flies"
     ):  # at a stop, a sensor with an offset may be at its end
         problems.append(
-            Problem(code="clipped-x", cure="none", text=f"x is at its converter's end in {100 * position:.0f} % of it")
+            Problem(
+                code="clipped-x", cure="none", text=f"x is at an end of its converter in {100 * position:.0f} % of it"
+            )
         )
     for name, values in (("u_c", s.u_v), ("i_c", s.i_a), ("x", s.x_m)):
         known = values[np.isfinite(values)]
@@ -210,7 +214,7 @@ def _correlation(a: FloatArray, b: FloatArray) -> float:
 def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> tuple[Problem, ...]:
     expected = sum(isinstance(step, Burst) for step in experiment.steps)
     if len(captures) < expected:
-        return (Problem(code="captures-missing", text=f"{len(captures)} of {expected} captures came"),)
+        return (Problem(code="captures-missing", text=f"{len(captures)} of {expected} captures arrived"),)
     clear = 0
     for capture in captures:
         i = np.array(capture.i_c_a)

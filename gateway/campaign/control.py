@@ -1,8 +1,8 @@
 """Commands to the board and waits, by the board's clock.
 
 Rule 1: time is counted in ticks: 2 s are 1000 ticks of the stream, however late they arrive.
-Rule 2: every wait ends: at its tick, with `Stopped` (Ctrl-C), with `Cut` (the attempt failed: reset, fault, ball at a
-        stop), or with a ServiceError if no more samples arrive.
+Rule 2: every wait ends: at its tick, with `Stopped` (Ctrl-C), or with a ServiceError if no more samples arrive.
+        `Cut` ends it if the attempt failed: reset, fault, ball at a stop.
 Rule 3: `park` never raises, because it is called after every error.
 """
 
@@ -230,7 +230,7 @@ class RigControl:
             return self._subscriber.captures > before
 
         if not self.wait(arrived, timeout_s=CAPTURE_LIMIT_S):
-            raise Cut(Problem(code="captures-missing", text="the samples of a capture did not come"))
+            raise Cut(Problem(code="captures-missing", text="the samples of a capture did not arrive"))
 
     def go_to(self, x_ref_m: float) -> None:
         """Move the reference in steps within the board's limit."""

@@ -144,7 +144,7 @@ def limits_of(
 def guessed_lift_off_v(parameters: pb.Parameters, plant: Plant, limits: CommandLimits) -> float:
     """Estimate of the lift-off input before it is measured, V.
 
-    By (8) the current that carries the ball is proportional to its distance from x_max, and the operating point (13)
+    By (8) the current that carries the ball is proportional to its distance from x_max.  The operating point (13)
     gives one point of that line.  Without a plausible operating point it is derived from the upper limit.
     """
     u_0, gap = parameters.u_0_v, plant.x_max_m - parameters.x_0_m

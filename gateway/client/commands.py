@@ -110,17 +110,17 @@ def excite(
     if shape == Shape.NONE:
         if on_reference and offset is not None:
             raise UsageError(
-                "An excitation of the reference that ends leaves it where it is: the offset counts for nothing",
+                "An excitation of the reference that ends leaves it at its value: the offset has no effect",
                 remedy="Leave it out, and move the reference with the command for it",
             )
         duration_s = 0.0
     elif duration_s is None:
         raise UsageError(
-            f"The {shape} has no end",
-            remedy="Give --duration S, or --duration endless if it shall have none (duration_s, math.inf)",
+            f"The {shape} has no duration",
+            remedy="Give --duration S, or --duration endless (duration_s, math.inf)",
         )
     elif not duration_s > 0:  # 0 is endless on the bus
-        raise UsageError(f"{duration_s:g} s is no duration", remedy="Give a positive one")
+        raise UsageError(f"{duration_s:g} s is not a duration", remedy="Give a positive one")
     return pb.Command(
         excite=pb.Excite(
             shape=f"SHAPE_{shape.name}",

@@ -182,5 +182,5 @@ def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) 
     if typed:
         options = " If its bus is not guarded, give no identity.", " A guarded bus needs an identity (--identity)."
         text += options[0] if guarded else options[1]
-    text += " Had one received the command before it ended, it may have acted."
+    text += " If a gateway received the command before it ended, the board may have acted."
     return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)

@@ -53,7 +53,7 @@ class CommandNotDeliveredError(ServiceError):
             f"{_what(command)} was not answered: {reply.reason}: {reply.text.rstrip('.')}",
             remedy="THE COIL MAY BE ON: switch off its supply; else the board's host-loss policy decides"
             if stop
-            else "Look at rig.status(); rig.send(error.command) repeats it without its being executed twice",
+            else "Look at rig.status(); rig.send(error.command) repeats it; it is executed at most once",
         )
 
 

@@ -25,7 +25,7 @@ CAPACITY = 100_000  # messages: 200 s of one board's samples
 
 
 class Arrival(NamedTuple):
-    """One message."""
+    """A message of the bus, as it arrived."""
 
     key: str
     message: Message | None  # None: the bytes are no valid message
@@ -135,4 +135,4 @@ def check_topic(name: str) -> None:
         or not topics.TOPIC_OF_NAME[name].bus
     ):
         available = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.source != "client")
-        raise UsageError(f"{name!r} is no topic to listen to", remedy=f"Choose among {available}")
+        raise UsageError(f"{name!r} is not a topic of the bus", remedy=f"Choose among {available}")

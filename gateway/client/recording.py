@@ -22,7 +22,7 @@ from protocol.files import make_folder
 
 
 class Recording:
-    """All logged topics of one board, or of all boards, from `start` until `close`.
+    """A recording of all logged topics of one board, or of all boards, from `start` until `close`.
 
     Args:
         session: of the bus.

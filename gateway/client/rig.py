@@ -1,9 +1,9 @@
-"""One board through its gateway: commands, samples, recordings.
+"""A board through its gateway: commands, samples, recordings.
 
 Rule 1: a call returns when its command was accepted, and raises otherwise; no command is executed twice.
 Rule 2: STOP has priority: it needs no open rig, does not wait for other calls, and is sent until it is answered.
-Rule 3: if the `with` block ends with an exception after this rig has sent a command that may move the ball, the board
-        is stopped.  A block that ends normally leaves the board as it is.
+Rule 3: an exception that ends the `with` block stops the board, if this rig has sent a command that may move the ball.
+        A block that ends normally leaves the board as it is.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Rig:
-    """One board, through its gateway; a context manager that several threads may use at once.
+    """A board, through its gateway; a context manager that several threads may use at once.
 
     Args:
         board: Its name.
@@ -221,7 +221,7 @@ class Rig:
         if record is not None:
             return Capture.of(record)
         raise ServiceError(
-            f"The samples of the capture did not come from {self.site}/{self.board} within {CAPTURE_WAIT_S:g} s",
+            f"The samples of the capture did not arrive from {self.site}/{self.board} within {CAPTURE_WAIT_S:g} s",
             remedy="Look at the events of the board: `board51 watch --topic event`",
         )
 

@@ -36,13 +36,13 @@ class Reply:
 
     @classmethod
     def of(cls, reply: pb.CommandReply) -> Self:
-        """From the message of the bus."""
+        """Return the values of a message of the bus."""
         return cls(id=reply.id, tick=reply.tick, text=reply.text, attempts=reply.attempts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """One sample.  A quantity that was not measured is NaN."""
+    """A sample of the board.  A quantity that was not measured is NaN."""
 
     tick: int  # control periods since the board's reset: the time base; strictly increasing within a session
     session: int  # a new number after each reset or reconnection: nothing is continuous across it
@@ -57,7 +57,7 @@ class Sample:
 
     @classmethod
     def of(cls, state: pb.State) -> Self:
-        """From the message of the bus."""
+        """Return the values of a message of the bus."""
         return cls(
             tick=state.tick,
             session=state.session,
@@ -139,7 +139,7 @@ class Capture:
 
     @classmethod
     def of(cls, record: pb.CaptureRecord) -> Self:
-        """From the message of the bus."""
+        """Return the values of a message of the bus."""
         import numpy as np
 
         return cls(

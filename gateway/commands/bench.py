@@ -37,11 +37,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print rows as JSON")
     some = parser.add_argument_group("options of benchmarks that draw trials (diagnosis)")
     some.add_argument("--runs", type=int, metavar="N", help="trials per part; 0: all of them (default: a few)")
-    some.add_argument("--seed", type=int, metavar="S", help="of the first trial (default: 0)")
+    some.add_argument("--seed", type=int, metavar="S", help="seed of the first trial (default: 0)")
     some.add_argument(
         "--part", metavar="PART", help="causes, nulls, composites, outside or gateway (default: the first four)"
     )
-    some.add_argument("--results", type=Path, metavar="FILE", help="lines of JSON; what is there is not run again")
+    some.add_argument("--results", type=Path, metavar="FILE", help="file of JSON lines; trials in it are not run again")
     some.add_argument("--quick", action="store_true", default=None, help="short trials, uncalibrated")
 
 
@@ -74,7 +74,7 @@ def _options(name: str, benchmark: Callable[..., list[Row]], args: argparse.Name
     superfluous = [f"--{key}" for key in supplied if key not in parameters]
     if superfluous:
         raise UsageError(
-            f"Benchmark {name} takes no {superfluous[0]}", remedy="Name only benchmarks that do, or drop it"
+            f"Benchmark {name} does not take {superfluous[0]}", remedy="Name only benchmarks that do, or leave it out"
         )
     if "show" in parameters and not args.json:
         supplied["show"] = print

@@ -51,14 +51,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
     run_.add_argument(
-        "--experiment", action="append", default=[], metavar="NAME", help="only this one, added to FOLDER; repeatable"
+        "--experiment",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="record only this experiment and add it to FOLDER; repeatable",
     )
     run_.add_argument("--list", action="store_true", help="print the menu of experiments and end")
-    run_.add_argument("--seed", type=int, default=1, help="of the random signals (default 1)")
+    run_.add_argument("--seed", type=int, default=1, help="seed of the random signals (default 1)")
     run_.add_argument("--u-max", type=_positive, metavar="V", help="highest u_c (default: the board's limit)")
     run_.add_argument("--x-min", type=_positive, metavar="MM", help="lowest reference (default: the board's limit)")
     run_.add_argument("--x-max", type=_positive, metavar="MM", help="highest reference (default: the board's limit)")
-    run_.add_argument("--yes", action="store_true", help="what needs a person (blocked-ball) has been done")
+    run_.add_argument("--yes", action="store_true", help="the preparation by hand (blocked-ball) is done")
     run_.add_argument("--json", action="store_true", help="print the summary as JSON")
     run_.add_argument(
         "--issued", type=int, default=0, metavar="NS", help="when it was ordered, Unix time: a STOP since then ends it"
@@ -137,7 +141,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
 def _request_preparation(experiment: Experiment, stop: threading.Event) -> str:
     if not sys.stdin.isatty():
         return f"{experiment.person.rstrip('.')}, then say so with --yes"
-    _write_line(f"    {experiment.person}\n    Done? y goes on, anything else skips:")
+    _write_line(f"    {experiment.person}\n    Done? Type y to continue, anything else to skip it:")
     # Not input(): it would go on waiting after Ctrl-C, which here only sets `stop`.
     while not stop.is_set():
         if select.select([sys.stdin], [], [], 0.2)[0]:
@@ -202,5 +206,5 @@ def _report(args: argparse.Namespace, summary: Summary, ended_ns: int) -> None:
     why = "interrupted" if summary.interrupted else "not complete"
     parked = "" if summary.parked else "ball parked, coil off; "
     _write_line(
-        f"{why}: {parked}{recorded} of {len(summary.outcomes)} recordings are in {args.folder}. To go on: {again}"
+        f"{why}: {parked}{recorded} of {len(summary.outcomes)} recordings are in {args.folder}. To continue: {again}"
     )

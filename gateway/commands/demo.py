@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{args.out} is no folder ({error.strerror})", remedy="Give another --out") from None
+        raise UsageError(f"{args.out} is not a folder ({error.strerror})", remedy="Give another --out") from None
 
     def interrupted(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -57,8 +57,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default="127.0.0.1:0",
         help="serve TCP; several boards take consecutive ports, port 0 free ones (default: %(default)s)",
     )
-    parser.add_argument("--boards", type=int, default=1, metavar="N", help="how many boards (default: 1)")
-    parser.add_argument("--board-id", type=int, default=1, metavar="ID", help="serial number of the first (default: 1)")
+    parser.add_argument("--boards", type=int, default=1, metavar="N", help="number of boards (default: 1)")
+    parser.add_argument(
+        "--board-id", type=int, default=1, metavar="ID", help="serial number of the first board (default: 1)"
+    )
     parser.add_argument(
         "--rig",
         choices=tuple(RIGS),
@@ -70,17 +72,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--firmware",
         choices=("python", "c"),
         default="python",
-        help="what flies: the model in Python, or firmware/ in C, which a C compiler of this machine compiles at its "
-        "first use (default: python)",
+        help="the firmware model in Python, or firmware/ in C, compiled on this machine at its first use "
+        "(default: python)",
     )
     flown.add_argument(
         "--chip",
         choices=tuple(CHIPS),
         help="fly firmware/ in C as the image of this chip, instruction by instruction in its simulator",
     )
-    parser.add_argument("--baud", type=int, default=115200, help="pace of the line, bits per second (default: 115200)")
+    parser.add_argument("--baud", type=int, default=115200, help="speed of the line, bits per second (default: 115200)")
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="N", help="times faster than real time; 0: as fast as possible"
+        "--speed", type=float, default=1.0, metavar="N", help="multiple of real time; 0: as fast as possible"
     )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds of the boards' time")
     parser.add_argument(
@@ -88,12 +90,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="what the rig does beyond the model; repeatable",
+        help="effect that the model does not have; repeatable",
     )
     parser.add_argument("--secret", type=int, metavar="SEED", help="draw hidden effects from SEED")
-    parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: where to write them, sealed")
-    parser.add_argument("--fault", action="append", default=[], metavar="FAULT", help="what goes wrong; repeatable")
-    parser.add_argument("--seed", type=int, default=0, help="of noise and faults; board n takes SEED + n (default: 0)")
+    parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: file for the sealed effects")
+    parser.add_argument(
+        "--fault", action="append", default=[], metavar="FAULT", help="fault of board or line; repeatable"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of noise and faults; board n takes SEED + n (default: 0)"
+    )
     parser.add_argument("--json", action="store_true", help="print for machines: one JSON object per line")
 
 
@@ -193,5 +199,5 @@ def _check(args: argparse.Namespace) -> None:
 def _address(args: argparse.Namespace) -> tuple[str, int]:
     host, _, port = args.tcp.rpartition(":")
     if not host or not port.isdecimal() or int(port) + args.boards - 1 > 65535:
-        raise UsageError(f"--tcp {args.tcp} is no address for {args.boards} board(s)", remedy="Give HOST:PORT")
+        raise UsageError(f"--tcp {args.tcp} is not an address for {args.boards} board(s)", remedy="Give HOST:PORT")
     return host.strip("[]"), int(port)

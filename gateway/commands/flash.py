@@ -40,16 +40,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "needs avr-gcc with avr-libc, and avrdude (Debian: apt-get install gcc-avr avr-libc avrdude);\n"
         "--out writes the image for another programmer, without avrdude and port"
     )
-    parser.add_argument("--board", choices=BOARDS, required=True, help="what the firmware is for")
+    parser.add_argument("--board", choices=BOARDS, required=True, help="board of the firmware")
     parser.add_argument("--port", metavar="DEVICE", help="serial device of the Uno: /dev/ttyACM0")
-    parser.add_argument("--baud", type=int, default=115200, help="of the firmware's UART (default: %(default)s)")
+    parser.add_argument("--baud", type=int, default=115200, help="speed of the firmware's UART (default: %(default)s)")
     parser.add_argument(
         "--x-ground",
         type=float,
         metavar="M",
-        help="x that the board read, with an image without calibration, of the magnet on the ground",
+        help="x of the magnet on the ground, read with an image without calibration",
     )
-    parser.add_argument("--x-ceiling", type=float, metavar="M", help="the same of the magnet at the ceiling")
+    parser.add_argument(
+        "--x-ceiling", type=float, metavar="M", help="x of the magnet at the ceiling, read in the same way"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the image (Intel HEX) there and stop")
     parser.add_argument("--dry-run", action="store_true", help="compile, print the command of avrdude, touch no port")
     parser.add_argument("--json", action="store_true", help="print the command and the size as JSON")
@@ -115,7 +117,7 @@ def _check_port(port: str) -> None:
 def _check_avrdude() -> None:
     if shutil.which("avrdude") is None:
         raise InstallError(
-            "avrdude is not found, which writes the flash memory",
+            "avrdude, which writes the flash memory, is not found",
             remedy="Install it (Debian: apt-get install avrdude), or write the image with --out FILE",
         )
 

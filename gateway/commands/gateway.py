@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 gateway --print-config > gateway.toml; board51 gateway --config gateway.toml\n"
         "  board51 gateway --board rig1=/dev/ttyUSB0 --opcua --opcua-rate 50 --hmi"
     )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML; every key is optional but the boards")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML; every key is optional except the boards")
     parser.add_argument(
         "--board",
         action="append",

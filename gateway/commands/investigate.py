@@ -1,10 +1,10 @@
 """Campaign and diagnosis in turns on a live board, until one name is left.
 
-Records a few experiments, diagnoses them, chooses from the menu of `board51 campaign run` the experiment that tells
-most for its time about what is still open, records it, diagnoses all recordings again; ends when one name is left,
-what is left is noise, or the budget is spent, and says at each step why.  While it chooses, diagnoses are --quick;
-the answer is a thorough one.  Ctrl-C parks the ball; the same command goes on where it ended, also in a folder that
-`campaign run` made.
+It records a few experiments and diagnoses them.  Then it chooses an experiment from the menu of `board51 campaign run`:
+the one that tells most, for its time, about the open question.  It records that experiment, diagnoses all recordings
+again, and says at each step why.  It ends when one name is left, when only noise is left, or when the budget is spent.
+While it chooses, diagnoses are --quick; the answer is a thorough one.  Ctrl-C parks the ball.  The same command
+continues where it ended, also in a folder that `campaign run` made.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 investigate rig1 --plant my-rig.toml\n"
         "  board51 investigate rig1 --out monday --budget 120\n"
-        "  board51 investigate rig1 --dry-run                    what it would do first; the board is not asked\n"
+        "  board51 investigate rig1 --dry-run                    only print the first steps; sends nothing\n"
         "\nexit code 0: the answer stands; 1: it does not (no known cause, the budget is spent, interrupted, or the\n"
         "board is gone); 2: bad input"
     )
@@ -53,11 +53,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="TOML with the [plant] of this rig (default: that of FOLDER, else a published CE 152)",
     )
     parser.add_argument(
-        "--budget", type=float, default=BUDGET_S, metavar="S", help=f"most time on the rig ({BUDGET_S:.0f} s)"
+        "--budget", type=float, default=BUDGET_S, metavar="S", help=f"longest time on the rig ({BUDGET_S:.0f} s)"
     )
     parser.add_argument("--quick", action="store_true", help="shorter recordings, and no thorough diagnosis at the end")
     parser.add_argument("--dry-run", action="store_true", help="print the plan and end")
-    parser.add_argument("--seed", type=int, default=1, help="of the random signals (default 1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the random signals (default 1)")
     for option, unit, what in (
         ("--u-max", "V", "highest u_c"),
         ("--x-min", "MM", "lowest reference"),
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
             investigate(work, journal, menu, budget_s=args.budget, quick=args.quick, write_line=write_line)
         finally:
             if journal.ended is None and journal.steps:
-                _write_line(f"To go on: {_again()}")
+                _write_line(f"To continue: {_again()}")
     _report(args, journal)
     return 0 if journal.ended is not None and journal.ended.stands else 1
 

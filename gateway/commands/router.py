@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
             config.insert_json5("listen/endpoints", json.dumps(endpoints))
     except zenoh.ZError as error:
         raise ConfigError(
-            f"{args.config} is no zenoh configuration: {_reason(error)}", remedy="Correct the file"
+            f"{args.config} is not a zenoh configuration: {_reason(error)}", remedy="Correct the file"
         ) from None
     check_bus_listeners(_endpoints(config), guarded=_guarded(config), insecure=args.insecure)
     stop = threading.Event()

@@ -4,8 +4,8 @@
 person gets a login for OPC UA and the web page, and an identity folder for `board51 send`, `watch`, ... (`--identity`).
 Roles: a viewer reads, an operator moves the ball within the limits, an engineer also changes gains and models.
 
-Changed users count at once for OPC UA and the web page, and on the bus when its router (or the gateway, where it is the
-router) starts again.
+Changed users count at once for OPC UA and the web page.  On the bus they count when its router starts again, or the
+gateway, if that is the router.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7448 --out ben.json5"
     )
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
-    init = _step(steps, "init", "make the folder")
+    init = _step(steps, "init", "make the folder with keys, certificates and users")
     init.add_argument("--site", default=DEFAULT_SITE, help=f"first chunk of the keys (default {DEFAULT_SITE})")
     init.add_argument(
         "--host", action="append", default=[], help="name or address under which others reach this machine; repeatable"
     )
     init.add_argument("--user", action="append", default=[], metavar=_USER, help=f"of {', '.join(ROLE_WORDS)}")
-    add = _step(steps, "add-user", "login and identity of a person, or a new role or password for an old one")
+    add = _step(steps, "add-user", "add a person, or change the role or the password of one")
     add.add_argument("user", metavar=_USER)
     for step in (init, add):
         step.add_argument(
             "--ask", action="store_true", help="ask for passwords; default: make them and print them once"
         )
-    remove = _step(steps, "remove-user", "take login and identity away")
+    remove = _step(steps, "remove-user", "remove the login and the identity of a person")
     remove.add_argument("name")
-    _step(steps, "renew", "new certificates for all; names, roles and passwords stay")
-    config = _step(steps, "zenoh-config", "an identity as zenoh's own configuration, for clients in any language")
+    _step(steps, "renew", "make new certificates; names, roles and passwords stay")
+    config = _step(steps, "zenoh-config", "write an identity as zenoh's own configuration, for clients in any language")
     config.add_argument("--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help="the router (%(default)s)")
-    config.add_argument("--out", type=Path, metavar="FILE", help="write it there, readable by its owner alone")
-    check = _step(steps, "check", "permissions, roles, and for how long the certificates are good")
+    config.add_argument("--out", type=Path, metavar="FILE", help="write it to this file, readable by its owner only")
+    check = _step(steps, "check", "check permissions and roles, and how long the certificates are valid")
     check.add_argument("--json", action="store_true", help="print the days as JSON")
 
 
@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
 def _user(text: str) -> User:
     name, colon, role = text.partition(":")
     if not colon:
-        raise UsageError(f"{text!r} names no role", remedy=f"Write {_USER}, e.g. {text or 'ana'}:operator")
+        raise UsageError(f"{text!r} does not name a role", remedy=f"Write {_USER}, e.g. {text or 'ana'}:operator")
     return User(name=check_name(name, what="user"), role=parse_role(role, where=f"user {name}"))
 
 
@@ -121,7 +121,10 @@ def _add(folder: SecurityFolder, user: User, *, prompt: bool) -> None:
     password = getpass.getpass(f"Password of {user.name}: ") if prompt else secrets.token_urlsafe(12)
     identity = folder.add_user(user, password)
     if not prompt and (mode := open_output()):
-        print(f"others may read the password of {user.name} where it is printed (mode {mode})", file=sys.stderr)
+        print(
+            f"others may read the password of {user.name} in the file to which it is printed (mode {mode})",
+            file=sys.stderr,
+        )
     password_text = "" if prompt else f"  password {password}"
     print(f"{user.name:<12} {user.role.word:<9} {identity}{password_text}")
 

@@ -46,14 +46,14 @@ def _duration(text: str) -> float:
         return math.inf
     value = _number(text)
     if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} s is no duration; without end it is 'endless'")
+        raise argparse.ArgumentTypeError(f"{text} s is not a duration; write 'endless' for one without end")
     return value
 
 
 def _unix_time(text: str) -> int:
     value = whole_number(text)
     if not 0 < value < 2**64:
-        raise argparse.ArgumentTypeError(f"{text} is no Unix time in ns")
+        raise argparse.ArgumentTypeError(f"{text} is not a Unix time in ns")
     return value
 
 
@@ -66,14 +66,14 @@ def _text(text: str) -> str:
 def _add_options(parser: argparse.ArgumentParser) -> None:
     add_bus_arguments(parser)
     parser.add_argument(
-        "--id", type=_text, default="", help="command id: a repetition has that of the first (default: a new one)"
+        "--id", type=_text, default="", help="command id; a repetition uses the id of the first (default: a new one)"
     )
     parser.add_argument(
         "--issued",
         type=_unix_time,
         default=0,
         metavar="NS",
-        help="when it was first sent, Unix time: with --id it is executed at most once, by a restarted gateway too",
+        help="when it was first sent, Unix time; with --id it is executed at most once, also by a restarted gateway",
     )
     parser.add_argument("--who", type=_text, default="", help="who sends it, for the log (default: the login name)")
     parser.add_argument("--timeout", type=_wait, default=5.0, metavar="S", help="wait this long for the answer (5 s)")
@@ -111,25 +111,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
         excite.add_argument(f"--{name}", type=_number, default=0.0, metavar=unit)
     excite.add_argument("--offset", type=_number, metavar="V|M", help="absolute (default 0)")
     excite.add_argument(
-        "--duration", type=_duration, metavar="S|endless", help="needed by all shapes but none; then it is the offset"
+        "--duration", type=_duration, metavar="S|endless", help="length; needed for every shape except none"
     )
     excite.add_argument("--seed", type=_whole, default=1)
     excite.epilog = (
-        "`excite none` ends what is played, in either mode: the signal stays where it is. With --offset V in open loop"
+        "`excite none` ends the excitation in either mode, and the signal keeps its value. With --offset V in open loop"
         " u_c stays at that level instead; in closed loop `reference` moves the ball."
     )
     capture = what.add_parser("capture", parents=[options], help="record i_c at 25 kHz around a step of u_c")
     for name in ("u-from", "u-to"):
         capture.add_argument(f"--{name}", type=_number, required=True, metavar="V")
-    capture.add_argument("--duration", type=_number, default=0.04, metavar="S", help="0.04 s")
-    capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="before the step (0.004 s)")
+    capture.add_argument("--duration", type=_number, default=0.04, metavar="S", help="length (0.04 s)")
+    capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="time before the step (0.004 s)")
     what.add_parser("stream", parents=[options], help="send every n-th tick").add_argument("divider", type=_whole)
-    loss = what.add_parser("host-loss", parents=[options], help="what the board does without its host")
+    loss = what.add_parser("host-loss", parents=[options], help="set the action of the board without its host")
     loss.add_argument("policy", choices=list(map(str, commands.HostLoss)))
-    loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="1 s")
-    what.add_parser("mark", parents=[options], help="a remark at this moment, into every log").add_argument(
-        "text", type=_text
-    )
+    loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="time without the host (1 s)")
+    what.add_parser("mark", parents=[options], help="write a remark into every log").add_argument("text", type=_text)
     acknowledge = what.add_parser(
         "acknowledge", parents=[options], help="acknowledge an alarm, in every view and in the log"
     )
@@ -212,5 +210,5 @@ def run(args: argparse.Namespace) -> int:
             from gateway.access.authorize import MAX_AGE_S
 
             again = f"--id {shlex.quote(command.id)} --issued {command.issued_ns}"
-            print(f"To repeat it without its being executed twice, within {MAX_AGE_S:g} s: {again}")
+            print(f"To repeat it so that it is executed at most once, within {MAX_AGE_S:g} s: {again}")
     return 0 if reply.accepted else 1

@@ -44,15 +44,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a board and its pyserial URL; may be repeated (first name: rig1)",
     )  # fmt: skip
     parser.add_argument(
-        "--effect", action="append", default=[], metavar="NAME=VALUE", help="hidden in the emulated plant; repeatable"
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="hidden effect of the emulated plant; repeatable",
     )
-    parser.add_argument("--model", default="ce152", metavar="FILE", help="of the twin (default ce152)")
-    parser.add_argument("--page", default=PAGE, metavar="HOST:PORT", help=f"the control room (default {PAGE})")
+    parser.add_argument("--model", default="ce152", metavar="FILE", help="model of the twin (default ce152)")
     parser.add_argument(
-        "--listen", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help=f"the bus (default {DEFAULT_ENDPOINT})"
+        "--page", default=PAGE, metavar="HOST:PORT", help=f"address of the control room (default {PAGE})"
     )
-    parser.add_argument("--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="MCAP logs (default logs)")
-    parser.add_argument("--no-browser", action="store_true", help="open none, print the address alone")
+    parser.add_argument(
+        "--listen",
+        default=DEFAULT_ENDPOINT,
+        metavar="ENDPOINT",
+        help=f"endpoint of the bus (default {DEFAULT_ENDPOINT})",
+    )
+    parser.add_argument(
+        "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="folder of the MCAP logs (default logs)"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="open no browser, only print the address")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,7 +85,9 @@ def run(args: argparse.Namespace) -> int:
     try:
         args.log_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{args.log_dir} is no folder ({error.strerror})", remedy="Give another --log-dir") from None
+        raise UsageError(
+            f"{args.log_dir} is not a folder ({error.strerror})", remedy="Give another --log-dir"
+        ) from None
     # A link without a folder around it: the emulated board removes it, also when this process is killed.
     tty = Path(tempfile.gettempdir()) / f"board51-{uuid.uuid4().hex}"
     with _until_stopped() as stopped:
@@ -153,7 +166,7 @@ def _print_services(args: argparse.Namespace, services: list[Service]) -> None:
     url = f"http://{args.page}"
     print(f"control room  {url}")
     print(f"bus           {args.listen}")
-    print(f"logs          {args.log_dir}; what {', '.join(s.name for s in services)} say: {args.log_dir}/*.out")
+    print(f"logs          {args.log_dir}; output of {', '.join(s.name for s in services)}: {args.log_dir}/*.out")
     print("Ctrl-C stops everything", flush=True)
     has_display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or sys.platform == "darwin"
     if has_display and not args.no_browser:

@@ -23,7 +23,7 @@ _OFTEN = ("every tick", "every 20 ms")  # rates that are printed on request only
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments: which keys, how many, how often."""
     parser.epilog = (
-        "examples:\n  board51 watch                       everything but samples, 1 line a message"
+        "examples:\n  board51 watch                       everything but samples, one line per message"
         "\n  board51 watch --topic state --every 0.5"
     )
     add_bus_arguments(parser)
@@ -37,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="at most one line per key in this time")
     parser.add_argument("--count", type=int, default=0, help="stop after so many lines")
     parser.add_argument("--timeout", type=float, default=0.0, metavar="S", help="stop after this time")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.add_argument("--json", action="store_true", help="one JSON object per line")
 
 
 def _line(key: str, message: Message, *, as_json: bool) -> str:
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
                 break
             key, message, size = arrival
             if message is None:
-                print(f"{key}: {size} bytes that are not its message", file=sys.stderr)
+                print(f"{key}: {size} bytes that are not a message of this topic", file=sys.stderr)
                 continue
             now = time.monotonic()
             if now - last.get(key, -1e9) >= args.every:

@@ -102,7 +102,7 @@ def table(flights: Sequence[Flight]) -> str:
     row("innovation of x", [f"{x * 1e6:.1f} um" for x, _, _ in innovations])
     row("innovation of i_c", [f"{i * 1e3:.2f} mA" for _, i, _ in innovations])
     row("called noise, x''", [f"{flight.allowed_m_s2:.2g} m/s^2" for flight in flights])
-    row("mean NIS (right: 2)", [f"{nis:.3g}" for _, _, nis in innovations])
+    row("mean NIS (correct: 2)", [f"{nis:.3g}" for _, _, nis in innovations])
     row("alarms raised", [str(len(flight.alarms)) for flight in flights])
     return "\n".join(lines)
 
@@ -120,7 +120,7 @@ def sentence(flights: Sequence[Flight]) -> str:
     text = f"Error of the twin's current at rest: {'; '.join(steps)}"
     last, left = flights[-1], errors[-1]
     if max(map(abs, left)) < NOTABLE_A:
-        over = f"What is left there is below {NOTABLE_A * 1e3:.0f} mA"
+        over = f"The rest is below {NOTABLE_A * 1e3:.0f} mA"
     else:
         over = f"Left over: {min(left) * 1e3:+.0f} to {max(left) * 1e3:+.0f} mA{_trend(left)}"
     names = ", ".join(dict.fromkeys(last.alarms))
@@ -137,7 +137,7 @@ def conclusion(diagnosis: Diagnosis) -> str:
     if not names:
         return f"Cause: {diagnosis.sentence}"
     rest = (
-        " Something else is left that no known cause explains."
+        " Another error is left, and no known cause explains it."
         if diagnosis.verdict in ("unknown-cause", "partly-explained")
         else ""
     )

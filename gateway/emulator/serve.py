@@ -309,7 +309,7 @@ def build_lines(ports: Iterable[EmulatedPort], **options: Unpack[BoardOptions]) 
     """Create a board with its own plant for each port; either all ports are opened or none.
 
     Raises:
-        UsageError: an effect or fault is unknown, a pty path is in use, a chip does not give the baud rate, or the
+        UsageError: an effect or fault is unknown; a pty path is in use; a chip does not give the baud rate, or the
             rig's board is not made for it.
         InstallError: a compiler or simulator is asked for and missing.
         ServiceError: a TCP port is in use, or the compiler fails.

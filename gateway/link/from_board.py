@@ -91,8 +91,8 @@ class FromBoard:
         if self.states_missing(now_s):
             return (
                 "no-states",
-                f"The board answers, but no STATE has come for {self._states_limit_s():g} s although its stream is on:"
-                " its firmware or the line from it is disturbed.",
+                f"The board answers, but no STATE has arrived for {self._states_limit_s():g} s although its stream is"
+                " on. Its firmware or the line from it is disturbed.",
             )
         return None
 

@@ -1,12 +1,12 @@
 """Runs one `board51` command as a child of another: `python -m gateway.processes.child opcua --listen ...`.
 
 It ends when its standard input closes, which happens when its parent ends for any reason.  It runs at a lower priority
-than its parent (NICER, and never in real time, as a gateway may run), unless the first word is SAME_PRIORITY.  It is a
+than its parent (NICER), unless the first word is SAME_PRIORITY, and never in real time, as a gateway may.  It is a
 new interpreter and not a fork of a multi-threaded parent.
 
-Its main thread writes a byte every BEAT_S to the descriptor in the environment (BEAT_VARIABLE): from a signal
-handler, which Python runs there and nowhere else.  A process that is stopped, or whose main thread hangs in a call,
-falls silent.
+Its main thread writes a byte every BEAT_S to the descriptor in the environment (BEAT_VARIABLE).  It does so
+in a signal handler, which Python runs there and nowhere else.  A process that is stopped, or whose main thread hangs
+in a call, falls silent.
 """
 
 from __future__ import annotations

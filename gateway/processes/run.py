@@ -88,8 +88,8 @@ def finish(process: Process, out: Path, name: str, *, good: tuple[int, ...], lim
         code = process.wait(timeout=limit_s)
     except subprocess.TimeoutExpired:
         raise ServiceError(
-            f"board51 {name} is not done after {limit_s:.0f} s more",
-            remedy=f"What it did so far is in {path}; run it alone on the same campaign",
+            f"board51 {name} has not ended after {limit_s:.0f} s more",
+            remedy=f"Its output so far is in {path}; run it alone on the same campaign",
         ) from None
     _check(code, good, name, path.read_text(encoding="utf-8", errors="replace").splitlines(), path)
     return code
@@ -99,7 +99,7 @@ def _check(code: int, good: tuple[int, ...], name: str, lines: list[str], path: 
     if code not in good:
         raise ServiceError(
             f"board51 {name} ended with exit code {code}: {lines[-1] if lines else 'it said nothing'}".rstrip("."),
-            remedy=f"All it said is in {path}",
+            remedy=f"Its output is in {path}",
         )
 
 

@@ -62,7 +62,7 @@ class _Keeper:
         self.name = service.name
         self._command = (service.name, *service.arguments)
         self._output = service.output
-        self._where = f" (what it said is in {service.output})" if service.output else ""
+        self._where = f" (its output is in {service.output})" if service.output else ""
         self._stop = threading.Event()
         self._lock = threading.Lock()  # a stop must not slip between a look at it and a start
         self._process: Process | None = None

@@ -4,8 +4,8 @@ Differences from the recording:
 
 - Recorded answers are removed: they contain the ids of recorded commands, and could be taken for answers to new
   commands.  Everything else is sent byte for byte, including damaged frames and noise.
-- HELLO, GET_PARAMETERS and PING are answered as the board answered in the log (the newest answer at that place, or the
-  one after a reset), with the new id and the tick that the stream has reached.
+- HELLO, GET_PARAMETERS and PING get the board's answer of the log: the newest one at that time, or the one after a
+  reset.  It has the new id and the tick that the stream has reached.
 - All other commands are refused with NACK NOT_AVAILABLE: a recording cannot be influenced.
 """
 

@@ -220,7 +220,7 @@ class Recorder:
             text = f"{lost.path.name} was deleted while it was written: its {lost.messages} messages are lost"
         else:
             lost.close()
-            text = f"{lost.path.name} was moved or replaced while it was written; it was completed at its new place"
+            text = f"{lost.path.name} was moved or replaced while it was written; it was completed at its new path"
         self._publish_event("log-removed", "fault", f"{text}. Logging goes on in a new part.")
         self._open_part()
 

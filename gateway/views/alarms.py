@@ -7,11 +7,12 @@ An alarm is active (the condition holds) and acknowledged (an operator has seen 
     goes:          not active, not acknowledged      listed until acknowledged: it happened
     both:          not active, acknowledged          not listed
 
-Rule 1: it comes again after it went: not acknowledged again, `times` counts.  What is only repeated on the bus (for who
-        comes late) is no coming: it changes nothing here, or fills in what was missed, with its first time.
+Rule 1: an alarm that comes again needs a new acknowledgement; `times` counts.  A repetition on the bus, for views that
+        joined late, does not count as coming again.  It changes nothing here, or adds what was missed with its first
+        time.
 Rule 2: one alarm for each name of a board; the latest text and value are shown.
-Rule 3: memory is bounded: names come from the bus, so beyond MAX_ALARMS the oldest alarm that is gone is dropped, then
-        the newest is refused.
+Rule 3: memory is bounded, because names come from the bus.  Beyond MAX_ALARMS the oldest alarm that is gone is dropped;
+        if none is gone, the new alarm is refused.
 Rule 4: times are from the clock of the source: gateway, twin, or this host for conditions that the views detect.
 Rule 5: an acknowledgement from any view applies to earlier alarms only; an alarm that is raised again needs a new one.
 Rule 6: `revision` rises with each change that a screen would show.

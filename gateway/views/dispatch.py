@@ -2,8 +2,8 @@
 
 Rule 1: acts have threads of their own (ACTS), STOP has others (STOPS).  Neither waits for the view's reading and
         drawing, and STOP never waits for an act.
-Rule 2: whether an act is still wanted is judged when its thread begins it, not when it comes.  It is given up when it
-        has waited for longer than FRESH_S, when its client has left, or when a STOP of its rig has come since.
+Rule 2: whether an act is still wanted is judged when its thread begins it, not when it arrives.  It is given up
+        after FRESH_S, if its client has left, or if a STOP of its rig has arrived since.
 Rule 3: an act is dated by its arrival at the view.  The gateway compares this date with the last STOP that it received
         (link/command_handler.py), so a STOP of another view gives it up, too.
 """
@@ -76,11 +76,11 @@ class Dispatch:
     def _refuse_outdated(self, wish: Wish) -> pb.CommandReply | None:
         if wish.board and self._last_stop_s(wish.board) >= wish.arrived_s:
             return self._refusal(
-                "superseded-by-stop", "A STOP of this rig came before this command was sent; nothing was done."
+                "superseded-by-stop", "A STOP of this rig arrived before this command was sent. Nothing was done."
             )
         age_s = time.monotonic() - wish.arrived_s
         if wish.has_left or age_s > FRESH_S:
-            text = f"The command was delayed by {age_s:.1f} s; nothing was done. Repeat it if it is still needed."
+            text = f"The command was delayed by {age_s:.1f} s. Nothing was done. Repeat it if it is still needed."
             return self._refusal("not-fresh", text)
         return None
 

@@ -11,14 +11,14 @@
     feed.acknowledge("rig1", "divergence-x", who="eva", role="operator")           a command too: all views and the log
     feed.command("rig1", pb.Command(stop=pb.Stop()), who="eva", role="operator")    blocks up to 5 s: use a thread
 
-Rule 1: views poll the feed.  zenoh's thread receives the messages and runs no code of a view, so a slow view only falls
-        behind itself (a tap keeps the newest bins) and stalls neither router nor gateway.
+Rule 1: views poll the feed.  zenoh's thread receives the messages and runs no code of a view.  So a slow view only
+        falls behind itself (a tap keeps the newest bins); it stalls neither router nor gateway.
 Rule 2: age is measured by this process's monotonic clock, never by time stamps of others.
 Rule 3: messages that are malformed, of unknown type or beyond the number of boards are counted (`refused`); no error is
         raised.
 Rule 4: a board is known by messages of its gateway; those of the twin alone make none.
-Rule 5: what a replay sends is marked (protocol/bus/encoding.py).  A feed takes either what is live or what is replayed,
-        so a replay is never shown as a rig, and is never among the rigs of STOP.
+Rule 5: what a replay sends is marked (protocol/bus/encoding.py).  A feed takes either live or
+        replayed messages.  So a replay is never shown as a rig, and is never among the rigs of STOP.
 Rule 6: `feed.now_ns()` stamps alarms that the views raise themselves; samples have the time stamp of the gateway.
 """
 
@@ -297,8 +297,8 @@ class Feed:
         """Acknowledge an alarm by a command, so that every view and the log receive it; blocks like `command`.
 
         If there is no such alarm, the reply is refused by "view" with the reason "no-alarm".  Without a gateway the
-        acknowledgement counts in this view only, and `text` says so: an operator must be able to silence the alarm that
-        reports the missing gateway.
+        acknowledgement counts in this view only, and `text` says so.  An operator must be able to silence the alarm
+        that reports the missing gateway.
         """
         feed = self._boards.get(board)
         if feed is None or not feed.waits(alarm):

@@ -1,8 +1,8 @@
 """Serves the bus as a live Foxglove WebSocket: the same topics, bytes and schemas as in the MCAP logs.
 
 Rule 1: it is read-only: no parameters, no services, no messages from clients.
-Rule 2: messages are passed on unchanged (those of `states` one by one, as `state`), with the time stamps of the
-        gateway, as in its log.
+Rule 2: messages are passed on unchanged, with the time stamps of the gateway, as in its log.  Those of `states` are
+        passed on one by one, as `state`.
 Rule 3: the protocol has no login, so the server listens on loopback only, unless `--insecure` is given.
 Rule 4: a client that does not read loses only its own messages (`BACKLOG`).
 """

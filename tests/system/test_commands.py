@@ -86,7 +86,7 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
         (["twin", "--model", "absent.json"], "absent.json"),
         (["twin", "--hand-over", "absent.json"], "absent.json"),
         (["plot", "absent.mcap", "--out", "p.png", "--span", "5:2"], "is not FROM:TO"),
-        (["demo", "--out", "/proc/no/folder"], "/proc/no/folder is no folder"),
+        (["demo", "--out", "/proc/no/folder"], "/proc/no/folder is not a folder"),
         (["plot", "absent.mcap", "--out", "p.png"], "absent.mcap"),
         (["bench", "nothing"], "nothing"),
         (["emulate", "--effect", "magic=1"], "magic"),

@@ -29,7 +29,7 @@ NOT_BEGINNINGS = re.compile(
     r"|At|On|Into|After|Before|It|Its|This|These|Both|Same|Like|Until|While|Between|About|Over|Under|Here|There"
     r"|Nothing|More|Less|Such|Also|Done|Said|Told|Found)\b"
 )
-MAX_BEGINNINGS = {"protocol": 0, "gateway": 7, "twin": 200}
+MAX_BEGINNINGS = {"protocol": 0, "gateway": 0, "twin": 200}
 
 
 def trees(package: str) -> Iterator[tuple[str, ast.Module]]:

@@ -3,7 +3,7 @@
     board = AvrBoard(EmulatedPlant(), board_id=1)
 
 Rule 1: time is that of the chip's cycles.  The plant follows in its own steps of 20 us, whenever the chip begins
-        a conversion or changes u_c: a reading is that of its instant, and converters and bus take the chip's time.
+        a conversion or changes u_c.  A reading is that of its instant, and converters and bus take the chip's time.
 Rule 2: nothing of the firmware is here.  What a fault does, it does to the chip: power, program counter, EEPROM, pins.
 """
 

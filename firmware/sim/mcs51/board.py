@@ -6,8 +6,8 @@ Rule 1: every rule of protocol/README.md is run by the chip, instruction by inst
         of it: the rig, the crystal, the content of its data memory.
 Rule 2: the rig's time is the chip's.  It is advanced to each conversion and each change of the output, in its steps
         of 20 us; a change of the input leads by less than one.
-Rule 3: one `tick` is T_s by the chip's own timer, and begins just before its loop does: so each has one run of the loop
-        and one STATE.  The first after a boot is longer, as the chip finds its phase in it.
+Rule 3: one `tick` is T_s by the chip's own timer.  It begins just before the chip's loop does, so each tick has one run
+        of the loop and one STATE.  The first after a boot is longer, as the chip finds its phase in it.
 """
 
 from __future__ import annotations

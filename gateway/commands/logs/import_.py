@@ -28,9 +28,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "file", type=Path, nargs="?", metavar="FILE", help="CSV, CSV.GZ, MAT or PARQUET; not with --campaign"
     )
     parser.add_argument("--campaign", type=Path, help="campaign.toml or its folder: import its recordings")
-    parser.add_argument("--only", action="append", metavar="FILE", help="of the campaign, this recording; repeatable")
     parser.add_argument(
-        "--data", type=Path, metavar="DIR", help="where recordings lie that are not beside the campaign"
+        "--only", action="append", metavar="FILE", help="import only this recording of the campaign; repeatable"
+    )
+    parser.add_argument(
+        "--data", type=Path, metavar="DIR", help="folder of recordings that are not beside the campaign"
     )
     parser.add_argument("-o", "--out", type=Path, required=True, help="MCAP file; with --campaign a directory")
     parser.add_argument(
@@ -38,12 +40,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="CHANNEL=COLUMN[,scale=S][,offset=O][,table=R:V;R:V...]",
-        help="where a channel is; unmapped ones are looked for under their own names",
+        help="column of a channel; a channel without --map is searched under its own name",
     )
-    parser.add_argument("--kind", choices=KINDS, help="default: closed-loop where x_ref is mapped, else free")
+    parser.add_argument("--kind", choices=KINDS, help="default: closed-loop if x_ref is mapped, else free")
     parser.add_argument("--board", help="name in the log; default: the plant's, or 'imported'")
     parser.add_argument("--site", default=DEFAULT_SITE)
-    parser.add_argument("--json", action="store_true", help="print the account as JSON")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.epilog = (
         "examples:\n"
         "  board51 import run.csv -o run.mcap --map t=t_s --map i_c=i1_A --map x=gap_m,scale=-1,offset=0.02\n"
@@ -93,7 +95,8 @@ def _import_campaign(args: argparse.Namespace) -> Iterator[ImportReport]:
     single = args.out.suffix == ".mcap"
     if single and len(tables) != 1:
         raise UsageError(
-            f"-o {args.out} is one file, the recordings are {len(tables)}", remedy="Give a directory, or use --only"
+            f"-o {args.out} is one file, but there are {len(tables)} recordings",
+            remedy="Give a directory, or use --only",
         )
     if not single:
         make_folder(args.out)

@@ -29,10 +29,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--prefix", default="bus", help="first part of the file names (default bus)")
     parser.add_argument("--board", default="*", help="only this board")
-    parser.add_argument("--rotate-mb", type=float, default=500.0, help="a larger part is closed (default 500)")
-    parser.add_argument("--rotate-s", type=float, default=3600.0, help="an older part is closed (default 3600)")
-    parser.add_argument("--seconds", type=float, help="stop after so long")
-    parser.add_argument("--json", action="store_true", help="print the account as JSON")
+    parser.add_argument("--rotate-mb", type=float, default=500.0, help="close a part of this size (default 500)")
+    parser.add_argument("--rotate-s", type=float, default=3600.0, help="close a part after this time (default 3600)")
+    parser.add_argument("--seconds", type=float, help="stop after this time")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.epilog = "example:\n  board51 record -o logs --connect tcp/127.0.0.1:7447"
 
 

@@ -19,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("broken", type=Path, metavar="BROKEN", help="the MCAP file to save")
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="CLEAN", help="the MCAP file to create")
-    parser.add_argument("--json", action="store_true", help="print the account as JSON")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.epilog = "example:\n  board51 recover logs/board51-20260101T120000Z-003.mcap -o clean.mcap"
 
 
@@ -52,7 +52,7 @@ def _as_text(result: Recovery) -> str:
         if result.seconds_lost is not None:
             lines.append(f"  {result.seconds_lost:.3f} s of data after the last message saved")
     elif not result.was_finished:
-        lines.append("the file lacked its end, nothing in it was damaged; what its writer still held is gone")
+        lines.append("the file has no end, but nothing in it is damaged; the data that its writer still held is lost")
     else:
         lines.append("the file was complete: nothing lost")
     if result.messages_unidentified:

@@ -34,7 +34,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     names = [topic.name for topic in topics.TOPICS if topic.bus and topic.logged]
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an MCAP file, or the parts of one log")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="N", help="times real time; 0: as fast as possible")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="N", help="multiple of real time; 0: as fast as possible"
+    )
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="from the first message of the log")
     parser.add_argument("--end", type=float, metavar="S", help="the same")
     parser.add_argument("--board", action="append", help="only this board; repeatable")
@@ -45,14 +47,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     bus.add_argument("--insecure", action="store_true", help="--listen on the network without protection")
     bus.add_argument("--topic", action="append", choices=names, metavar="TOPIC", help=f"of: {', '.join(names)}")
     bus.add_argument("--as", dest="rename", metavar="NAME", help="publish the board under this name")
-    bus.add_argument("--as-site", metavar="SITE", help="publish under this site: what is replayed cannot pass for live")
-    bus.add_argument("--loop", action="store_true", help="again and again; each pass has its own session numbers")
-    bus.add_argument("--wait", type=float, default=2.0, metavar="S", help="for a subscriber, then begin (default 2)")
+    bus.add_argument("--as-site", metavar="SITE", help="publish under this site, so that a replay cannot pass for live")
+    bus.add_argument("--loop", action="store_true", help="repeat without end; each pass has its own session numbers")
+    bus.add_argument(
+        "--wait", type=float, default=2.0, metavar="S", help="wait so long for a subscriber, then begin (default 2)"
+    )
     raw = parser.add_argument_group("as a board")
     raw.add_argument("--bytes", action="store_true", help="the raw bytes of the UART")
-    raw.add_argument("--pty", type=Path, metavar="PATH", help="link to make to a new pty")
+    raw.add_argument("--pty", type=Path, metavar="PATH", help="make a new pty, and this link to it")
     raw.add_argument("--tcp", metavar="HOST:PORT", help="port to open; the gateway's URL is socket://HOST:PORT")
-    parser.add_argument("--json", action="store_true", help="print the account as JSON")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.epilog = (
         "examples:\n"
         "  board51 replay run.mcap --speed 10\n"
@@ -148,7 +152,7 @@ def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
     from gateway.record.byte_replay import RecordedBoard
 
     if (args.pty is None) == (args.tcp is None):
-        raise UsageError("--bytes needs a place to go", remedy="Give --pty PATH or --tcp HOST:PORT")
+        raise UsageError("--bytes needs a destination", remedy="Give --pty PATH or --tcp HOST:PORT")
     if args.loop or args.rename or args.topic or args.connect or args.listen:
         raise UsageError("--bytes does not go with the options of the bus", remedy="Leave those out")
     reader = LogReader(args.logs)

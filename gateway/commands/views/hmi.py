@@ -37,19 +37,35 @@ def configure(parser: argparse.ArgumentParser) -> None:
         security="https, logins, and the page's identity on the bus",
         insecure="listen beyond loopback without --security",
     )
-    parser.add_argument("--users", type=Path, metavar="FILE", help="logins alone, without https: on loopback only")
-    parser.add_argument("--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="of the gateway (logs)")
+    parser.add_argument("--users", type=Path, metavar="FILE", help="logins without https, on loopback only")
     parser.add_argument(
-        "--data", type=Path, default=Path("hmi-data"), metavar="DIR", help="for recordings and campaigns (hmi-data)"
+        "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="logs of the gateway (default logs)"
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        default=Path("hmi-data"),
+        metavar="DIR",
+        help="folder for recordings and campaigns (default hmi-data)",
     )
     parser.add_argument(
         "--reports", type=Path, action="append", default=[], metavar="DIR",
         help="a folder below which `board51 diagnose` writes; repeatable (diagnosis, and that of --data)",
     )  # fmt: skip
     parser.add_argument(
-        "--idle-min", type=float, default=30.0, metavar="MIN", help="a session ends without an act (30)"
+        "--idle-min",
+        type=float,
+        default=30.0,
+        metavar="MIN",
+        help="a session ends after this time without an action (default 30)",
     )
-    parser.add_argument("--session-h", type=float, default=12.0, metavar="H", help="and after this time anyway (12)")
+    parser.add_argument(
+        "--session-h",
+        type=float,
+        default=12.0,
+        metavar="H",
+        help="a session ends after this time in any case (default 12)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

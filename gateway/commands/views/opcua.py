@@ -43,13 +43,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--history",
         type=float,
         metavar="S",
-        help="how far back, 10 to 3600 s (300)",
+        help="length of the history, 10 to 3600 s (300)",
     )
     parser.add_argument(
         "--anonymous",
         choices=("off", "viewer", "operator", "engineer"),
-        help="what a client without a name may do: with --security off; else on loopback engineer, as everybody on an "
-        "unguarded bus, and viewer where others reach it or the bus has roles",
+        help="role of a client without a name (default: off with --security; viewer if others reach the server or the "
+        "bus has roles; else engineer)",
     )
     parser.add_argument(
         "--export-nodeset", metavar="FILE", type=Path, help="write the types as a NodeSet2 file and end"

@@ -4,8 +4,8 @@ Rule 1: a signal is its offset plus a shape; the shape never exceeds +-amplitude
         holds for every tick.
 Rule 2: the fields of the command determine all counts: the same command gives the same signal.
 
-Multisine: harmonic h has amplitude 1 and phase -h(h-1)/16 of a turn (Schroeder), the low 7 bits of the seed flip the
-signs of harmonics 2..8, the upper bits shift the signal in time.  So a seed has one of 128 peaks, which a firmware
+Multisine: harmonic h has amplitude 1 and phase -h(h-1)/16 of a turn (Schroeder).  The low 7 bits of the seed flip the
+signs of harmonics 2..8; the upper bits shift the signal in time.  So a seed has one of 128 peaks, which a firmware
 keeps in a table; finding the peak of an arbitrary choice of phases would take it several ticks.
 """
 

@@ -4,10 +4,12 @@ Rule 1: everything the board itself works with is an integer count; the SI numbe
         the build that computed the counts.
 Rule 2: a converter's count is the nearest one, so that `offset + lsb * count` has no bias.
 
-Gains: an LQI design with u = u_0 - K [i_c - i_0, x - x_0, x', sum of (x_ref - x) T_s], K in V/A, V/m, V s/m, V/(m s),
-for the measured CE 152 at x = 2.85 mm.  Linearised there the rig has x'' = 3700 s^-2 x + 30.5 m/s^2/A i and
-i = 0.297 A/V u: K puts the fast pair at about 108 rad/s with damping 0.7 and the integral at 14 rad/s, in a
-loop sampled at 500 Hz.
+Gains: an LQI design for the measured CE 152 at x = 2.85 mm, in a loop sampled at 500 Hz:
+
+    u = u_0 - K [i_c - i_0, x - x_0, x', sum of (x_ref - x) T_s]     K in V/A, V/m, V s/m, V/(m s)
+    x'' = 3700 s^-2 x + 30.5 m/s^2/A i,  i = 0.297 A/V u             the rig, linearised there
+
+K puts the fast pair at about 108 rad/s with damping 0.7, and the integral at 14 rad/s.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The control law on the board, in counts and integers: rule 9 of protocol/README.md, eq. (16)-(19) of the paper.
 
-Format: gains are 16-bit mantissas with a right shift, deviations 16-bit, the integral a saturating 24-bit integer,
-products 32 and 40 bits, the accumulator 32 bits with 8 fraction bits (Q23.8).
+Format: gains are 16-bit mantissas with a right shift; deviations have 16 bits.  The integral is a saturating 24-bit
+integer.  Products have 32 and 40 bits, the accumulator 32 bits with 8 fraction bits (Q23.8).
 
 Error against the same law in floating point, over 20 000 states of the working range (test_firmware_law.py):
 

@@ -1,9 +1,9 @@
 """The board of a MagnetoShield (R3, R4) on an Arduino Uno: scalings, gains, limits, and the tables of its converters.
 
-IDENTITY's scalings are linear, and neither the Hall sensor nor the coil's driver is.  So two tables of 65 entries with
-straight lines between them turn codes of the converter of A3 into counts of x, and counts of u_c into codes of the
-MCP4725.  They are made here from a calibration (`HallCurve`, `DRIVER`), and `firmware/avr/magnetoshield.h` holds the
-same numbers for the chip.  Where the numbers are from: firmware/magnetoshield.md.
+IDENTITY's scalings are linear, and neither the Hall sensor nor the coil's driver is.  So two tables of 65 entries, with
+straight lines between them, convert.  One turns codes of the converter of A3 into counts of x.  The other turns counts
+of u_c into codes of the MCP4725.  They are made here from a calibration (`HallCurve`, `DRIVER`);
+`firmware/avr/magnetoshield.h` holds the same numbers for the chip.  firmware/magnetoshield.md has their origin.
 
 Gains: linearised at x = 2.5 mm the magnet has x'' = 2706 s^-2 x - 65 s^-1 x' + 2.39 m/s^2/V u.  K puts the fast pair at
 about 90 rad/s with damping 0.8 and the integral at 10 rad/s, in a loop sampled at 500 Hz.

@@ -8,15 +8,15 @@ F_m = m g, so eq. (3) asks for i = sqrt(m g / K_c) (x_max - x).  The points do l
 
     i = 120.36 A/m * (gap + 2.438 mm),    gap = travel - x,
 
-but that line does not pass through zero at the stop: the force acts as if its pole, the effective plane of the coil,
-were 2.438 mm above the highest position of the ball.  Eq. (3) with x_max = travel forces the line through zero: the
-ratio of current and gap, one number if it held, doubles from the first point to the last.  With the plane as a second
-number, slope and intercept give
+but that line does not pass through zero at the stop.  The force acts as if its pole, the effective plane of the coil,
+were 2.438 mm above the highest position of the ball.  Eq. (3) with x_max = travel forces the line through zero.  Then
+the ratio of current and gap would be one number, but it doubles from the first point to the last.  With the plane as a
+second number, slope and intercept give
 
     K_c = m g / (120.36 A/m)^2 = 5.607e-6 N m^2/A^2,    d = 2.438 mm.
 
-A physical reading: the ball's pole is its centre and the winding starts behind a bottom plate, so the distance that
-matters is never zero, even where ball and housing touch.
+A physical reading: the ball's pole is its centre, and the winding starts behind a bottom plate.  So the distance that
+matters is never zero, even if ball and housing touch.
 """
 
 from __future__ import annotations

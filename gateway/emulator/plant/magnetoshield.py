@@ -13,7 +13,7 @@ Constants, and where they are from, are in firmware/magnetoshield.md.  In short:
     driver     code = 1.4135 u^3 - 15.407 u^2 + 389.27 u - 11.761   code of the MCP4725 for the coil's voltage u
 
 Rule 1: force, coil and effects are those of `physics.py`, with a permanent magnet and the power 4 of the gap.
-Rule 2: effects on the position sensor act on x before the field is made of it: a lag or an offset of the real position.
+Rule 2: effects on the position sensor act on x before the field is computed: a lag or an offset of the real position.
         Their named strengths (weak, medium, strong) are those of the CE 152.
 """
 

@@ -23,6 +23,7 @@ from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
+from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.errors import Board51Error
@@ -134,12 +135,12 @@ class Actions:
 
     def _sent(self, session: LoginSession, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
         if self.feed.board(board) is None:
-            return refusal("no-board", f"No message has come from a board {board[:32]!r}.")
+            return refusal("no-board", text_of("refusal.no_board", board=repr(board[:32])))
         try:
             return send(session.name, self.role(session).word)
         except Exception as error:  # a bus that closed under us must not look like an accepted command
             _logger.warning("command of %s to %s: %s", session.name, board, error)
-            return refusal("not-delivered", f"The bus did not accept the command: {error}.")
+            return refusal("not-delivered", text_of("refusal.not_delivered", error=error))
 
     def acknowledge(self, session: LoginSession, board: str, alarm: str, *, issued_ns: int = 0) -> pb.CommandReply:
         """Acknowledge an alarm."""
@@ -158,12 +159,8 @@ class Actions:
         if refused is not None:
             return refused
         if self.feed.remove(board):
-            return pb.CommandReply(
-                accepted=True, text=f"{board[:32]} is removed from the pages until its next message."
-            )
-        return refusal(
-            "in-use", f"A rig can be removed only if nothing has arrived from it for {UNSEEN_S / 60:g} minutes."
-        )
+            return pb.CommandReply(accepted=True, text=text_of("refusal.removed", rig=board[:32]))
+        return refusal("in-use", text_of("refusal.rig_in_use", minutes=f"{UNSEEN_S / 60:g}"))
 
     def gains(self, board: str, data: bytes) -> tuple[pb.SetGains, list[dict[str, str]]]:
         """Return what a file of gains would set on a board, and the table that shows it.
@@ -181,13 +178,13 @@ class Actions:
         name = slug(title)[:16] or "rec"
         words = ["record", "--out", str(self._data / "recordings"), "--prefix", f"{name}-{board}"[:32].rstrip("-_"),
                  "--board", board, *self._routes.live(ACCOUNT)]  # fmt: skip
-        return self.start_job(session, "recording", "record", board, words, title=title or "recording")
+        return self.start_job(session, "recording", "record", board, words, title=title or text_of("job_kind.record"))
 
     def start_replay(self, session: LoginSession, log: str, speed: float) -> pb.CommandReply:
         """A log onto the replay site, with everything that travelled on the bus."""
         entry = self.logs.find(log)
         if entry is None:
-            return refusal("no-log", "There is no such log.")
+            return refusal("no-log", text_of("refusal.no_log"))
         words = ["replay", str(entry.path), "--speed", f"{speed:g}", *self._routes.replayed(), *_EVERYTHING]
         return self.start_job(session, "read", "replay", "*", words, title=entry.name)
 
@@ -198,17 +195,17 @@ class Actions:
             return refused
         entry = self.logs.find(log)
         if entry is None:
-            return refusal("no-log", "There is no such log.")
+            return refusal("no-log", text_of("refusal.no_log"))
         if entry.name.startswith("campaigns/"):
-            return refusal("of-a-campaign", "This log belongs to a campaign, which cannot be diagnosed without it.")
+            return refusal("of-a-campaign", text_of("refusal.log_of_campaign"))
         if time.time() - entry.changed_s < WRITTEN_S:
-            return refusal("in-use", f"This log was written to in the last {WRITTEN_S:g} s.")
+            return refusal("in-use", text_of("refusal.log_in_use", seconds=f"{WRITTEN_S:g}"))
         try:
             entry.path.unlink()
         except OSError as error:
-            return refusal("failed", f"The log cannot be deleted: {error.strerror}.")
+            return refusal("failed", text_of("refusal.no_delete", error=error.strerror))
         _logger.info("%s deleted %s", session.name, entry.path)
-        return pb.CommandReply(accepted=True, text=f"{entry.name} was deleted.")
+        return pb.CommandReply(accepted=True, text=text_of("refusal.deleted", log=entry.name))
 
     def stop_job(self, session: LoginSession, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""
@@ -217,8 +214,8 @@ class Actions:
         if refused is not None:
             return refused
         if self.jobs.stop(kind, board):
-            return pb.CommandReply(accepted=True, text="The job is ending.")
-        return refusal("not-running", "No job of that kind is running.")
+            return pb.CommandReply(accepted=True, text=text_of("job.ending"))
+        return refusal("not-running", text_of("job.not_running"))
 
     def start_job(
         self, session: LoginSession, act: str, kind: str, board: str, words: list[str], *, title: str
@@ -228,7 +225,7 @@ class Actions:
         if refused is not None:
             return refused
         if board != "*" and self.feed.board(board) is None:
-            return refusal("no-board", f"No message has come from a board {board[:32]!r}.")
+            return refusal("no-board", text_of("refusal.no_board", board=repr(board[:32])))
         try:
             if kind != "replay":
                 self._data.mkdir(parents=True, exist_ok=True)
@@ -236,15 +233,15 @@ class Actions:
         except Board51Error as error:
             return refusal("busy", str(error))
         except OSError as error:
-            return refusal("failed", f"The job cannot be started: {error.strerror}.")
+            return refusal("failed", text_of("job.no_start", error=error.strerror))
         _logger.info("%s started a %s of %s: %s", session.name, kind, board, title)
-        return pb.CommandReply(accepted=True, text=f"{title}: started")
+        return pb.CommandReply(accepted=True, text=text_of("job.started", title=title))
 
     def _refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
         """Return the refusal, or None if the action is allowed.  An action restarts the idle time."""
         now_s = self._clock()
         if not self.sessions.is_open(session, now_s):
-            return refusal("session-over", "The session is over: log in again.")
+            return refusal("session-over", text_of("refusal.session_over"))
         self.sessions.acted(session, now_s)
         if not may(self.role(session), act):
             return refusal("not-allowed", refusal_text(session.name, session.role, act))

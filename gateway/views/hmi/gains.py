@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError
 from protocol.files import parse_json, parse_toml
@@ -60,7 +61,12 @@ def rows(gains: pb.SetGains, parameters: pb.Parameters | None) -> list[dict[str,
     same = parameters is not None and parameters.law == gains.law
     old = list(parameters.gains) if parameters is not None and same else []
     table = [
-        {"name": name, "new": f"{new:.6g}", "now": f"{old[n]:.6g}" if n < len(old) else "other law", "unit": unit}
+        {
+            "name": name,
+            "new": f"{new:.6g}",
+            "now": f"{old[n]:.6g}" if n < len(old) else text_of("gains.other_law"),
+            "unit": unit,
+        }
         for n, (name, unit, new) in enumerate(zip(NAMES[law], UNITS[law], gains.gains, strict=True))
         if name
     ]

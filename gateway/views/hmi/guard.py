@@ -25,6 +25,7 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
+from gateway.views.hmi.texts import text_of
 
 COOKIE = "board51_session"  # with the port: see `cookie_name`
 TOKEN_HEADER = "x-board51-token"
@@ -91,9 +92,9 @@ class Guard:
         answer: Response | None = None
         opened = None
         if not self._host_is_known(headers):
-            answer = refusal(421, "host", "This server serves this machine only: use http://127.0.0.1.")
+            answer = refusal(421, "host", text_of("refusal.host"))
         elif not reads and not self._same_origin(headers):
-            answer = refusal(403, "origin", "The request comes from a page of another origin.")
+            answer = refusal(403, "origin", text_of("refusal.origin"))
         elif session is None and not public:
             a_page = reads and "text/html" in headers.get("accept", "")
             if self._newcomer is not None and a_page:
@@ -102,18 +103,16 @@ class Guard:
                 over = cookie_name(headers.get("host", "")) in headers.get("cookie", "")
                 answer = RedirectResponse(login_for(path, over=over), status_code=303)
             else:
-                answer = refusal(401, "session", "Log in: there is no session, or it has ended.")
+                answer = refusal(401, "session", text_of("refusal.session"))
         elif (
             not public
             and (TOKEN_HEADER in headers or not reads)
             and not _bears_token(headers.get(TOKEN_HEADER, ""), session)
         ):  # a page of an earlier session also sends a token: it must reload
             status = 401 if reads else 403
-            answer = refusal(
-                status, "token", f"The request does not carry the token of this session in {TOKEN_HEADER}."
-            )
+            answer = refusal(status, "token", text_of("refusal.token", header=TOKEN_HEADER))
         if answer is None and _too_long(headers):
-            answer = refusal(413, "oversize", f"At most {MAX_BODY} bytes.")
+            answer = refusal(413, "oversize", text_of("refusal.oversize", bytes=MAX_BODY))
         send = self._with_headers(send, opened, headers.get("host", ""))
         if answer is not None:
             await answer(scope, receive, send)
@@ -122,7 +121,7 @@ class Guard:
         try:
             await self._app(scope, _bounded(receive), send)
         except ClientDisconnect:  # it went away in the middle of its body, or that was too long
-            await refusal(413, "oversize", f"At most {MAX_BODY} bytes.")(scope, receive, send)
+            await refusal(413, "oversize", text_of("refusal.oversize", bytes=MAX_BODY))(scope, receive, send)
 
     async def _websocket(
         self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: LoginSession | None

@@ -1,8 +1,8 @@
 """Jobs that a page starts (recordings, campaigns, diagnoses, replays ...), each a `board51` command in its own process.
 
-Rule 1: one job of a kind and board at a time; jobs end with this process, also after kill -9, and are interrupted as by
-        Ctrl-C, so that a campaign parks the ball and a recording closes its file.
-Rule 2: what a job says is kept, the newest LINES lines of it, each cut: whatever it says, memory is bounded.
+Rule 1: one job of a kind and board at a time.  Jobs end with this process, also after kill -9.  They are interrupted as
+        by Ctrl-C, so that a campaign parks the ball and a recording closes its file.
+Rule 2: memory is bounded: the newest LINES lines that a job prints are kept, each cut at WIDTH.
 Rule 3: arguments are a list, never a shell's line.
 """
 
@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from gateway.processes.command import Process, end, start
+from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
 from protocol.errors import UsageError
 
@@ -48,8 +49,8 @@ class Job:
         """Return the state of the job in words."""
         code = self.process.poll()
         if code is None:
-            return f"running for {time.monotonic() - self.began_s:.0f} s"
-        return "done" if code == 0 else f"ended with exit code {code}"
+            return text_of("job.running", seconds=f"{time.monotonic() - self.began_s:.0f}")
+        return text_of("job.done") if code == 0 else text_of("job.failed", code=code)
 
 
 class Jobs:
@@ -75,7 +76,7 @@ class Jobs:
         with self._lock:
             present = self._jobs.get((kind, board))
             if present is not None and present.running:
-                raise UsageError(f"A {kind} of {board} runs already, begun by {present.who}", remedy="Stop it first")
+                raise _busy(present)
             process = start(*words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=self._environment)
             job = Job(kind=kind, board=board, title=title, who=who, process=process, began_s=time.monotonic())
             self._jobs[(kind, board)] = job
@@ -104,6 +105,14 @@ class Jobs:
         end([job.process for job in self._jobs.values()], signal.SIGINT, END_S)
         for job in self._jobs.values():
             job.listener.join(1.0)
+
+
+def _busy(job: Job) -> UsageError:
+    if job.board == "*":
+        problem = text_of("job.busy_replay", who=job.who)
+    else:
+        problem = text_of("job.busy", kind=texts_of("job_kind")[job.kind], rig=job.board, who=job.who)
+    return UsageError(problem, remedy=text_of("job.busy_remedy"))
 
 
 def _listen(job: Job) -> None:

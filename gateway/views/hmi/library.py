@@ -1,7 +1,7 @@
 """Files that a page may show: logs, recordings and diagnosis reports, found by a scan of folders.
 
-Rule 1: a name from a browser is looked up among those found, never joined to a path: `../` and absolute names, links
-        out of the folder and hidden files are simply not there.
+Rule 1: a name from a browser is looked up among the files of the scan, never joined to a path.  So `../`, absolute
+        names, links out of the folder and hidden files do not exist for it.
 Rule 2: looking never changes a file; a file that vanishes in between is absent.
 """
 

@@ -1,7 +1,7 @@
 """Sends frames to a browser, 30 per second, as long as it reads them.
 
-Rule 1: the newest frame wins: a frame is made when the last one has gone out, so a slow browser gets fewer and memory
-        holds one.  Rows that it missed come with the next frame, as far as the ring of `traces.py` reaches.
+Rule 1: the newest frame wins.  A frame is made when the last one has gone out, so a slow browser gets fewer frames and
+        memory holds one.  Rows that it missed come with the next frame, as far as the ring of `traces.py` reaches.
 Rule 2: a browser that takes nothing for STUCK_S is cut off.
 Rule 3: a frame goes out only while the session is open.
 Rule 4: a frame says when it was made, by this server's clock: with it a page dates what it sends, see requests.py.

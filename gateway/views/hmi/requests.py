@@ -3,7 +3,7 @@
 POST /api/<board>/stop              no body; of <board> "*": every board; {"boards": {"rig": answer}} then
 POST /api/<board>/command           a Command as protobuf's JSON: {"set_reference": {"x_ref_m": 0.003}}
 POST /api/<board>/acknowledge       {"name": "divergence-x"}
-POST /api/<board>/gains             a file; the command and the table that it makes, nothing is sent to the board
+POST /api/<board>/gains             a file; returns its command and table, sends nothing to the board
 POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ...}, see _starts
 POST /api/*/delete                  {"log": "logs/NAME.mcap"}
 GET  /api/session                   the current user
@@ -42,6 +42,7 @@ from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.summaries import Summaries, departure
+from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
@@ -195,14 +196,14 @@ class Requests:
         """Return one MCAP file."""
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
-            return refusal(404, "no-log", "There is no such log.")
+            return refusal(404, "no-log", text_of("refusal.no_log"))
         return FileResponse(entry.path, media_type="application/octet-stream", filename=entry.path.name)
 
     async def report(self, request: Request) -> Response:
         """Return one report of a diagnosis."""
         entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
-            return refusal(404, "no-report", "There is no such report.")
+            return refusal(404, "no-report", text_of("refusal.no_report"))
         headers = {"content-security-policy": _REPORT_POLICY, "x-frame-options": "SAMEORIGIN"}
         return FileResponse(entry.path, media_type="text/html", headers=headers)
 
@@ -210,18 +211,20 @@ class Requests:
         """Return the summary of a log as text."""
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
-            return refusal(404, "no-log", "There is no such log.")
+            return refusal(404, "no-log", text_of("refusal.no_log"))
         text = await self._summaries.text(entry, departure(request))
-        return refusal(503, "busy", BUSY) if text is None else JSONResponse({"accepted": True, "text": text})
+        return (
+            refusal(503, "busy", text_of("library.busy"))
+            if text is None
+            else JSONResponse({"accepted": True, "text": text})
+        )
 
     async def login_form(self, request: Request) -> Response:
         """Return the login form."""
         if self._logins is None:
             return RedirectResponse("/", status_code=303)
         query = request.query_params
-        return _form(
-            "Your session is over: log in again." if "over" in query else "", local_page(query.get("next", "/"))
-        )
+        return _form(text_of("login.over") if "over" in query else "", local_page(query.get("next", "/")))
 
     async def login(self, request: Request) -> Response:
         """Check name and password, and open a session."""
@@ -234,10 +237,9 @@ class Requests:
         browser = self._actions.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
         user = await self._logins.login(name, password, host, browser=browser)
         if isinstance(user, TooMany):
-            message = f"Too many passwords from your address. Try again in {user.wait_s:.0f} s."
-            return _form(message, then, status=429)
+            return _form(text_of("login.too_many", seconds=f"{user.wait_s:.0f}"), then, status=429)
         if user is None:
-            return _form("The name or the password is wrong.", then, status=401)
+            return _form(text_of("login.wrong"), then, status=401)
         session = self._actions.sessions.open(user.name, user.role, time.monotonic())
         return RedirectResponse(
             then, status_code=303, headers={"set-cookie": self.guard.cookie(session, _host(request))}
@@ -252,8 +254,7 @@ class Requests:
     async def _act(self, request: Request, board: str, do: Callable[[LoginSession, Wish], pb.CommandReply]) -> Response:
         session, wish = _session(request), Wish(board=board, arrived_s=_made_s(request))
         if not abs(time.monotonic() - wish.arrived_s) <= FRESH_S:  # also NaN
-            text = "The network delayed it; nothing was done. Repeat it if it is still needed."
-            return refusal(409, "not-fresh", text)
+            return refusal(409, "not-fresh", text_of("refusal.not_fresh"))
 
         def leave(_: asyncio.Task[None]) -> None:
             wish.has_left = True
@@ -264,9 +265,6 @@ class Requests:
             return _answer(await self._dispatch.act(wish, lambda: do(session, wish)))
         finally:
             leaving.cancel()
-
-
-BUSY = "Other summaries are being read. Try again in a minute, or use `board51 info`."
 
 
 def _starts(
@@ -349,7 +347,7 @@ async def _json(request: Request) -> dict[str, object] | None:
 
 
 def _form(message: str, then: str, *, status: int = 200) -> HTMLResponse:
-    text = _LOGIN.read_text(encoding="utf-8")
-    for placeholder, words in (("{said}", message), ("{next}", then)):
-        text = text.replace(placeholder, html.escape(words, quote=True))
-    return HTMLResponse(text, status_code=status, headers={"cache-control": "no-store"})
+    values = {f"text_{name}": text for name, text in texts_of("login").items()} | {"message": message, "next": then}
+    escaped = {name: html.escape(value, quote=True) for name, value in values.items()}
+    page = _LOGIN.read_text(encoding="utf-8").format_map(escaped)
+    return HTMLResponse(page, status_code=status, headers={"cache-control": "no-store"})

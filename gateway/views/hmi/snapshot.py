@@ -17,21 +17,26 @@ from gateway.views.alarms import TWIN, Alarm
 from gateway.views.feed import BoardFeed
 from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.model.numbers import SPOKEN, in_numbers
+from gateway.views.hmi.texts import text_of, texts_of
 from gateway.views.hmi.traces import number
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import CAUSES
 from protocol.wire.messages import Flag
 
-MODES = {pb.MODE_IDLE: "idle", pb.MODE_OPEN_LOOP: "open loop", pb.MODE_CLOSED_LOOP: "closed loop"}
+MODES = {  # names of texts; static/hmi.js and stop.js compare with "idle"
+    pb.MODE_IDLE: "idle",
+    pb.MODE_OPEN_LOOP: "open loop",
+    pb.MODE_CLOSED_LOOP: "closed loop",
+}
 _FLAGS = {
-    Flag.FAULT: "FAULT",
-    Flag.HOST_LOST: "host lost",
-    Flag.POSITION_RANGE: "position clipped",
-    Flag.CURRENT_RANGE: "current clipped",
-    Flag.INPUT_SATURATED: "input saturated",
+    Flag.FAULT: "fault",
+    Flag.HOST_LOST: "host-lost",
+    Flag.POSITION_RANGE: "position-clipped",
+    Flag.CURRENT_RANGE: "current-clipped",
+    Flag.INPUT_SATURATED: "input-saturated",
     Flag.OVERRUN: "overrun",
 }
-COIL_IN_DOUBT = "COIL MAY BE ON"  # static/stop.js compares with it
+COIL_IN_DOUBT = "in-doubt"  # static/stop.js compares with it
 MAX_EVENTS = 30
 MAX_LINES = 12
 _GAPS = re.compile(r"\s{2,}")
@@ -59,7 +64,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
             "u_c_v": _if(state, "u_c_v"),
             "mode": MODES.get(state.mode, str(state.mode)),
             "coil": _coil(board, state),
-            "flags": [text for flag, text in _FLAGS.items() if state.flags & flag],
+            "flags": [name for flag, name in _FLAGS.items() if state.flags & flag],
         }
     twin, divergence = board.latest(pb.TwinState), board.latest(pb.Divergence)
     if divergence is None:
@@ -171,7 +176,7 @@ def _excitation(records: Sequence[pb.CommandRecord]) -> dict[str, Any] | None:
 def _coil(board: BoardFeed, state: pb.State) -> str:
     if board.fault() in COIL:
         return COIL_IN_DOUBT
-    return "coil off" if state.mode == pb.MODE_IDLE else "coil on"
+    return "off" if state.mode == pb.MODE_IDLE else "on"
 
 
 def _if(state: pb.State, name: str) -> float | None:
@@ -229,7 +234,9 @@ def _command(record: pb.CommandRecord) -> dict[str, Any]:
         "at": _clock(record.received_ns),
         "who": command.who,
         "what": describe(command),
-        "result": "accepted" if reply.accepted else f"refused by {reply.refused_by}: {reply.reason}",
+        "result": text_of("command.accepted")
+        if reply.accepted
+        else text_of("command.refused", by=reply.refused_by, reason=reply.reason),
         "accepted": reply.accepted,
         "text": reply.text,
     }
@@ -239,24 +246,29 @@ def describe(command: pb.Command) -> str:
     """A command in words."""
     match command.WhichOneof("what"):
         case "set_mode":
-            return f"mode {MODES.get(command.set_mode.mode, command.set_mode.mode)}"
+            mode = MODES.get(command.set_mode.mode, "")
+            return text_of("command.set_mode", mode=texts_of("mode").get(mode, command.set_mode.mode))
         case "set_reference":
-            return f"reference {command.set_reference.x_ref_m * 1e3:.3f} mm"
+            return text_of("command.set_reference", mm=f"{command.set_reference.x_ref_m * 1e3:.3f}")
         case "mark":
-            return f"mark {command.mark.text}"
+            return text_of("command.mark", text=command.mark.text)
         case "acknowledge":
-            return f"acknowledge {command.acknowledge.alarm}"
+            return text_of("command.acknowledge", alarm=command.acknowledge.alarm)
         case "set_gains":
             law = "PID" if command.set_gains.law == pb.LAW_PID else "LQI"
-            return f"gains {law} {', '.join(f'{gain:.4g}' for gain in command.set_gains.gains)}"
+            gains = ", ".join(f"{gain:.4g}" for gain in command.set_gains.gains)
+            return text_of("command.set_gains", law=law, gains=gains)
         case "excite":
             e = command.excite
-            shape = pb.Shape.Name(e.shape).removeprefix("SHAPE_").lower() if e.shape in pb.Shape.values() else e.shape
             if e.shape == pb.SHAPE_NONE:
-                return "end of the excitation"
-            return f"excitation {shape} " + (f"{e.duration_s:g} s" if e.duration_s else "until ended")
+                return text_of("command.excite_end")
+            name = pb.Shape.Name(e.shape).removeprefix("SHAPE_").lower() if e.shape in pb.Shape.values() else ""
+            shape = texts_of("shape").get(name, str(e.shape))
+            if not e.duration_s:
+                return text_of("command.excite", shape=shape)
+            return text_of("command.excite_for", shape=shape, seconds=f"{e.duration_s:g}")
         case None:
-            return "nothing"
+            return text_of("command.nothing")
         case what:
             return str(what).replace("_", " ")
 

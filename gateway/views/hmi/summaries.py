@@ -20,6 +20,7 @@ from starlette.requests import Request
 
 from gateway.processes.command import child_words
 from gateway.views.hmi.library import LibraryFile
+from gateway.views.hmi.texts import text_of
 
 LIMIT_S, CHARACTERS = 120.0, 100_000
 MEMORY = 2 << 30  # bytes of address space; an interpreter with its libraries takes a quarter of it
@@ -45,7 +46,7 @@ class Summaries:
         departed = asyncio.create_task(leaving)
         try:
             if entry.bytes > MAX_BYTES:
-                return f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info {entry.path}`."
+                return text_of("library.long_to_read", megabytes=f"{entry.bytes / 1e6:.0f}", path=entry.path)
             if self._count > WAITING:
                 return None
             self._count += 1
@@ -68,7 +69,7 @@ class Summaries:
                 async with asyncio.timeout(LIMIT_S):
                     data = await _up_to(process.stdout, CHARACTERS)
             except TimeoutError:
-                return f"It takes too long to read: use `board51 info {entry.path}`."
+                return text_of("library.too_long_to_read", path=entry.path)
         return data.decode("utf-8", errors="replace").replace(str(entry.path), entry.name)[:CHARACTERS]
 
 

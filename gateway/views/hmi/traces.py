@@ -1,12 +1,14 @@
 """The last seconds of one board as rows for a plot: min / max bins of measured, twin and divergence.
 
-Any number of readers follow with a cursor of their own: a slow one falls behind in this one ring, not in memory of its
-own, and gets what it missed as long as the ring holds it.
+Any number of readers follow with a cursor of their own.  A slow one falls behind in this one ring, not in memory of its
+own.  It gets the rows that it missed as long as the ring holds them.
 
-A row is a list, so that 30 of them a second stay small:
+A row is a list, so that 30 of them a second stay small.
+
     ["s", session, t_s, x low, x high, x_ref, i_c low, i_c high, u_c low, u_c high]     state; m, A, V
     ["t", session, t_s, x low, x high, i_c low, i_c high]                                twin
     ["d", session, t_s, x error low, x error high, NIS mean]                             divergence; errors in sigma
+
 A value that does not exist is null.
 """
 

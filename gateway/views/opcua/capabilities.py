@@ -1,8 +1,8 @@
 """Capabilities of the server under Server/ServerCapabilities.
 
-Rule: a profile is listed when what it asks of a server is done and tested.  Not listed: core and subscription facets
-      (asyncua ignores the largest number of references of a Browse and marks no queue that has run over), and the one
-      for event filters (asyncua has no LIKE).
+Rule: a profile is listed when everything that it demands of a server works and is tested.  Core and subscription facets
+      are not listed: asyncua ignores the largest number of references of a Browse, and marks no queue that has
+      overflowed.  Nor is the facet of event filters, because asyncua has no LIKE.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Rule 1: a deadband is relative to the last value sent, so that a slow drift is reported, too; a change of status is
         always reported (Part 4, 7.22.2).
-Rule 2: the sampling interval that is promised is the one that is served: whole intervals of the server, of which the
-        others are left out.  A change of status is not left out, nor any minimum or maximum: a spike would be lost.
+Rule 2: the promised sampling interval is the one that is served: whole intervals of the server; those between are left
+        out.  A change of status is never left out, nor a minimum or maximum: a spike would be lost.
 Rule 3: no value or filter of a client raises an error: it would end the service for all clients.
 """
 

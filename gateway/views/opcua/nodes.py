@@ -3,7 +3,7 @@
 Rule 1: only subscribed values are made at the rate; all others are made when they are read.
 Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
 Rule 3: a status is judged at the moment of reading or sending, never stored.  After an outage it is good again with the
-        first interval since, not with the first sample: until then the value is the one from before.
+        first complete interval, not with the first sample.  Until then the value is the one from before.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The requests of one OPC UA connection: a request that waits for a board delays no other.
 
 asyncua handles the requests of a connection one after the other.  A write to a board that does not answer takes
-seconds, and a STOP behind it would wait as long: a SCADA system has one connection for all of its rigs.
+seconds, and a STOP behind it would wait as long.  A SCADA system has one connection for all of its rigs.
 """
 
 from __future__ import annotations

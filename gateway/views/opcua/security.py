@@ -1,7 +1,7 @@
 """Certificate, key and users of a secured server, from the folder that `board51 security init` made.
 
-A client application must show a certificate that the plant's authority signed, or one that lies in
-`opcua/trusted/` (PEM or DER): SCADA systems bring their own.  A person logs in with name and password, or with the
+A client application must show a certificate that the plant's authority signed, or one in `opcua/trusted/` (PEM or DER).
+SCADA systems bring their own.  A person logs in with name and password, or with the
 certificate of their identity, whose common name is theirs; the role is that of users.toml in either case.
 """
 

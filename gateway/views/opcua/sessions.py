@@ -1,8 +1,8 @@
 """Users and rights of sessions: asyncua's server with additional security checks and limits.
 
-Rule 1: on a secured server a session without an encrypted channel is refused, whatever its credentials: asyncua
-        accepts an unencrypted channel even where no endpoint offers one.
-Rule 2: a session stays with its channel.  asyncua numbers its session tokens: a client that guesses one would get the
+Rule 1: on a secured server a session without an encrypted channel is refused, whatever its credentials.  asyncua
+        accepts an unencrypted channel even if no endpoint offers one.
+Rule 2: a session stays with its channel.  asyncua numbers its session tokens.  A client that guesses one would get the
         session and rights of another user before its own credentials are checked.
 Rule 3: nothing can be written but setpoints, nothing called but what `model.py` lists, nothing added to the space.
 Rule 4: every client gets a bounded service: sessions, logins, queues, bytes that it has not read; see subscriptions.py.

@@ -315,7 +315,7 @@ def test_init_makes_people_and_prints_each_password_once(tmp_path: Path, capsys:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["init", "{new}", "--user", "ana"], "names no role"),
+        (["init", "{new}", "--user", "ana"], "does not name a role"),
         (["init", "{new}", "--user", "ana:boss"], "'boss' is not a role. Write one of viewer, operator, engineer"),
         (["init", "{new}", "--user", "A B:viewer"], "is not a name"),
         (["init", "{old}"], "is not empty"),

@@ -88,7 +88,7 @@ def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(number: sign
     assert standings(table)["steps"] == "interrupted"
     assert table["interrupted"]
     assert table["parked"]
-    assert f"To go on: board51 campaign run {folder}" in err
+    assert f"To continue: board51 campaign run {folder}" in err
     assert "Traceback" not in err
     assert code == 0
     assert left == ["steps"]

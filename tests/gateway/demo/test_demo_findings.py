@@ -117,7 +117,7 @@ def test_a_right_model_leaves_nothing_to_speak_of(log: Log) -> None:
 
     _, said = found(log, before, after)
 
-    assert "What is left there is below 5 mA" in said
+    assert "The rest is below 5 mA" in said
 
 
 def test_a_flight_without_a_twin_is_said_so(log: Log) -> None:
@@ -152,5 +152,5 @@ def test_the_causes_of_a_diagnosis_are_named() -> None:
     none = conclusion(Diagnosis(verdict="model-adequate", sentence="The model is adequate."))
 
     assert named == "Cause: air-gap-offset (the coil sits 2.4 mm higher than in the model)."
-    assert part.endswith("no known cause explains.")
+    assert part.endswith("no known cause explains it.")
     assert none == "Cause: The model is adequate."

@@ -69,7 +69,7 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     assert stopped["ended"] is None
     assert steps_of(stopped, "performed")[0]["standings"]["wide-steps"] == "interrupted"
     assert "ball parked, coil off" in err
-    assert f"To go on: board51 investigate rig --out {folder}" in err
+    assert f"To continue: board51 investigate rig --out {folder}" in err
     assert "Traceback" not in err
 
     said = capsys.readouterr()

@@ -261,7 +261,7 @@ def _connect(port: int) -> socket.socket:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--bytes"], "needs a place to go"),
+        (["--bytes"], "needs a destination"),
         (["--bytes", "--tcp", "nowhere"], "is not an address"),
         (["--bytes", "--tcp", "127.0.0.1:9", "--loop"], "does not go with"),
     ],

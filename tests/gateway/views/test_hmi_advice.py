@@ -28,7 +28,7 @@ def texts(path: Path) -> Iterator[str]:
     """Strings of a source that are no documentation; what is put in at run time is X."""
     source = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
-        yield from (line for line in source.splitlines() if not line.lstrip().startswith(("//", "/*")))
+        yield from (line for line in source.splitlines() if not line.lstrip().startswith(("//", "/*", "#")))
         return
     tree = ast.parse(source)
     documentation = {
@@ -51,7 +51,7 @@ def sources() -> list[Path]:
     found = {
         path
         for folder in SHOWN
-        for kind in ("*.py", "static/*.js", "static/*.html")
+        for kind in ("*.py", "*.toml", "static/*.js", "static/*.html")
         for path in (ROOT / folder).glob(kind)
     }
     return sorted(found)
@@ -93,7 +93,7 @@ def test_the_page_names_no_option_without_its_command() -> None:
     """Whoever reads the page does not know which command's it is, or whether that was typed at all."""
     for path in (ROOT / OF_THE_PAGE).rglob("*"):
         if (
-            path.suffix not in (".py", ".js", ".html") or path.name == "app.py"
+            path.suffix not in (".py", ".toml", ".js", ".html") or path.name == "app.py"
         ):  # that one speaks to who typed its command
             continue
         for text in texts(path):

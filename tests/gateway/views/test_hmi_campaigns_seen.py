@@ -84,7 +84,7 @@ def test_a_campaign_that_failed_is_not_shown_in_place_of_a_result_and_an_interru
     expect(chosen).to_have_attribute("href", f"/model/rig?campaign={OLD}")
     rows = page.locator(".file", has=page.locator("a[href*='campaign=']"))
     expect(rows).to_have_count(3)
-    expect(rows.filter(has=page.get_by_role("button", name="Continue"))).to_contain_text("1 recordings, not finished")
+    expect(rows.filter(has=page.get_by_role("button", name="Continue"))).to_contain_text("1 recording, not finished")
 
     page.goto(f"/model/rig?campaign={FAILED}")
     expect(page.get_by_text("It has no recordings.").first).to_be_visible()
@@ -99,7 +99,7 @@ def test_an_assumed_plant_stands_beside_k_c_and_b(page: Page, served: tuple[Play
     expect(page.locator(".results").get_by_text(values)).to_be_visible()
     expect(page.locator(".work").get_by_text(values)).to_be_visible()
     expect(page.get_by_text("Nobody stated the plant of this rig")).to_be_visible()
-    expect(page.get_by_text("K_c and b of this answer hold for a published CE 152 only")).to_be_visible()
+    expect(page.get_by_text("K_c and b of this result hold for a published CE 152 only")).to_be_visible()
 
 
 def test_a_double_click_is_one_press_and_the_same_refusal_is_shown_once(page: Page) -> None:

@@ -171,7 +171,7 @@ def test_the_banner_never_says_what_samples_contradict(page: Page, bus: Bus, net
     assert "ON AGAIN: closed loop" in text
     expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
     page.keyboard.press("Escape")
-    expect(page.locator(SAID)).to_contain_text("coil off, says the sample of tick")
+    expect(page.locator(SAID)).to_contain_text("coil off (sample of tick")
     expect(page.locator(SAID)).to_have_attribute("data-state", "good")
     expect(page.locator('[data-live="mode"]')).to_contain_text("idle")
 

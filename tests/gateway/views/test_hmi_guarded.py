@@ -105,7 +105,7 @@ def test_from_a_campaign_to_a_better_model_by_an_engineer_s_buttons(browser: Bro
     """Each answer comes onto the page by itself; the emulated rig has its coil higher than the nominal model."""
     with logged_in(browser, plant, "ben") as tab:
         tab.get_by_role("link", name="Campaign, diagnosis, hand-over").click()
-        expect(tab.get_by_text("It runs on ce152")).to_be_visible(timeout=UP_MS)
+        expect(tab.get_by_text("The twin runs on ce152")).to_be_visible(timeout=UP_MS)
         assert tab.get_by_role("button", name="Run quick").count() == 0, "an operator may not"
 
     with logged_in(browser, plant, "ana") as tab:
@@ -114,12 +114,12 @@ def test_from_a_campaign_to_a_better_model_by_an_engineer_s_buttons(browser: Bro
         button(name="Run quick").click()
         expect(tab.locator(".job-lines").first).to_contain_text("[1/", timeout=UP_MS)
         button(name="Identify", exact=True).click(timeout=WORK_MS)
-        expect(tab.get_by_text("identified, campaign of")).to_be_visible(timeout=WORK_MS)
+        expect(tab.get_by_text("identified model, campaign of")).to_be_visible(timeout=WORK_MS)
         button(name="Diagnose, quick").click()
         expect(tab.locator(".sentence")).to_contain_text("coil sits", timeout=WORK_MS)
         expect(tab.get_by_role("img", name="Prediction error")).to_be_visible()
         models = tab.locator(".card", has_text="Models")
-        extended = models.locator(".file", has_text="extended by diagnose")
+        extended = models.locator(".file", has_text="extended model")
         extended.get_by_role("button", name="Hand over to the twin").click()
         expect(extended.get_by_text("in use")).to_be_visible(timeout=UP_MS)
         expect(tab.get_by_text("handed over by ana")).to_be_visible(timeout=UP_MS)

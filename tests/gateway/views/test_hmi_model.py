@@ -97,7 +97,7 @@ def test_the_model_in_use_is_marked_and_the_one_that_it_replaces_stays_in_the_li
     keep(tmp_path, started, "rig")
     after = models_of(tmp_path, "rig", campaigns, pb.TwinModel(model_json=json.dumps(MODEL, indent=3)))
 
-    assert [(one.kind, one.in_use) for one in before] == [("identified, campaign of 2026-01-02 03:04", False)]
+    assert [(one.kind, one.in_use) for one in before] == [("identified model, campaign of 2026-01-02 03:04", False)]
     assert [one.in_use for one in after] == [True, False]
     assert (after[0].summary, after[1].summary) == ("K_A 0.297; with quadratic-drag", "K_A 0.297")
     assert after[1].was_replaced
@@ -155,17 +155,16 @@ def test_an_alarm_says_by_how_much_which_way_and_how_often_noise_explains_it() -
 
     assert (
         in_numbers("divergence-i_c", "14:59", more)
-        == "the coil draws 0.26 A more than the model since 14:59, 12 times as much as noise explains"
+        == "The coil has drawn 0.26 A more than the model since 14:59, 12 times as much as noise explains."
     )
     assert (
         in_numbers("divergence-x", "14:59", lower)
-        == "the ball is 40 \u00b5m lower than in the model since 14:59, 5.1 times as much as noise explains"
+        == "The ball has been 40 \u00b5m lower than in the model since 14:59, 5.1 times as much as noise explains."
     )
-    assert in_numbers("divergence-x", "9:00", to_and_fro).startswith(
-        "measured and modelled position differ by 120 \u00b5m rms"
-    )
+    differ = "Measured and modelled position have differed by 120 \u00b5m rms since 9:00"
+    assert in_numbers("divergence-x", "9:00", to_and_fro).startswith(differ)
     assert in_numbers("innovation", "9:00", more) == (
-        "the prediction of the next sample errs 2.0 times as much as noise explains, since 9:00"
+        "Since 9:00 the prediction of the next sample has been wrong by 2.0 times as much as noise explains."
     )
 
 

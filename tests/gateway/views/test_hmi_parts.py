@@ -193,7 +193,7 @@ def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> N
     words = ["emulate", "--tcp", "127.0.0.1:0"]
 
     job = jobs.start("record", "rig", words, title="t", who="ben")
-    with pytest.raises(UsageError, match="runs already, begun by ben"):
+    with pytest.raises(UsageError, match="that ben started is still running"):
         jobs.start("record", "rig", words, title="t", who="ana")
     wait_for(lambda: job.lines, "its first line")
     jobs.close()
@@ -221,7 +221,7 @@ def test_a_job_is_on_the_bus_as_the_person_who_started_it(tmp_path: Path) -> Non
         (pb.Command(set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)), "mode closed loop"),
         (pb.Command(mark=pb.Mark(text="here")), "mark here"),
         (pb.Command(excite=pb.Excite(shape=pb.SHAPE_CHIRP, duration_s=3.0)), "excitation chirp 3 s"),
-        (pb.Command(excite=pb.Excite(shape=pb.SHAPE_STEP)), "excitation step until ended"),
+        (pb.Command(excite=pb.Excite(shape=pb.SHAPE_STEP)), "excitation step until it is ended"),
         (pb.Command(excite=pb.Excite(shape=pb.SHAPE_NONE)), "end of the excitation"),
         (pb.Command(), "nothing"),
     ],

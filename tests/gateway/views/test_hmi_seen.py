@@ -158,14 +158,14 @@ def test_every_page_has_stop_for_its_rig_or_for_all(page: Page, site: Site, path
 
         wait_for(lambda: set(site.stopped()) == wanted, f"STOP of {wanted}, not {site.stopped()}")
         expect(page.locator(SAID)).to_contain_text("STOP accepted")
-        expect(page.locator(SAID)).to_contain_text("coil off, says the sample of tick")
+        expect(page.locator(SAID)).to_contain_text("coil off (sample of tick")
 
 
 def test_a_page_says_what_its_stop_stops(page: Page, site: Site) -> None:
     for path, what in (("/", "all rigs"), ("/rig/rig", "rig"), ("/replay/rig", "all live rigs")):
         page.goto(f"{site.url}{path}")
         assert " ".join(page.locator("button.stop").inner_text().split()) == f"STOP {what}"
-        assert "STOP or Esc: the coil" in page.locator(".messages .hint").inner_text()
+        assert "STOP or Esc switches off the coil" in page.locator(".messages .hint").inner_text()
 
 
 def test_one_rig_is_stopped_from_the_overview_by_its_own_button(page: Page, site: Site) -> None:
@@ -187,7 +187,7 @@ def test_esc_closes_an_open_panel_first_says_so_and_stops_then(page: Page, site:
         page.keyboard.press("Escape")
 
         expect(page.locator("dialog.summary")).to_be_hidden()
-        expect(page.locator(".toast")).to_contain_text("nothing was stopped. Esc again is STOP")
+        expect(page.locator(".toast")).to_contain_text("Nothing was stopped. Press Esc again for STOP")
         assert site.stopped() == []
         page.get_by_role("button", name="Summary").click()
         page.click("button.stop")  # within reach while it is open
@@ -210,9 +210,9 @@ def test_the_banner_waits_for_a_sample_and_believes_no_answer(page: Page, site: 
         site.gateway.answer = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=1)
         page.keyboard.press("Escape")
 
-        expect(page.locator(SAID)).to_contain_text("COIL ON, say the samples: closed loop")
+        expect(page.locator(SAID)).to_contain_text("COIL ON: its samples show mode closed loop")
         expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
-    expect(page.locator(SAID)).to_contain_text("whether the coil is off is not known")
+    expect(page.locator(SAID)).to_contain_text("it is unknown whether the coil is")
 
 
 def test_a_coil_that_the_board_cannot_switch_off_is_never_called_off(page: Page, site: Site) -> None:
@@ -285,7 +285,7 @@ def test_what_became_of_a_stop_is_told_for_each_rig(page: Page, site: Site) -> N
         banner = page.locator(SAID)
         expect(banner).to_contain_text("STOP REFUSED for rig, accepted for the others")
         expect(banner).to_contain_text("two: coil off")
-        expect(banner).to_contain_text("Its coil is off, says the sample")
+        expect(banner).to_contain_text("But the coil is off (sample")
         assert "by hand" not in banner.inner_text()
     expect(page.locator(SAID)).to_contain_text("Switch rig off by hand")
     assert "Switch two" not in page.locator(SAID).inner_text()

@@ -42,7 +42,7 @@ SUM, COUNT, ON, OFF, EXCEEDED = 0, 1, 2, 3, 4
 ACTIVE, DECISIONS, RAISED, CHANGED_MEAN, CHANGED_ON, CHANGED_OFF = 5, 6, 7, 8, 9, 10
 PLACES = 11
 UNCHANGED, TURNED_ON, TURNED_OFF, ENDED = 0, 1, 2, 3  # what a sample did to an alarm
-_TEXTS = ("", "too large for a right model with noise", "back within the range of noise")
+_TEXTS = ("", "the error is larger than noise explains", "the error is within the noise again")
 
 
 @kernel

@@ -1,7 +1,7 @@
-"""The controls of a rig's page.  Each is a card; what may not be used is not there.
+"""The controls of a rig's page.  Each is a card; a control that the user may not use is left out.
 
-A control is HTML that static/acts.js turns into a request: a button with `data-command` (a pb.Command as JSON) or
-`data-job`, a form with `data-form`, whose numbers acts.js puts into a command.
+A control is HTML that static/acts.js turns into a request.  It is a button with `data-command` (a pb.Command as JSON)
+or `data-job`, or a form with `data-form`, whose numbers acts.js puts into a command.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ import json
 from collections.abc import Callable
 
 from gateway.views.hmi.html.markup import Markup, join, tag
+from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus import board51_pb2 as pb
 
-_MODES = (("Idle", "idle", pb.MODE_IDLE), ("Open loop", "open loop", pb.MODE_OPEN_LOOP),
-          ("Closed loop", "closed loop", pb.MODE_CLOSED_LOOP))  # fmt: skip
-_SHAPES = ("step", "rectangle", "sawtooth", "prbs", "multisine", "chirp")
+_MODES = {"idle": pb.MODE_IDLE, "open loop": pb.MODE_OPEN_LOOP, "closed loop": pb.MODE_CLOSED_LOOP}
 
 
 def cards(may: Callable[[str], bool]) -> list[Markup]:
@@ -66,51 +65,58 @@ def _choice(label: str, name: str, options: dict[str, str], chosen: str) -> Mark
 
 
 def _mode() -> Markup:
-    def button(text: str, word: str, mode: pb.Mode) -> Markup:
-        command = json.dumps({"set_mode": {"mode": pb.Mode.Name(mode)}})
+    def button(word: str, mode: pb.Mode) -> Markup:
+        text, command = texts_of("mode_button")[word], json.dumps({"set_mode": {"mode": pb.Mode.Name(mode)}})
         return tag("button", text, type="button", class_="mode", data_mode=word, data_command=command)
 
-    return _card("Mode", tag("div", *(button(*mode) for mode in _MODES), class_="modes"))
+    return _card(text_of("controls.mode"), tag("div", *(button(*mode) for mode in _MODES.items()), class_="modes"))
 
 
 def _reference() -> Markup:
     slider = tag("input", type="range", name="slide", min="0", max="6", step="0.01", value="0", data_slider="reference",
-                 aria_label="Reference in mm")  # fmt: skip
-    fields = _row(_number("mm", "mm", None, data_number="reference"), tag("button", "Set", class_="filled"))
+                 aria_label=text_of("reference.slider"))  # fmt: skip
+    fields = _row(
+        _number("mm", "mm", None, data_number="reference"), tag("button", text_of("reference.set"), class_="filled")
+    )
     words = [tag("div", data_live=name, class_="hint") for name in ("reference-now", "reference-range")]
-    return _card("Reference", tag("form", slider, fields, *words, data_form="reference", class_="reference"))
+    form = tag("form", slider, fields, *words, data_form="reference", class_="reference")
+    return _card(text_of("reference.title"), form)
 
 
 def _excitation() -> Markup:
-    shapes = {f"SHAPE_{shape.upper()}": shape for shape in _SHAPES}
+    shapes = {f"SHAPE_{shape.upper()}": text for shape, text in texts_of("shape").items()}
     fields = tag(
         "div",
-        _number("amplitude, mm", "amplitude", 0.5),
-        _number("around, mm", "offset", 2.5),
-        _number("period, s", "period", 2.0, min="0"),
-        _number("last period, s", "period_end", 0.1, min="0"),
-        _number("duration, s (0: endless)", "duration", 20.0, min="0"),
+        _number(text_of("excitation.amplitude", unit="mm"), "amplitude", 0.5),
+        _number(text_of("excitation.offset", unit="mm"), "offset", 2.5),
+        _number(text_of("excitation.period"), "period", 2.0, min="0"),
+        _number(text_of("excitation.last_period"), "period_end", 0.1, min="0"),
+        _number(text_of("excitation.duration"), "duration", 20.0, min="0"),
         class_="fields",
     )
     acts = _row(
-        tag("button", "Start excitation", class_="filled"),
-        tag("button", "End it", type="button", class_="plain", data_act="end-excitation"),
+        tag("button", text_of("excitation.start"), class_="filled"),
+        tag("button", text_of("excitation.end"), type="button", class_="plain", data_act="end-excitation"),
     )
-    shape = _choice("shape", "shape", shapes, "SHAPE_RECTANGLE")
-    where = _choice("on", "on", {"reference": "reference", "input": "input u_c"}, "reference")
-    return _card("Excitation", tag("form", shape, where, fields, acts, data_form="excitation"))
+    shape = _choice(text_of("excitation.shape"), "shape", shapes, "SHAPE_RECTANGLE")
+    signals = {"reference": text_of("excitation.on_reference"), "input": text_of("excitation.on_input")}
+    signal = _choice(text_of("excitation.signal"), "on", signals, "reference")
+    return _card(text_of("excitation.title"), tag("form", shape, signal, fields, acts, data_form="excitation"))
 
 
 def _recording() -> Markup:
-    start = tag("form", _text("name", "title", 16), tag("button", "Start", class_="plain"), data_form="recording",
-                class_="row-of", data_idle="record")  # fmt: skip
-    stop = tag("div", job("Stop recording", "record", "stop"), class_="row-of", data_running="record", hidden=True)
-    mark = tag("form", _text("remark", "text", 150), tag("button", "Mark now", class_="plain"), data_form="mark",
-               class_="row-of")  # fmt: skip
-    return _card("Recording", tag("div", data_live="record-said", class_="hint"), start, stop, mark)
+    begin = tag("button", text_of("recording.start"), class_="plain")
+    start = tag("form", _text(text_of("recording.name"), "title", 16), begin, data_form="recording", class_="row-of",
+                data_idle="record")  # fmt: skip
+    end = job(text_of("recording.stop"), "record", "stop")
+    stop = tag("div", end, class_="row-of", data_running="record", hidden=True)
+    remark = tag("button", text_of("recording.mark"), class_="plain")
+    mark = tag("form", _text(text_of("recording.remark"), "text", 150), remark, data_form="mark", class_="row-of")
+    hint = tag("div", data_live="record-said", class_="hint")
+    return _card(text_of("recording.title"), hint, start, stop, mark)
 
 
 def _gains() -> Markup:
-    hint = tag("span", "JSON of board51 design, or TOML")
+    hint = tag("span", text_of("gains.file"))
     choose = tag("label", hint, tag("input", type="file", accept=".json,.toml", data_file="gains"), class_="field")
-    return _card("Gains from a file", join(choose, tag("div", class_="preview")))
+    return _card(text_of("gains.title"), join(choose, tag("div", class_="preview")))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from gateway.views.hmi.html.markup import Markup, tag
+from gateway.views.hmi.texts import text_of
 from protocol.diagnosis import Ahead
 
 _WIDTH, _HEIGHT = 560.0, 260.0
@@ -31,25 +32,21 @@ def errors_figure(ahead: Sequence[Ahead]) -> Markup:
     parts = [_grid(10.0**k, y(10.0**k)) for k in range(low, high + 1)]
     for error in ahead:
         parts.append(_text(x(error.horizon_s), _HEIGHT - 22.0, f"{error.horizon_s * 1e3:.0f}", "middle"))
-    parts.append(_text(_LEFT + (_WIDTH - _LEFT) / 2.0, _HEIGHT - 5.0, "prediction horizon, ms", "middle"))
+    parts.append(_text(_LEFT + (_WIDTH - _LEFT) / 2.0, _HEIGHT - 5.0, text_of("figure.horizon"), "middle"))
     parts.append(_path([(x(error.horizon_s), y(error.noise_floor)) for error in ahead], "noise"))
     for name, of in (("before", [error.before for error in ahead]), ("after", [error.after for error in ahead])):
         at = [x(error.horizon_s) for error in ahead]
         parts.append(_path([(a, y(value)) for a, (value, _, _) in zip(at, of, strict=True)], name))
         parts += [_bar(a, y(bottom), y(top), y(value), name) for a, (value, bottom, top) in zip(at, of, strict=True)]
     figure = tag("svg", *parts, viewBox=f"0 0 {_WIDTH:g} {_HEIGHT:g}", role="img",
-                 aria_label="Prediction error before and after the diagnosis")  # fmt: skip
+                 aria_label=text_of("figure.picture"))  # fmt: skip
     names = (
-        ("before", "model before the diagnosis"),
-        ("after", "model extended by the causes"),
-        ("noise", "sensor noise only"),
+        ("before", text_of("figure.before")),
+        ("after", text_of("figure.after")),
+        ("noise", text_of("figure.noise")),
     )
     legend = [tag("span", tag("span", class_=f"mark {name}"), text, class_="entry") for name, text in names]
-    caption = tag(
-        "figcaption",
-        "rms error of the predicted position on recordings that were not used for fitting, with 95 % intervals. ",
-        *legend,
-    )
+    caption = tag("figcaption", text_of("figure.caption"), " ", *legend)
     return tag("figure", figure, caption, class_="errors")
 
 

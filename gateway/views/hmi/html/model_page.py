@@ -13,6 +13,7 @@ from gateway.views.hmi.html.markup import Markup, tag
 from gateway.views.hmi.model.campaigns import CampaignFolder
 from gateway.views.hmi.model.models import ModelFile, plant_assumed, summary
 from gateway.views.hmi.model.work import LIVE_MIN
+from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import Cause, Diagnosis
 from protocol.errors import DataError
@@ -21,67 +22,55 @@ from protocol.files import parse_json
 
 KINDS = ("campaign", "identify", "diagnose", "hand-over")
 May = Callable[[str], bool]
-_ASSUMED = (
-    "Nobody stated the plant of this rig. A published CE 152 is assumed (8.28 g, 5.7 mm): K_c and b hold for that plant"
-    " only. To state it, write mass and travel into campaign.toml of the campaign and delete the line assumed = true."
-    " Then identify and diagnose again."
-)
-_VERDICTS = {
-    "causes-found": "causes found",
-    "partly-explained": "partly explained",
-    "model-adequate": "the model is right",
-    "unknown-cause": "no known cause explains it",
-    "unfinished": "the search did not finish",
-}
 
 
 def steps(chosen: CampaignFolder | None, may: May) -> Markup:
     """Return the buttons in the order of the work, with their messages."""
     name = chosen.name if chosen is not None and chosen.toml is not None else ""
     measure = _row(
-        controls.job("Run quick (35 s)", "campaign", "start", quick=True),
-        controls.job("Run all (2 min)", "campaign", "start", quick=False),
-        controls.job("Investigate (1 to 4 min)", "campaign", "start", investigate=True),
+        controls.job(text_of("work.run_quick"), "campaign", "start", quick=True),
+        controls.job(text_of("work.run_all"), "campaign", "start", quick=False),
+        controls.job(text_of("work.investigate"), "campaign", "start", investigate=True),
     )
-    identify = _row(controls.job("Identify", "identify", "start", campaign=name))
-    assumed = _ASSUMED if chosen is not None and chosen.plant_assumed else ""
+    identify = _row(controls.job(text_of("work.identify_button"), "identify", "start", campaign=name))
+    assumed = text_of("work.plant_assumed") if chosen is not None and chosen.plant_assumed else ""
     of_campaign = (
-        controls.job("Diagnose, quick", "diagnose", "start", campaign=name, quick=True),
-        controls.job("Diagnose", "diagnose", "start", campaign=name, quick=False),
+        controls.job(text_of("work.diagnose_quick"), "diagnose", "start", campaign=name, quick=True),
+        controls.job(text_of("work.diagnose_button"), "diagnose", "start", campaign=name, quick=False),
     )
-    diagnose = _row(
-        *(of_campaign if name else ()),
-        controls.job(f"Diagnose the last {LIVE_MIN:g} minutes of flight", "diagnose", "start", live=True),
-    )
-    of = f"It uses the campaign of {chosen.made}." if chosen is not None else "There is no campaign yet: run one first."
-    of += " It has no recordings." if chosen is not None and not name else ""
+    live = controls.job(text_of("work.diagnose_live", minutes=f"{LIVE_MIN:g}"), "diagnose", "start", live=True)
+    diagnose = _row(*(of_campaign if name else ()), live)
+    if chosen is None:
+        of = text_of("work.no_campaign")
+    else:
+        of = text_of("work.uses", date=chosen.made) if name else text_of("work.uses_empty", date=chosen.made)
     if not may("campaign"):
-        return _card("Work", tag("div", "Only an engineer may run campaigns, identify and diagnose.", class_="hint"))
+        return _card(text_of("work.title"), _hint(text_of("work.engineers_only")))
     return _card(
-        "Work",
-        _step("1 Measure: a campaign", "It moves the ball; the board must be idle.", measure, "campaign"),
-        _step("2 Identify: K_A, T_A, K_c, b", of, identify if name else Markup(), "identify", warning=assumed),
-        _step("3 Diagnose: the errors of the model and their causes", of, diagnose, "diagnose"),
-        _step("4 Hand over", "Choose one of the models; the twin uses it at once.", Markup(), "hand-over"),
+        text_of("work.title"),
+        _step(text_of("work.measure"), text_of("work.measure_hint"), measure, "campaign"),
+        _step(text_of("work.identify"), of, identify if name else Markup(), "identify", warning=assumed),
+        _step(text_of("work.diagnose"), of, diagnose, "diagnose"),
+        _step(text_of("work.hand_over"), text_of("work.hand_over_hint"), Markup(), "hand-over"),
     )
 
 
 def _twin_now(running: pb.TwinModel | None) -> Markup:
     """Return the card of the model on which the twin runs."""
     message = tag("div", data_live="wrong", class_="wrong", role="status")
+    title = text_of("twin_card.title")
     if running is None:
-        return _card("The twin", tag("div", "No twin follows this rig: start `board51 twin`.", class_="hint"), message)
+        return _card(title, _hint(text_of("twin_card.absent")), message)
     try:
         content = summary(parse_json(running.model_json, where="the twin's model"))
     except (DataError, AttributeError):
         content = ""
-    since = f"handed over by {running.who}" if running.who else "the model with which it was started"
-    return _card(
-        "The twin",
-        message,
-        tag("div", f"The twin runs on {running.name} ({running.sha256[:12]}), {since}.", class_="strong"),
-        tag("div", content, class_="hint"),
-    )
+    names = {"model": running.name, "sha256": running.sha256[:12]}
+    if running.who:
+        origin = text_of("twin_card.handed_over", **names, who=running.who)
+    else:
+        origin = text_of("twin_card.started_with", **names)
+    return _card(title, message, tag("div", origin, class_="strong"), _hint(content))
 
 
 def diagnosis_card(
@@ -89,30 +78,24 @@ def diagnosis_card(
 ) -> Markup:
     """Return the card with the result of the diagnosis of a campaign."""
     if chosen is None:
-        return _card("Result of the diagnosis", tag("div", "Nothing yet: run a campaign.", class_="hint"))
-    title = f"Result of the diagnosis, campaign of {chosen.made}"
+        return _card(text_of("result.title"), _hint(text_of("result.no_campaign")))
+    title = text_of("result.title_of", date=chosen.made)
     if diagnosis is None:
-        return _card(title, tag("div", problem or "This campaign has not been diagnosed yet.", class_="hint"))
+        return _card(title, _hint(problem or text_of("result.not_diagnosed")))
     causes = [_cause(chosen, cause, may, sure=bool(diagnosis.causes)) for cause in diagnosis.suspects]
-    quick = (
-        ()
-        if diagnosis.calibrated
-        else (tag("div", "Quick diagnosis: its confidence is not calibrated.", class_="hint"),)
-    )
     warnings = [tag("li", text) for text in diagnosis.warnings]
-    assumed = "The plant is assumed: K_c and b of this answer hold for a published CE 152 only."
+    verdict = texts_of("verdict").get(diagnosis.verdict, diagnosis.verdict)
+    assumed = diagnosis.plant_assumed or chosen.plant_assumed
     return _card(
         title,
-        tag(
-            "div", _VERDICTS.get(diagnosis.verdict, diagnosis.verdict), class_="verdict", data_verdict=diagnosis.verdict
-        ),
+        tag("div", verdict, class_="verdict", data_verdict=diagnosis.verdict),
         tag("p", diagnosis.sentence, class_="sentence"),
-        _warning(assumed if diagnosis.plant_assumed or chosen.plant_assumed else ""),
+        _warning(text_of("result.plant_assumed") if assumed else ""),
         errors_figure(diagnosis.ahead) if diagnosis.ahead else Markup(),
         *causes,
-        *quick,
+        Markup() if diagnosis.calibrated else _hint(text_of("result.quick")),
         tag("ul", *warnings, class_="hint") if warnings else Markup(),
-        tag("a", "Full report with all plots", href=f"/report/{report}") if report else Markup(),
+        tag("a", text_of("result.report"), href=f"/report/{report}") if report else Markup(),
     )
 
 
@@ -120,28 +103,22 @@ def models_card(models: list[ModelFile], may: May) -> Markup:
     """Return the card of the models, each with its origin."""
     rows = [_model(model, may) for model in models]
     if not rows:
-        return _card("Models", tag("div", "None yet: identify or diagnose a campaign.", class_="hint"))
+        return _card(text_of("models.title"), _hint(text_of("models.none")))
     assumed = any(plant_assumed(model.content) for model in models)
-    note = "Plant assumed: nobody stated it. The values hold for a published CE 152 only." if assumed else ""
-    return _card(
-        "Models",
-        *rows,
-        _warning(note),
-        tag("div", "Numbers in SI units: A/V, s, N m\u00b2/A\u00b2, N s/m.", class_="hint"),
-    )
+    note = text_of("models.plant_assumed") if assumed else ""
+    return _card(text_of("models.title"), *rows, _warning(note), _hint(text_of("models.units")))
 
 
 def campaigns_card(board: str, campaigns: list[CampaignFolder], chosen: CampaignFolder | None, may: May) -> Markup:
     """Return the card of the rig's campaigns; the chosen one is marked."""
     if not campaigns:
-        return _card("Campaigns", tag("div", "None yet.", class_="hint"))
-    return _card(
-        "Campaigns", *(_campaign(board, campaign, may, looked_at=campaign is chosen) for campaign in campaigns)
-    )
+        return _card(text_of("campaigns.title"), _hint(text_of("campaigns.none")))
+    rows = [_campaign(board, campaign, may, looked_at=campaign is chosen) for campaign in campaigns]
+    return _card(text_of("campaigns.title"), *rows)
 
 
 def _step(title: str, hint: str, buttons: Markup, kind: str, *, warning: str = "") -> Markup:
-    end = controls.job("Interrupt and park the ball" if kind == "campaign" else "Cancel", kind, "stop")
+    end = controls.job(text_of("work.interrupt") if kind == "campaign" else text_of("work.cancel"), kind, "stop")
     return tag(
         "div",
         tag("h3", title),
@@ -159,60 +136,62 @@ def _warning(text: str) -> Markup:
 
 
 def _cause(chosen: CampaignFolder, cause: Cause, may: May, *, sure: bool) -> Markup:
-    lines = [tag("div", f"{cause.name}: {cause.sentence}", class_="strong")]
-    word = "cause" if sure else "candidate"
-    lines.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
+    lines = [tag("div", text_of("result.cause", name=cause.name, sentence=cause.sentence), class_="strong")]
+    confidence = f"{cause.confidence:.2f}"
+    if sure:
+        lines.append(_hint(text_of("result.is_cause", confidence=confidence)))
+    else:
+        lines.append(_hint(text_of("result.is_candidate", confidence=confidence)))
     if cause.confounders:
-        lines.append(
-            tag(
-                "div", f"These recordings cannot distinguish it from {', '.join(cause.confounders)}.", class_="class-of"
-            )
-        )
+        lines.append(_warning(text_of("result.equals", causes=", ".join(cause.confounders))))
     if cause.experiments and may("campaign"):
         lines.append(_row(*(_experiment(chosen, name) for name in list(cause.experiments)[:3])))
-    lines += [tag("div", f"It needs another instrument: {text}", class_="hint") for text in cause.outside]
+    lines += [_hint(text_of("result.outside", measurement=text)) for text in cause.outside]
     if cause.confirm:
-        lines.append(tag("div", f"To confirm it at the rig: {cause.confirm}.", class_="hint"))
+        lines.append(_hint(text_of("result.confirm", action=cause.confirm)))
     if cause.cure:
-        lines.append(tag("div", f"To remedy it: {cause.cure}.", class_="hint"))
+        lines.append(_hint(text_of("result.remedy", action=cause.cure)))
     return tag("div", *lines, class_="cause")
 
 
 def _experiment(chosen: CampaignFolder, name: str) -> Markup:
     person = EXPERIMENT_OF_NAME[name].person
-    text = f"Next experiment: {name}" if not person else f"{person} When done: record {name}"
-    return controls.job(
-        text, "campaign", "start", campaign=chosen.name, experiment=name, prepared=bool(person)
-    )  # fmt: skip
+    if person:
+        text = text_of("result.next_prepared", preparation=person, experiment=name)
+    else:
+        text = text_of("result.next", experiment=name)
+    return controls.job(text, "campaign", "start", campaign=chosen.name, experiment=name, prepared=bool(person))
 
 
 def _model(model: ModelFile, may: May) -> Markup:
     if model.in_use:
-        act = tag("span", "\u25cf in use", class_="in-use")
+        act = tag("span", text_of("models.in_use"), class_="in-use")
     elif may("use_model"):
-        text = "Return to this model" if model.was_replaced else "Hand over to the twin"
+        text = text_of("models.return") if model.was_replaced else text_of("models.hand_over")
         act = controls.job(text, "hand-over", "start", model=model.name)
     else:
         act = Markup()
-    words = tag(
-        "div", tag("div", model.kind, class_="strong"), tag("div", model.summary, class_="hint"), class_="file-name"
-    )
+    words = tag("div", tag("div", model.kind, class_="strong"), _hint(model.summary), class_="file-name")
     return tag("div", words, tag("span", model.made, class_="at"), act, class_="file")
 
 
 def _campaign(board: str, campaign: CampaignFolder, may: May, *, looked_at: bool) -> Markup:
     stages = (
-        ("identified", campaign.model is not None),
-        ("diagnosed", campaign.diagnosis is not None),
-        ("not finished", campaign.interrupted),
-        ("plant assumed", campaign.plant_assumed),
+        (text_of("campaigns.identified"), campaign.model is not None),
+        (text_of("campaigns.diagnosed"), campaign.diagnosis is not None),
+        (text_of("campaigns.not_finished"), campaign.interrupted),
+        (text_of("campaigns.plant_assumed"), campaign.plant_assumed),
     )
     marks = [word for word, holds in stages if holds]
-    acts = [tag("div", f"{act.at} {act.who} {act.what}", class_="hint") for act in campaign.acts]
-    title = tag("a", f"Campaign of {campaign.made}", href=f"/model/{board}?campaign={campaign.name}",
+    acts = [_hint(text_of("campaigns.act", at=act.at, who=act.who, what=act.what)) for act in campaign.acts]
+    title = tag("a", text_of("campaigns.campaign", date=campaign.made), href=f"/model/{board}?campaign={campaign.name}",
                 aria_current="true" if looked_at else None)  # fmt: skip
-    details = ", ".join([f"{campaign.recordings} recordings", *marks])
-    resume = controls.job("Continue", "campaign", "start", campaign=campaign.name, resume=True)
+    if campaign.recordings == 1:
+        recordings = text_of("campaigns.one_recording")
+    else:
+        recordings = text_of("campaigns.recordings", count=campaign.recordings)
+    details = ", ".join([recordings, *marks])
+    resume = controls.job(text_of("campaigns.continue"), "campaign", "start", campaign=campaign.name, resume=True)
     act = tag("span", resume, data_idle="campaign") if campaign.interrupted and may("campaign") else Markup()
     words = tag("div", title, *acts, class_="file-name")
     return tag("div", words, tag("span", details, class_="at"), act, class_="file")
@@ -220,6 +199,10 @@ def _campaign(board: str, campaign: CampaignFolder, may: May, *, looked_at: bool
 
 def _card(title: str, *content: Markup) -> Markup:
     return tag("section", tag("h2", title, class_="card-title"), *content, class_="card")
+
+
+def _hint(text: str) -> Markup:
+    return tag("div", text, class_="hint")
 
 
 def _row(*content: Markup) -> Markup:

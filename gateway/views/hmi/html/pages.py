@@ -24,6 +24,7 @@ from gateway.views.hmi.library import LibraryFile
 from gateway.views.hmi.model.campaigns import choose, rig_of
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
+from gateway.views.hmi.texts import for_scripts, text_of, texts_of
 from protocol.diagnosis import load_diagnosis
 from protocol.errors import DataError
 
@@ -31,11 +32,10 @@ REPLAY = "/live-replay"  # where the frames of replays come from
 MAX_REPORTS = 20
 _CHIPS = ("link", "to-board", "mode", "runs", "twin", "log", "alarm-count")
 _NUMBERS = (
-    ("x", "position", "mm", True), ("x_ref", "reference", "mm", False), ("twin_x", "twin", "mm", False),
-    ("i_c", "current", "A", False), ("u_c", "input", "V", False),
-    ("error_x", "x \u2212 twin", "\u00b5m", False), ("error_i", "i \u2212 twin", "mA", False),
+    ("x", "rig.position", "mm", True), ("x_ref", "rig.reference", "mm", False), ("twin_x", "rig.twin", "mm", False),
+    ("i_c", "rig.current", "A", False), ("u_c", "rig.input", "V", False),
+    ("error_x", "rig.x_minus_twin", "\u00b5m", False), ("error_i", "rig.i_minus_twin", "mA", False),
 )  # fmt: skip
-_SPANS = ((5, "5 s"), (20, "20 s"), (60, "1 min"), (600, "10 min"))
 _ICON = Markup('<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v8l-7 7H8l-7-7V8z"/></svg>')
 
 
@@ -60,7 +60,7 @@ class Pages:
 
     async def overview(self, request: Request) -> Response:
         """Return the page of all rigs."""
-        return self._page(request, "All rigs", _boards(), live="/live", prefix="/rig")
+        return self._page(request, text_of("title.overview"), _boards(), live="/live", prefix="/rig")
 
     async def rig(self, request: Request) -> Response:
         """Return the page of one rig, with the controls that this session may use."""
@@ -70,9 +70,9 @@ class Pages:
         body = tag(
             "main",
             _measured(),
-            tag("div", _list("Alarms", "alarms"), _to_model(board, reports), *cards, class_="side"),
-            tag("div", _list("Events", "events"), _list("Commands: who did what", "commands"),
-                _list("Link, log, board", "health"), class_="below"),
+            tag("div", _list(text_of("rig.alarms"), "alarms"), _to_model(board, reports), *cards, class_="side"),
+            tag("div", _list(text_of("rig.events"), "events"), _list(text_of("rig.commands"), "commands"),
+                _list(text_of("rig.health"), "health"), class_="below"),
             class_="rig",
         )  # fmt: skip
         return self._page(request, board, body, live=f"/live/{board}", board=board, chips=True)
@@ -81,9 +81,8 @@ class Pages:
         """Return the page of a rig's model: from a campaign to an extended model."""
         board, session = request.path_params["board"], _session(request)
         body = await asyncio.to_thread(self._model, board, request.query_params.get("campaign", ""), session)
-        return self._page(
-            request, f"Model of {board}", body, live=f"/live/{board}", board=board, chips=True, script="model.js"
-        )
+        title = text_of("title.model", rig=board)
+        return self._page(request, title, body, live=f"/live/{board}", board=board, chips=True, script="model.js")
 
     def _model(self, board: str, campaign: str, session: LoginSession) -> Markup:
         campaigns = self._work.campaigns(board)
@@ -110,14 +109,16 @@ class Pages:
 
     async def replays(self, request: Request) -> Response:
         """Return the page of all replayed rigs."""
-        return self._page(request, "Replay", self._replay_banner(), _boards(), live=REPLAY, prefix="/replay")
+        title = text_of("title.replay")
+        return self._page(request, title, self._replay_banner(), _boards(), live=REPLAY, prefix="/replay")
 
     async def replay(self, request: Request) -> Response:
         """Return the page of one rig of a recording."""
         board = request.path_params["board"]
-        lists = (_list("Alarms", "alarms"), _list("Events", "events"), _list("Commands", "commands"))
+        lists = (_list(text_of("rig.alarms"), "alarms"), _list(text_of("rig.events"), "events"),
+                 _list(text_of("rig.commands_replayed"), "commands"))  # fmt: skip
         body = tag("main", _measured(), tag("div", *lists, class_="side"), class_="rig replayed")
-        title = f"{board}, replayed"
+        title = text_of("title.replay_of", rig=board)
         return self._page(
             request, title, self._replay_banner(), body, live=f"{REPLAY}/{board}", board=board, chips=True
         )
@@ -127,43 +128,53 @@ class Pages:
         session = _session(request)
         logs = await asyncio.to_thread(self._actions.logs.entries)
         reports = await asyncio.to_thread(self._actions.reports.entries)
+        close = tag("button", text_of("library.close"), type="button", class_="plain", data_act="close")
         body = tag(
             "main",
-            _card("Diagnosis reports", *map(_report_row, reports[:MAX_REPORTS]), empty=self._how_to_report()),
+            _card(text_of("library.reports"), *map(_report_row, reports[:MAX_REPORTS]), empty=self._how_to_report()),
             _card(
-                "Logs",
+                text_of("library.logs"),
                 *([_filter()] if logs else []),
                 *(_log_row(entry, deletable=self._actions.may(session, "delete_log")) for entry in logs),
-                empty="There are no logs in this folder yet.",
+                empty=text_of("library.no_logs"),
             ),
-            tag("dialog", tag("div", class_="file-name"), tag("pre", class_="summary-text"),
-                tag("button", "Close", type="button", class_="plain", data_act="close"), class_="summary card"),
+            tag(
+                "dialog",
+                tag("div", class_="file-name"),
+                tag("pre", class_="summary-text"),
+                close,
+                class_="summary card",
+            ),
             class_="library",
-        )  # fmt: skip
-        return self._page(request, "Logs and reports", body, live="/live")
+        )
+        return self._page(request, text_of("title.library"), body, live="/live")
 
     async def report(self, request: Request) -> Response:
         """Return a report within a page that has STOP; the report itself runs no script."""
         entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
-            return refusal(404, "no-report", "There is no such report.")
-        frame = tag("iframe", src=f"/report-file/{entry.name}", title="Report", sandbox="allow-same-origin")
-        body, title = tag("main", frame, class_="report"), f"Report of {entry.changed}"
+            return refusal(404, "no-report", text_of("refusal.no_report"))
+        frame = tag(
+            "iframe", src=f"/report-file/{entry.name}", title=text_of("library.frame"), sandbox="allow-same-origin"
+        )
+        body, title = tag("main", frame, class_="report"), text_of("title.report", date=entry.changed)
         rig = rig_of(entry)
         if self._actions.feed.board(rig) is None:  # of a rig that is not here: its STOP would stop nothing
             return self._page(request, title, body, live="/live")
-        return self._page(request, f"{rig}, {title.lower()}", body, live=f"/live/{rig}", board=rig)
+        title = text_of("title.report_of", rig=rig, date=entry.changed)
+        return self._page(request, title, body, live=f"/live/{rig}", board=rig)
 
     def _how_to_report(self) -> str:
         folder = self._actions.reports.folders[0]
         command = f"board51 diagnose CAMPAIGN --model MODEL --out {folder}/NAME"
-        return f"None yet. Press Diagnose on the page of a rig's model, or use `{command}`."
+        return text_of("library.no_reports", command=command)
 
     def _replay_banner(self) -> Markup:
         job = self._actions.jobs.get("replay", "*")
-        what = job.title if job is not None else "nothing was replayed yet: choose a log under Logs"
-        end = controls.job("End replay", "replay", "stop") if job is not None and job.running else ""
-        return tag("div", tag("span", f"\u25b6 REPLAY of a recording, NOT LIVE: {what}"), end, class_="replay-banner")
+        text = text_of("bar.replaying_nothing") if job is None else text_of("bar.replaying", log=job.title)
+        running = job is not None and job.running
+        end = controls.job(text_of("bar.end_replay"), "replay", "stop") if running else ""
+        return tag("div", tag("span", text), end, class_="replay-banner")
 
     def _page(
         self,
@@ -182,27 +193,29 @@ class Pages:
         head = join(
             tag("meta", charset="utf-8"),
             tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            tag("title", f"{title}, Board51" if not replayed else "REPLAY, not live"),
+            tag("title", text_of("title.document_replay") if replayed else text_of("title.document", page=title)),
             tag("link", rel="icon", href="/static/icon.svg"),
             tag("script", src="/static/theme.js"),
             tag("link", rel="stylesheet", href="/static/vendor/uPlot.min.css") if chips else "",
             tag("link", rel="stylesheet", href="/static/hmi.css"),
             tag("meta", name="board51", data_board=board, data_token=session.csrf, data_live=live, data_prefix=prefix,
                 data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
-                data_may="" if replayed else " ".join(a for a in MINIMUM_ROLE if self._actions.may(session, a))),
+                data_may="" if replayed else " ".join(a for a in MINIMUM_ROLE if self._actions.may(session, a)),
+                data_texts=for_scripts()),
             tag("script", src="/static/vendor/uPlot.iife.min.js") if chips else "",
             tag("script", type="module", src="/static/hmi.js"),
             tag("script", type="module", src=f"/static/{script}") if script else "",
         )  # fmt: skip
-        links = [tag("a", text, href=to) for text, to in (("Rigs", "/"), ("Logs", "/logs"), ("Replay", "/replay/"))]
+        pages = (text_of("bar.rigs"), "/"), (text_of("bar.logs"), "/logs"), (text_of("bar.replay"), "/replay/")
+        links = [tag("a", text, href=to) for text, to in pages]
         row = tag(
             "div",
-            tag("a", "Board51", href="/", class_="home"),
+            tag("a", text_of("bar.home"), href="/", class_="home"),
             tag("h1", title, class_="title"),
             tag("nav", *links),
-            tag("button", "Light / dark", type="button", class_="plain", data_theme_switch="yes"),
-            tag("span", f"{session.name}, {role.word}", class_="who"),
-            tag("button", "Log out", type="button", data_act="log-out", class_="plain") if self._actions.users else "",
+            tag("button", text_of("bar.theme"), type="button", class_="plain", data_theme_switch="yes"),
+            tag("span", text_of("bar.who", name=session.name, role=role.word), class_="who"),
+            _log_out() if self._actions.users else "",
             class_="bar-row",
         )
         chip_row = tag("div", *(_live(name, class_="chip") for name in _CHIPS), class_="chips") if chips else ""
@@ -223,8 +236,15 @@ def _session(request: Request) -> LoginSession:
     return session
 
 
+def _log_out() -> Markup:
+    return tag("button", text_of("bar.log_out"), type="button", data_act="log-out", class_="plain")
+
+
 def _stop(stops: str, replayed: bool) -> Markup:
-    words = tag("span", "STOP", class_="stop-word"), tag("span", _coils(stops, replayed), class_="stop-key")
+    words = (
+        tag("span", text_of("stop.button"), class_="stop-word"),
+        tag("span", _coils(stops, replayed), class_="stop-key"),
+    )
     return tag(
         "button", _ICON, *words,
         type="button", class_="stop", data_act="stop", data_board=stops, aria_keyshortcuts="Escape",
@@ -232,15 +252,15 @@ def _stop(stops: str, replayed: bool) -> Markup:
 
 
 def _coils(stops: str, replayed: bool) -> str:
-    return stops if stops != "*" else "all live rigs" if replayed else "all rigs"
+    if stops != "*":
+        return stops
+    return text_of("stop.all_live_rigs") if replayed else text_of("stop.all_rigs")
 
 
 def _what_stops(stops: str, replayed: bool) -> str:
     if stops != "*":
-        return f"STOP or Esc: the coil of {stops} off, at once."
-    return (
-        f"STOP or Esc: the coils of {_coils(stops, replayed)} off, at once: this page does not belong to a single rig."
-    )
+        return text_of("stop.scope_one", rig=stops)
+    return text_of("stop.scope_all", rigs=_coils(stops, replayed))
 
 
 def _live(name: str, element: str = "span", **attributes: str) -> Markup:
@@ -259,17 +279,17 @@ def _boards() -> Markup:
 
 def _measured() -> Markup:
     numbers = [
-        tag("div", tag("div", title, class_="number-title"),
+        tag("div", tag("div", text_of(key), class_="number-title"),
             tag("div", _live(name), tag("span", unit, class_="unit"), class_="number-value"),
             class_="number big" if big else "number")
-        for name, title, unit, big in _NUMBERS
+        for name, key, unit, big in _NUMBERS
     ]  # fmt: skip
     ball = (_live("ball", "div", class_="ball-drawing"), tag("div", *numbers, class_="numbers"))
     plots = [_live(name, "div", class_=f"plot {name}") for name in ("plot-x", "plot-i", "plot-d")]
-    spans = [tag("button", text, type="button", class_="span-of", data_span=str(s)) for s, text in _SPANS]
-    bar = tag("div", tag("span", "Time span", class_="hint"), *spans,
-              tag("button", "Pause", type="button", class_="span-of", data_pause="yes"),
-              tag("span", "drag: zoom, double click: back", class_="hint"), class_="plot-bar")  # fmt: skip
+    spans = [tag("button", text, type="button", class_="span-of", data_span=s) for s, text in texts_of("span").items()]
+    bar = tag("div", tag("span", text_of("plots.span"), class_="hint"), *spans,
+              tag("button", text_of("plots.pause"), type="button", class_="span-of", data_pause="yes"),
+              tag("span", text_of("plots.hint"), class_="hint"), class_="plot-bar")  # fmt: skip
     return join(
         tag("div", *ball, _live("flags", "div", class_="flags"), class_="ball-card card"),
         tag("div", bar, *plots, class_="plots card"),
@@ -277,37 +297,44 @@ def _measured() -> Markup:
 
 
 def _list(title: str, name: str) -> Markup:
-    entries = _live(name, "div", class_="entries", tabindex="0", aria_label=title)
+    entries = _live(name, "div", class_="entries", tabindex="0", role="group", aria_label=title)
     return tag("section", tag("h2", title, class_="card-title"), entries, class_=f"card list {name}")
 
 
 def _to_model(board: str, reports: list[LibraryFile]) -> Markup:
-    links = [tag("a", "Campaign, diagnosis, hand-over", href=f"/model/{board}")]
-    links += [tag("a", f"Last report, {entry.changed}", href=f"/report/{entry.name}") for entry in reports[:1]]
-    return _card("Model", _live("wrong", "div", class_="wrong"), *(tag("div", link) for link in links), empty="")
+    links = [tag("a", text_of("rig.to_model"), href=f"/model/{board}")]
+    for entry in reports[:1]:
+        links.append(tag("a", text_of("rig.last_report", date=entry.changed), href=f"/report/{entry.name}"))
+    lines = [tag("div", link) for link in links]
+    return _card(text_of("rig.model"), _live("wrong", "div", class_="wrong"), *lines, empty="")
 
 
 def _report_row(entry: LibraryFile) -> Markup:
     rig = rig_of(entry)
-    title = f"{rig}, campaign {entry.path.parent.parent.name}" if rig else f"{entry.path.parent.name}/{entry.path.name}"
+    if rig:
+        title = text_of("library.report", rig=rig, campaign=entry.path.parent.parent.name)
+    else:
+        title = f"{entry.path.parent.name}/{entry.path.name}"
     link = tag("a", title, href=f"/report/{entry.name}")
     return tag("div", link, tag("span", entry.changed, class_="at"), class_="file")
 
 
 def _filter() -> Markup:
-    field = tag("input", type="text", data_filter="log", autocomplete="off", placeholder="part of a name or date")
-    return tag("label", tag("span", "Show logs with"), field, class_="field")
+    hint = text_of("library.filter_hint")
+    field = tag("input", type="text", data_filter="log", autocomplete="off", placeholder=hint)
+    return tag("label", tag("span", text_of("library.filter")), field, class_="field")
 
 
 def _log_row(entry: LibraryFile, *, deletable: bool) -> Markup:
+    def button(text: str, act: str) -> Markup:
+        return tag("button", text, type="button", class_="plain", data_act=act, data_log=entry.name)
+
     acts = (
-        tag("button", "Summary", type="button", class_="plain", data_act="summary", data_log=entry.name),
-        controls.job("Replay", "replay", "start", log=entry.name, then="/replay/"),
-        tag("a", "Download", href=f"/log/{entry.name}"),
-        tag("button", "Delete", type="button", class_="plain", data_act="delete", data_log=entry.name)
-        if deletable and not entry.name.startswith("campaigns/")
-        else "",
+        button(text_of("library.summary"), "summary"),
+        controls.job(text_of("library.replay"), "replay", "start", log=entry.name, then="/replay/"),
+        tag("a", text_of("library.download"), href=f"/log/{entry.name}"),
+        button(text_of("library.delete"), "delete") if deletable and not entry.name.startswith("campaigns/") else "",
     )
-    size = f"{entry.changed}, {entry.bytes / 1e6:.1f} MB"
+    size = text_of("library.size", date=entry.changed, megabytes=f"{entry.bytes / 1e6:.1f}")
     return tag("div", tag("span", entry.name, class_="file-name"), tag("span", size, class_="at"),
                tag("div", *acts, class_="file-acts"), class_="file log")  # fmt: skip

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.views.hmi.model.campaigns import CampaignFolder
+from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 from protocol.files import parse_json, read_small
@@ -56,11 +57,14 @@ def summary(content: dict[str, Any]) -> str:
     for name, parameter in (content.get("parameters") or {}).items():
         value = parameter.get("value") if isinstance(parameter, dict) else parameter
         if isinstance(value, int | float):
-            words.append(f"{name} {value:.4g}" + " (plant assumed)" * (assumed and name in _RESTS_ON_THE_PLANT))
+            word = f"{name} {value:.4g}"
+            rests = assumed and name in _RESTS_ON_THE_PLANT
+            words.append(text_of("models.assumed_value", parameter=word) if rests else word)
     causes = [
         str(cause["name"]) for cause in content.get("causes") or () if isinstance(cause, dict) and "name" in cause
     ]
-    return ", ".join(words) + (f"; with {', '.join(causes)}" if causes else "")
+    parameters = ", ".join(words)
+    return text_of("models.with_causes", parameters=parameters, causes=", ".join(causes)) if causes else parameters
 
 
 def plant_assumed(content: dict[str, Any]) -> bool:
@@ -96,13 +100,16 @@ def keep(data: Path, running: pb.TwinModel, board: str) -> Path:
 
 def _files(data: Path, board: str, campaigns: list[CampaignFolder]) -> Iterator[tuple[str, Path, str, str]]:
     for campaign in campaigns:
-        for path, kind in ((campaign.extended_model, "extended by diagnose"), (campaign.model, "identified")):
+        for path, kind in (
+            (campaign.extended_model, text_of("models.extended", date=campaign.made)),
+            (campaign.model, text_of("models.identified", date=campaign.made)),
+        ):
             if path is not None:
-                yield f"{campaign.name}/{path.name}", path, f"{kind}, campaign of {campaign.made}", _changed(path)
+                yield f"{campaign.name}/{path.name}", path, kind, _changed(path)
     replaced = sorted((data / "models" / board).glob("*.json"), reverse=True)[:MAX_REPLACED]
     for path in replaced:
         if path.is_file() and not path.is_symlink():
-            yield f"{_REPLACED}/{path.name}", path, "used by the twin before a hand-over", _changed(path)
+            yield f"{_REPLACED}/{path.name}", path, text_of("models.replaced"), _changed(path)
 
 
 def _changed(path: Path) -> str:

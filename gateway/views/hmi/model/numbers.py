@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import math
 
+from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 
 _DIRECTED = 0.5  # share of the rms that the mean must be, to speak of more or less
-_SIGNALS = {
+_SIGNALS = {  # field, scale to the unit, and the texts: measured above the model, below it, or just different
     "divergence-i_c": (
-        "i_c_a", 1.0, "A",
-        "the coil draws {} more than the model", "the coil draws {} less than the model",
-        "measured and modelled current differ by {} rms",
+        "i_c_a", 1.0, "A", "divergence.current_above", "divergence.current_below", "divergence.current",
     ),
     "divergence-x": (
-        "x_m", 1e6, "\u00b5m",
-        "the ball is {} higher than in the model", "the ball is {} lower than in the model",
-        "measured and modelled position differ by {} rms",
+        "x_m", 1e6, "\u00b5m", "divergence.position_above", "divergence.position_below", "divergence.position",
     ),
 }  # fmt: skip
-
-
 SPOKEN = ("divergence-i_c", "divergence-x", "innovation")  # alarms that have numbers, the plainest first
 
 
@@ -39,7 +34,7 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
         if not (divergence.innovation_valid and divergence.nis_mean > 0.0):
             return ""
         times = math.sqrt(divergence.nis_mean / 2.0)  # two degrees of freedom
-        return f"the prediction of the next sample errs {_times(times)} as much as noise explains, since {since}"
+        return text_of("divergence.innovation", since=since, times=_times(times))
     if name not in _SIGNALS or divergence.sync != "in-step":
         return ""
     field, scale, unit, above, below, differ = _SIGNALS[name]
@@ -47,16 +42,15 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
     if not signal.normalised or not signal.rolling_rmse > 0.0:
         return ""
     if abs(signal.rolling_mean) >= _DIRECTED * signal.rolling_rmse:
-        size = f"{_digits(abs(signal.rolling_mean) * scale)} {unit}"
-        difference = (above if signal.rolling_mean > 0.0 else below).format(size)
+        key, size = above if signal.rolling_mean > 0.0 else below, abs(signal.rolling_mean)
     else:
-        difference = differ.format(f"{_digits(signal.rolling_rmse * scale)} {unit}")
+        key, size = differ, signal.rolling_rmse
     times = signal.rolling_rmse / abs(signal.error / signal.normalised)
-    return f"{difference} since {since}, {_times(times)} as much as noise explains"
+    return text_of(key, size=f"{_digits(size * scale)} {unit}", since=since, times=_times(times))
 
 
 def _times(times: float) -> str:
-    return f"{times:.0f} times" if times >= 9.5 else f"{times:.1f} times"
+    return f"{times:.0f}" if times >= 9.5 else f"{times:.1f}"
 
 
 def _digits(value: float) -> str:

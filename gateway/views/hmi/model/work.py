@@ -14,6 +14,7 @@ from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, 
 from gateway.views.hmi.model.journal import write_act
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.sessions import LoginSession
+from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 from protocol.experiments import EXPERIMENT_OF_NAME
 
@@ -58,21 +59,24 @@ class ModelWork:
         folder = self._new(board)
         what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
         words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
-        entry = "started an investigation" if investigate else f"started a {'quick ' * quick}campaign"
+        if investigate:
+            entry = text_of("campaigns.started_investigation")
+        else:
+            entry = text_of("campaigns.started_quick") if quick else text_of("campaigns.started")
         return self._start(session, "campaign", "campaign", board, words, folder, entry)
 
     def resume_campaign(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Continue an interrupted campaign or investigation in its folder."""
         chosen = find_campaign(self._root, board, campaign) if campaign else None
         if chosen is None or not chosen.interrupted:
-            return refusal("no-campaign", "There is no such campaign, or it is complete.")
+            return refusal("no-campaign", text_of("refusal.campaign_complete"))
         if chosen.investigation:
             what = ["investigate", board, "--out", str(chosen.path)]
         else:
             what = self._run(chosen.path, board)
             what += [word for name in chosen.left for word in ("--experiment", name)]
         words = [*what, *["--quick"] * chosen.quick, "--who", session.name, *self._routes.live(session.name)]
-        return self._start(session, "campaign", "campaign", board, words, chosen.path, "continued the campaign")
+        return self._start(session, "campaign", "campaign", board, words, chosen.path, text_of("campaigns.continued"))
 
     def add_experiment(
         self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False
@@ -80,60 +84,61 @@ class ModelWork:
         """Add an experiment to a campaign; `prepared`: a person has made the manual preparation."""
         chosen = find_campaign(self._root, board, campaign)
         if chosen is None or chosen.toml != chosen.path / "campaign.toml":
-            return refusal("no-campaign", "There is no such campaign, or it cannot be continued.")
+            return refusal("no-campaign", text_of("refusal.campaign_closed"))
         if experiment not in EXPERIMENT_OF_NAME:
-            return refusal("no-experiment", "There is no such experiment.")
+            return refusal("no-experiment", text_of("refusal.no_experiment"))
         if EXPERIMENT_OF_NAME[experiment].person and not prepared:
             return refusal("person-needed", EXPERIMENT_OF_NAME[experiment].person)
         words = [*self._run(chosen.path, board), "--experiment", experiment, *["--yes"] * prepared,
                  "--who", session.name, *self._routes.live(session.name)]  # fmt: skip
-        return self._start(
-            session, "campaign", "campaign", board, words, chosen.path, f"added the experiment {experiment}"
-        )
+        entry = text_of("campaigns.added", experiment=experiment)
+        return self._start(session, "campaign", "campaign", board, words, chosen.path, entry)
 
     def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Identify K_A, T_A, K_c and b from a campaign."""
         chosen = find_campaign(self._root, board, campaign)
         if chosen is None or chosen.toml is None:
-            return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
+            return refusal("no-campaign", text_of("refusal.campaign_empty"))
         words = ["identify", str(chosen.toml), "--out", str(chosen.path / MODEL)]
-        return self._start(session, "diagnose", "identify", board, words, chosen.path, "identified")
+        return self._start(
+            session, "diagnose", "identify", board, words, chosen.path, text_of("campaigns.was_identified")
+        )
 
     def diagnose(self, session: LoginSession, board: str, campaign: str, *, quick: bool) -> pb.CommandReply:
         """Diagnose the causes of the model's errors in a campaign."""
         chosen = find_campaign(self._root, board, campaign)
         if chosen is None or chosen.toml is None:
-            return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
+            return refusal("no-campaign", text_of("refusal.campaign_empty"))
         words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / DIAGNOSIS), "--next-experiment",
                  *["--quick"] * quick]  # fmt: skip
-        return self._start(session, "diagnose", "diagnose", board, words, chosen.path, "diagnosed" + ", quick" * quick)
+        entry = text_of("campaigns.was_diagnosed_quick") if quick else text_of("campaigns.was_diagnosed")
+        return self._start(session, "diagnose", "diagnose", board, words, chosen.path, entry)
 
     def diagnose_live(self, session: LoginSession, board: str) -> pb.CommandReply:
         """Diagnose the causes of the model's errors in the last minutes of flight."""
         folder = self._new(board)
         words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", board, "--logs", str(self._logs), "--quick",
                  "--next-experiment", "--out", str(folder / DIAGNOSIS), *self._routes.live(session.name)]  # fmt: skip
-        entry = f"diagnosed the last {LIVE_MIN:g} minutes of flight"
+        entry = text_of("campaigns.was_diagnosed_live", minutes=f"{LIVE_MIN:g}")
         return self._start(session, "diagnose", "diagnose", board, words, folder, entry)
 
     def hand_over(self, session: LoginSession, board: str, model: str) -> pb.CommandReply:
         """Give a model of the list to the running twin; what it replaces is kept."""
         chosen = next((file for file in self.models(board) if file.name == model), None)
         if chosen is None:
-            return refusal("no-model", "There is no such model.")
+            return refusal("no-model", text_of("refusal.no_model"))
         running = self.running(board)
         try:
             if running is not None and not any(file.in_use for file in self.models(board)):
                 keep(self._data, running, board)
         except OSError as error:
-            return refusal("failed", f"The present model cannot be saved: {error.strerror}. Nothing was handed over.")
+            return refusal("failed", text_of("refusal.model_not_kept", error=error.strerror))
         words = ["twin", "--hand-over", str(chosen.path), "--board", board, "--who", session.name,
                  *self._routes.live(session.name)]  # fmt: skip
         folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
         folder = folder if folder.parent == self._root else self._data / "models" / board
-        return self._start(
-            session, "use_model", "hand-over", board, words, folder, f"handed over the model: {chosen.kind}"
-        )
+        entry = text_of("campaigns.handed_over", model=chosen.kind)
+        return self._start(session, "use_model", "hand-over", board, words, folder, entry)
 
     def _new(self, board: str) -> Path:
         return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"

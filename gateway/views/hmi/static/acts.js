@@ -2,6 +2,7 @@
 
 import { cell as element, put } from "./dom.js";
 import { act, page, server } from "./server.js";
+import { textOf, textsOf } from "./texts.js";
 
 const SURE_MS = 5000;
 const COUNT_M = 5e-7; // the board's reference is in counts of its converter: smaller differences are rounding
@@ -11,17 +12,18 @@ const job = (name, body) => act(name, `/api/${page.board || "*"}/job`, body);
 
 // What a form sends: {name: what it is called, path or body}.  Numbers leave in SI units.
 const FORMS = {
-  reference: (f) => ({ name: `reference ${f.mm} mm`, send: (name) => command(name, { set_reference: { x_ref_m: metres(f.mm) } }) }),
+  reference: (f) => ({ name: textOf("reference.act", { mm: f.mm }), send: (name) => command(name, { set_reference: { x_ref_m: metres(f.mm) } }) }),
   excitation: (f) => {
     const on_reference = f.on === "reference", si = on_reference ? metres : Number, unit = on_reference ? "mm" : "V";
     const excite = { shape: f.shape, on_reference, amplitude: si(f.amplitude), offset: si(f.offset), period_s: Number(f.period),
                      period_end_s: f.shape === "SHAPE_CHIRP" ? Number(f.period_end) : 0, seed: 1, duration_s: Number(f.duration) };
-    const length = excite.duration_s ? `for ${f.duration} s` : "until it is ended";
-    const word = f.shape.replace("SHAPE_", "").toLowerCase();
-    return { name: `excitation ${word} of ${f.amplitude} ${unit} around ${f.offset} ${unit}, ${length}`, send: (name) => command(name, { excite }) };
+    const shape = textsOf("shape")[f.shape.replace("SHAPE_", "").toLowerCase()], { amplitude, offset, duration: seconds } = f;
+    const name = excite.duration_s ? textOf("excitation.act_for", { shape, amplitude, offset, unit, seconds })
+                                   : textOf("excitation.act", { shape, amplitude, offset, unit });
+    return { name, send: (name) => command(name, { excite }) };
   },
-  recording: (f) => ({ name: "recording", send: (name) => job(name, { kind: "record", act: "start", title: f.title }) }),
-  mark: (f) => ({ name: `mark ${f.text}`, send: (name) => command(name, { mark: { text: f.text } }) }),
+  recording: (f) => ({ name: textOf("recording.act"), send: (name) => job(name, { kind: "record", act: "start", title: f.title }) }),
+  mark: (f) => ({ name: textOf("recording.mark_act", { text: f.text }), send: (name) => command(name, { mark: { text: f.text } }) }),
 };
 
 async function submit(form) {
@@ -35,14 +37,14 @@ async function submit(form) {
 }
 
 const ACTS = {
-  acknowledge: (b) => act(`acknowledge ${b.dataset.name}`, `/api/${page.board}/acknowledge`, { name: b.dataset.name }),
-  "end-excitation": () => command("end of the excitation", { excite: { shape: "SHAPE_NONE", on_reference: latest?.mode !== "open loop" } }),
+  acknowledge: (b) => act(textOf("alarm.acknowledge_act", { alarm: b.dataset.name }), `/api/${page.board}/acknowledge`, { name: b.dataset.name }),
+  "end-excitation": () => command(textOf("excitation.end_act"), { excite: { shape: "SHAPE_NONE", on_reference: latest?.mode !== "open loop" } }),
   "log-out": async () => {
     await fetch("/logout", { method: "POST", headers: { "x-board51-token": page.token } }).catch(() => null);
     location.href = "/login";
   },
   delete: deleteLog,
-  remove: (b) => act(`remove ${b.dataset.board}`, `/api/${b.dataset.board}/remove`, {}),
+  remove: (b) => act(textOf("library.remove_act", { rig: b.dataset.board }), `/api/${b.dataset.board}/remove`, {}),
   close: (b) => b.closest("dialog").close(),
   summary,
 };
@@ -94,8 +96,8 @@ document.addEventListener("change", (event) => {
 
 function units(form) {
   const unit = form.elements.on.value === "reference" ? "mm" : "V";
-  form.querySelector("[data-label=amplitude]").textContent = `amplitude, ${unit}`;
-  form.querySelector("[data-label=offset]").textContent = `around, ${unit}`;
+  form.querySelector("[data-label=amplitude]").textContent = textOf("excitation.amplitude", { unit });
+  form.querySelector("[data-label=offset]").textContent = textOf("excitation.offset", { unit });
   form.period_end.closest("label").hidden = form.elements.shape.value !== "SHAPE_CHIRP";
 }
 for (const form of document.querySelectorAll("[data-form=excitation]")) units(form);
@@ -110,8 +112,9 @@ export function follow(now, gone, force = false) {
   [latest, old] = [now, gone];
   const form = document.querySelector("[data-form=reference]"), x_ref = now?.x_ref_m;
   if (!form || x_ref === null || x_ref === undefined) return;
-  const unsent = form.dataset.unsent === "yes", words = unsent ? " \u00b7 the field is not sent yet" : "";
-  put("reference-now", `${gone ? "last known" : "in force"}: ${(x_ref * 1e3).toFixed(3)} mm${words}`);
+  const unsent = form.dataset.unsent === "yes", mm = (x_ref * 1e3).toFixed(3);
+  if (gone) put("reference-now", unsent ? textOf("reference.last_known_unsent", { mm }) : textOf("reference.last_known", { mm }));
+  else put("reference-now", unsent ? textOf("reference.in_force_unsent", { mm }) : textOf("reference.in_force", { mm }));
   if (!force && (unsent || Math.abs(x_ref - followed) < COUNT_M)) return;
   followed = x_ref;
   form.mm.value = form.slide.value = (x_ref * 1e3).toFixed(3);
@@ -123,12 +126,12 @@ export function limits(rest) {
   if (!form || !l || !(l.x_max_mm > l.x_min_mm)) return;
   const [low, high] = [l.x_min_mm, l.x_max_mm];
   Object.assign(form.slide, { min: low, max: high });
-  put("reference-range", `${low} .. ${high} mm, steps of ${Number((l.step_m * 1e3).toPrecision(2))} mm at most`);
+  put("reference-range", textOf("reference.range", { low, high, step: Number((l.step_m * 1e3).toPrecision(2)) }));
 }
 
 // --- jobs, gains, summaries ---------------------------------------------------------------------------------------------
 
-const IDLE_WORDS = { record: "The gateway always writes its log; a recording is a separate file." };
+const IDLE_WORDS = { record: textOf("recording.idle") };
 const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over"];
 
 export function showJobs(jobs) {
@@ -136,12 +139,15 @@ export function showJobs(jobs) {
     const job = jobs[kind], running = Boolean(job?.running);
     for (const element of document.querySelectorAll(`[data-idle=${kind}]`)) element.hidden = running;
     for (const element of document.querySelectorAll(`[data-running=${kind}]`)) element.hidden = !running;
-    const last = kind === "record" && job?.lines.length ? `: ${job.lines[job.lines.length - 1]}` : "";
-    const said = job ? `${running ? "\u25cf" : "\u25cb"} ${job.title}, ${job.who}: ${job.standing}${last}` : IDLE_WORDS[kind] ?? "";
-    put(`${kind}-said`, said);
+    put(`${kind}-said`, job ? progress(kind, job) : IDLE_WORDS[kind] ?? "");
     put(`${kind}-lines`, (job?.lines ?? []).join("\n"));
   }
   document.dispatchEvent(new CustomEvent("board51-jobs", { detail: jobs }));
+}
+
+function progress(kind, { title, who, standing: state, running, lines }) {
+  const job = running ? textOf("job.running_of", { title, who, state }) : textOf("job.ended_of", { title, who, state });
+  return kind === "record" && lines.length ? textOf("job.with_line", { job, line: lines.at(-1) }) : job;
 }
 
 // A file is read by the server and shown; it is sent by a press of its own.
@@ -149,36 +155,36 @@ async function gains(input) {
   const file = input.files[0], preview = document.querySelector(".preview");
   preview.replaceChildren();
   if (!file) return;
-  const answer = await act(`read ${file.name}`, `/api/${page.board}/gains`, file);
+  const answer = await act(textOf("gains.read_act", { file: file.name }), `/api/${page.board}/gains`, file);
   input.value = "";
   if (!answer) return;
-  if (!answer.accepted) return preview.replaceChildren(element("div", `\u2715 ${file.name}: ${answer.text}`, "refused"));
+  if (!answer.accepted) return preview.replaceChildren(element("div", textOf("gains.refused", { file: file.name, text: answer.text }), "refused"));
   const table = element("table", "", "gains-table");
-  for (const row of [{ name: "", now: "now", new: "new", unit: "" }, ...answer.rows]) {
+  for (const row of [{ name: "", now: textOf("gains.now"), new: textOf("gains.new"), unit: "" }, ...answer.rows]) {
     const line = element("tr", "");
     line.append(...["name", "now", "new", "unit"].map((name) => element("td", row[name])));
     table.append(line);
   }
-  const send = element("button", "Send these gains to the board", "filled"), discard = element("button", "Discard", "plain");
-  send.onclick = async () => (await command(`gains of ${file.name}`, answer.command))?.accepted && preview.replaceChildren();
+  const send = element("button", textOf("gains.send"), "filled"), discard = element("button", textOf("gains.discard"), "plain");
+  send.onclick = async () => (await command(textOf("gains.send_act", { file: file.name }), answer.command))?.accepted && preview.replaceChildren();
   discard.onclick = () => preview.replaceChildren();
   const buttons = element("div", "", "row-of");
   buttons.append(send, discard);
-  preview.replaceChildren(element("div", `${file.name}: ${answer.law}. Nothing is sent yet.`, "hint"), table, buttons);
+  preview.replaceChildren(element("div", textOf("gains.preview", { file: file.name, law: answer.law }), "hint"), table, buttons);
 }
 
 // Asks by a second press, and forgets the first one after a while.
 async function deleteLog(button) {
   if (button.dataset.sure !== "yes") {
     button.dataset.sure = "yes";
-    button.textContent = "Delete for good?";
+    button.textContent = textOf("library.delete_sure");
     setTimeout(() => {
       button.dataset.sure = "";
-      button.textContent = "Delete";
+      button.textContent = textOf("library.delete");
     }, SURE_MS);
     return;
   }
-  const answer = await act(`delete ${button.dataset.log}`, "/api/*/delete", { log: button.dataset.log });
+  const answer = await act(textOf("library.delete_act", { log: button.dataset.log }), "/api/*/delete", { log: button.dataset.log });
   if (answer?.accepted) button.closest(".log").remove();
 }
 
@@ -190,13 +196,13 @@ document.querySelector("[data-filter=log]")?.addEventListener("input", (event) =
 async function summary(button) {
   const dialog = document.querySelector("dialog.summary"), text = dialog.querySelector(".summary-text");
   dialog.querySelector(".file-name").textContent = button.dataset.log;
-  text.textContent = "reading \u2026";
+  text.textContent = textOf("library.reading");
   dialog.show(); // not modal: STOP stays within reach
   try {
     const answer = await server.ask(`/api/summary/${button.dataset.log}`, null, { method: "GET", limit: 130 });
     text.textContent = answer.text;
   } catch (error) {
-    text.textContent = `It could not be read: ${error.message}.`;
+    text.textContent = textOf("library.unreadable", { error: error.message });
   }
 }
 

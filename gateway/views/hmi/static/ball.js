@@ -2,6 +2,8 @@
 //
 // Position is up from the lower stop; the scale's upper end is the upper stop, under the coil.
 
+import { textOf } from "./texts.js";
+
 const NS = "http://www.w3.org/2000/svg";
 const TOP = 58, BOTTOM = 262, RADIUS = 24, MIDDLE = 104; // of the ball's centre at the stops, in the drawing's units
 
@@ -16,10 +18,10 @@ function add(parent, name, attributes, text) {
 export class Ball {
   constructor(place) {
     this.travel = null;
-    const svg = add(place, "svg", { viewBox: "0 0 220 310", role: "img", "aria-label": "Ball between its stops" });
+    const svg = add(place, "svg", { viewBox: "0 0 220 310", role: "img", "aria-label": textOf("ball.picture") });
     add(svg, "rect", { x: MIDDLE - 44, y: 2, width: 88, height: 28, rx: 4, class: "coil" });
     for (let n = 0; n < 6; n++) add(svg, "line", { x1: MIDDLE - 36 + n * 14.4, y1: 4, x2: MIDDLE - 36 + n * 14.4, y2: 28, class: "winding" });
-    add(svg, "text", { x: MIDDLE, y: 20, class: "coil-text", "text-anchor": "middle" }, "coil");
+    add(svg, "text", { x: MIDDLE, y: 20, class: "coil-text", "text-anchor": "middle" }, textOf("ball.coil"));
     add(svg, "line", { x1: MIDDLE - 44, y1: TOP - RADIUS, x2: MIDDLE + 44, y2: TOP - RADIUS, class: "stop-line" });
     add(svg, "line", { x1: MIDDLE - 44, y1: BOTTOM + RADIUS, x2: MIDDLE + 44, y2: BOTTOM + RADIUS, class: "stop-line" });
     this.scale = add(svg, "g", { class: "scale" });
@@ -29,7 +31,7 @@ export class Ball {
     add(this.ball, "line", { x1: MIDDLE - RADIUS - 6, x2: 184, y1: 0, y2: 0, class: "pointer" });
     this.reference = add(svg, "g", { class: "reference" });
     add(this.reference, "path", { d: "M 182 0 l 12 -7 v 14 z" });
-    add(this.reference, "text", { x: 196, y: 4 }, "ref");
+    add(this.reference, "text", { x: 196, y: 4 }, textOf("ball.reference"));
     this.show(null, null, null);
   }
 

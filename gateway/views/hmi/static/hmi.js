@@ -11,6 +11,7 @@ import { History } from "./history.js";
 import { Plots } from "./plots.js";
 import { may, page } from "./server.js";
 import { IN_DOUBT, Stop } from "./stop.js";
+import { textOf, textsOf } from "./texts.js";
 
 const FRAME_LIMIT_S = 0.7; // without a frame for so long, the server or the line to it is gone
 const ACTED_EVERY_S = 20;
@@ -47,7 +48,8 @@ function take(frame) {
 }
 
 function sessionLeft(left) {
-  put("session", left < 120 ? `session ends in ${Math.max(0, Math.round(left))} s: press any key to stay` : "", left < 120 ? "warn" : "none");
+  const words = left < 120 ? textOf("line.session_ends", { seconds: Math.max(0, Math.round(left)) }) : "";
+  put("session", words, words ? "warn" : "none");
 }
 
 for (const kind of ["pointerdown", "keydown"]) {
@@ -58,26 +60,29 @@ for (const kind of ["pointerdown", "keydown"]) {
 
 // --- values and words out -----------------------------------------------------------------------------------------
 
-const LINK_WORDS = { live: page.replay ? "\u25b6 REPLAYING" : "\u25cf LIVE", silent: "\u25b2 SILENT", absent: "\u2715 ABSENT", connecting: "\u25b2 CONNECTING",
-                     handshake: "\u25b2 HANDSHAKE", "no-gateway": "\u2715 NO GATEWAY" };
+const MODES = textsOf("mode"), COILS = textsOf("coil"), FLAGS = textsOf("flag"), TWIN = textsOf("twin"), LINK = textsOf("link");
+const linkWords = (link) => (link === "live" && page.replay ? LINK.replaying : LINK[link]) ?? link;
+const modeWords = (mode) => MODES[mode] ?? mode;
 
 // "" where what is shown is true now; else why not, in words.
 function lost() {
   const gap = line.gap();
-  if (gap > FRAME_LIMIT_S) return `NO DATA for ${gap.toFixed(0)} s \u2013 this page has lost its server`;
-  if (!now) return "waiting for data";
+  if (gap > FRAME_LIMIT_S) return textOf("line.no_server", { seconds: gap.toFixed(0) });
+  if (!now) return textOf("line.waiting");
   if (now.link === "live") return "";
-  const age = now.age_s === null ? "" : ` for ${Math.max(1, now.age_s).toFixed(0)} s`;
-  return `NO DATA${age} \u2013 ${now.reason || now.link}`;
+  const reason = now.reason || linkWords(now.link);
+  return now.age_s === null ? textOf("line.no_data", { reason }) : textOf("line.no_data_for", { seconds: Math.max(1, now.age_s).toFixed(0), reason });
 }
 
 // What goes on at this rig.
 function running() {
-  const said = Object.entries(jobs).filter(([, job]) => job.running).map(([kind]) => `\u25b6 ${kind}`);
+  const kinds = Object.entries(jobs).filter(([, job]) => job.running).map(([kind]) => kind);
+  const words = kinds.map((kind) => textOf("rig.running", { job: textsOf("job_kind")[kind] ?? kind }));
   const excitation = now.mode === "idle" ? null : rest?.excitation, left = excitation && excitation.until_s - now.host_s;
-  if (excitation && !excitation.until_s) said.unshift(`\u25b6 ${excitation.what}, without end`);
-  else if (left > 0) said.unshift(`\u25b6 ${excitation.what}, ${Math.ceil(left)} s left`);
-  return said;
+  const shape = excitation && (textsOf("shape")[excitation.what] ?? excitation.what);
+  if (excitation && !excitation.until_s) words.unshift(textOf("rig.excited", { shape }));
+  else if (left > 0) words.unshift(textOf("rig.excited_for", { shape, seconds: Math.ceil(left) }));
+  return words;
 }
 
 function values() {
@@ -87,7 +92,7 @@ function values() {
   put("lost", missing, gone && now ? "bad" : "none");
   if (!now) return;
   const serverGone = line.gap() > FRAME_LIMIT_S;
-  put("link", serverGone ? "\u2715 NO SERVER" : LINK_WORDS[now.link] ?? `\u25b2 ${now.link.toUpperCase()}`, gone ? "bad" : "good");
+  put("link", serverGone ? LINK["no-server"] : linkWords(now.link), gone ? "bad" : "good");
   put("x", shown(now.x_m, 1e3, 3));
   put("x_ref", shown(now.x_ref_m, 1e3, 3));
   put("i_c", shown(now.i_c_a, 1, 3));
@@ -95,13 +100,13 @@ function values() {
   put("twin_x", shown(now.twin_x_m, 1e3, 3));
   put("runs", gone ? "" : running().join(" \u00b7 "), "on");
   const calm = now.mode === "idle" ? "idle" : "on";
-  chip("mode", now.mode ? `${now.mode} \u00b7 ${now.coil}` : "\u2013", now.coil === IN_DOUBT ? "bad" : calm, gone);
+  chip("mode", now.mode ? textOf("rig.mode", { mode: modeWords(now.mode), coil: COILS[now.coil] }) : "\u2013", now.coil === IN_DOUBT ? "bad" : calm, gone);
   const flags = now.flags ?? [];
-  put("flags", flags.length ? `\u25b2 ${flags.join(", ")}` : "no flags", flags.includes("FAULT") ? "bad" : flags.length ? "warn" : "none");
+  const flagged = flags.length ? textOf("rig.flags", { flags: flags.map((flag) => FLAGS[flag]).join(", ") }) : textOf("rig.no_flags");
+  put("flags", flagged, flags.includes("fault") ? "bad" : flags.length ? "warn" : "none");
   const above = now.nis_mean !== null && now.nis_on && now.nis_mean > now.nis_on;
-  if (now.twin === "in-step" && above) chip("twin", "\u25b2 twin diverges", "warn", gone);
-  else chip("twin", { none: "\u25cb no twin", stale: "\u25b2 twin silent", "in-step": "\u25cf twin in step", settling: "\u25d4 twin settling",
-                "out-of-step": "\u2715 twin out of step" }[now.twin] ?? now.twin, now.twin === "in-step" ? "good" : now.twin === "out-of-step" ? "bad" : "warn", gone);
+  if (now.twin === "in-step" && above) chip("twin", TWIN.diverges, "warn", gone);
+  else chip("twin", TWIN[now.twin] ?? now.twin, now.twin === "in-step" ? "good" : now.twin === "out-of-step" ? "bad" : "warn", gone);
   told(gone, serverGone);
   put("error_x", shown(now.error_x_m, 1e6, 0));
   put("error_i", shown(now.error_i_a, 1e3, 0));
@@ -116,7 +121,7 @@ function values() {
 
 // Words in the bar; what no data bear out now is marked as the last known.
 function chip(name, text, state, old) {
-  put(name, old && text !== "\u2013" ? `last known: ${text}` : text, old ? "old" : state);
+  put(name, old && text !== "\u2013" ? textOf("rig.last_known", { text }) : text, old ? "old" : state);
 }
 
 // What the gateway's status says, which goes on while the board is away.
@@ -124,18 +129,17 @@ function told(gone, serverGone) {
   const status = rest?.status;
   if (!status) return;
   const old = serverGone || status.age_s > STATUS_LIMIT_S, writing = status.log_state === "writing";
-  if (writing && gone && !old) chip("log", "\u25cb log open, no samples", "warn", false);
-  else chip("log", writing ? "\u25cf log writing" : status.log_state === "off" ? "\u25cb log off" : `\u2715 log ${status.log_state}`,
+  if (writing && gone && !old) chip("log", textOf("log.no_samples"), "warn", false);
+  else chip("log", writing ? textOf("log.writing") : status.log_state === "off" ? textOf("log.off") : textOf("log.failed", { state: status.log_state }),
             writing ? "good" : status.log_state === "off" ? "warn" : "bad", old);
-  if (status.to_board === "unanswered") chip("to-board", "\u2715 BOARD DOES NOT ANSWER \u2013 STOP may not reach it", "bad", old);
+  if (status.to_board === "unanswered") chip("to-board", textOf("rig.no_answer"), "bad", old);
   else put("to-board", "", "none");
   if (counted) chip("alarm-count", ...counted, serverGone);
 }
 
-const UNEXPECTED = { "stray-answer": "late answers", implausible: "implausible ticks", duplicate: "repeated samples",
-              "events-lost": "lost events" };
+const HEALTH = textsOf("health");
 function toModel() {
-  const link = cell("a", "What is wrong, and why", "to-model");
+  const link = cell("a", textOf("alarm.to_model"), "to-model");
   link.href = `/model/${page.board}`;
   return link;
 }
@@ -153,32 +157,31 @@ function fill(name, data, row, empty) {
 
 function lists() {
   const status = rest.status;
-  put("wrong", rest.wrong ? `\u25b2 ${rest.wrong}` : "", rest.wrong ? "warn" : "none");
+  put("wrong", rest.wrong ? textOf("rig.model_error", { error: rest.wrong }) : "", rest.wrong ? "warn" : "none");
   if (status) {
     fill("health", [
-      ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
-      ["lost samples", status.lost], ["bad frames", status.bad_frames],
-      ...Object.entries(status.unexpected).map(([cause, count]) => [UNEXPECTED[cause] ?? cause, count]),
-      ["latency p99", status.latency_p99_ms ? `${status.latency_p99_ms} ms` : "\u2013"], ["line load", `${status.line_load} %`], ["not published", status.dropped],
-      ["board resets", status.resets], ["reconnections", status.reconnects],
-      ["log file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not logged", status.log_dropped],
+      ["port", status.port], ["to_board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
+      ["lost_samples", status.lost], ["bad_frames", status.bad_frames], ...Object.entries(status.unexpected),
+      ["latency", status.latency_p99_ms ? `${status.latency_p99_ms} ms` : "\u2013"], ["line_load", `${status.line_load} %`], ["not_published", status.dropped],
+      ["resets", status.resets], ["reconnections", status.reconnects],
+      ["log_file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not_logged", status.log_dropped],
       ["law", rest.limits ? `${rest.limits.law} ${rest.limits.gains.join(", ")}` : "\u2013"],
-      ["twin's model", rest.model ? `${rest.model.name} ${rest.model.sha256}` : "\u2013"],
+      ["model", rest.model ? `${rest.model.name} ${rest.model.sha256}` : "\u2013"],
     ], ([key, value]) => {
       const row = cell("div", "", "pair");
-      row.append(cell("span", key, "key"), cell("span", String(value), "value"));
+      row.append(cell("span", HEALTH[key] ?? key, "key"), cell("span", String(value), "value"));
       return row;
-    }, "no status yet");
+    }, textOf("rig.no_health"));
   }
   fill("alarms", rest.alarms, (alarm) => {
     const row = cell("div", "", "alarm");
     row.dataset.state = alarm.active ? (alarm.severity === "fault" ? "fault" : "warning") : "gone";
-    const standing = alarm.active ? (alarm.severity === "fault" ? "\u2716 FAULT" : "\u25b2 WARNING") : "\u25bd gone";
-    row.append(cell("span", standing, "standing"), cell("span", alarm.name, "name"),
-               cell("span", `${alarm.since}${alarm.times > 1 ? `, ${alarm.times} times` : ""}`, "at"));
-    if (alarm.acknowledged) row.append(cell("span", `\u2713 seen by ${alarm.by}`, "seen"));
+    const { since, times } = alarm;
+    row.append(cell("span", textsOf("alarm_state")[row.dataset.state], "standing"), cell("span", alarm.name, "name"),
+               cell("span", times > 1 ? textOf("alarm.times", { since, times }) : since, "at"));
+    if (alarm.acknowledged) row.append(cell("span", textOf("alarm.acknowledged", { name: alarm.by }), "seen"));
     else if (may.has("acknowledge")) {
-      const button = cell("button", "Acknowledge", "ack");
+      const button = cell("button", textOf("alarm.acknowledge"), "ack");
       button.dataset.act = "acknowledge";
       button.dataset.name = alarm.name;
       row.append(button);
@@ -186,7 +189,7 @@ function lists() {
     row.append(cell("div", alarm.text, "text"));
     if (alarm.model && !page.replay) row.append(toModel()); // the model's page is that of the live rig
     return row;
-  }, "\u2713 no alarms");
+  }, textOf("alarm.none"));
   const active = rest.alarms.filter((a) => a.active), fault = active.some((a) => a.severity === "fault");
   counted = [alarmWords(active.length, rest.alarms.length - active.length, fault), fault ? "bad" : rest.alarms.length ? "warn" : "good"];
   fill("events", rest.events, (event) => {
@@ -195,22 +198,23 @@ function lists() {
     const mark = { fault: "\u2716", warning: "\u25b2" }[event.severity] ?? "\u00b7";
     row.append(cell("span", event.at, "at"), cell("span", `${mark} ${event.name}`, "name"), cell("span", event.text, "text"));
     return row;
-  }, "no events since this page's server started");
+  }, textOf("rig.no_events"));
   fill("commands", rest.commands, (command) => {
     const row = cell("div", "", "entry");
     row.dataset.state = command.accepted ? "info" : "warning";
-    row.append(cell("span", command.at, "at"), cell("span", `${command.who || "?"}: ${command.what}`, "name"),
+    row.append(cell("span", command.at, "at"), cell("span", textOf("command.by", { who: command.who || "?", command: command.what }), "name"),
                cell("span", `${command.accepted ? "\u2713" : "\u2715"} ${command.result} ${command.text}`, "text"));
     return row;
-  }, "no commands since this page's server started");
+  }, textOf("rig.no_commands"));
   ball?.setTravel(rest.travel_m);
 }
 
 // How many alarms hold; those that are gone and wait to be acknowledged are not counted among them.
 function alarmWords(active, gone, fault) {
-  const waiting = gone ? `${gone} gone, not acknowledged` : "";
-  if (!active) return waiting ? `\u25bd no alarms \u00b7 ${waiting}` : "\u2713 no alarms";
-  return `${fault ? "\u2716" : "\u25b2"} ${active} alarm${active > 1 ? "s" : ""}${waiting ? ` \u00b7 ${waiting}` : ""}`;
+  const ended = { gone: textOf("alarm.gone_count", { count: gone }) };
+  if (!active) return gone ? textOf("alarm.none_active", ended) : textOf("alarm.none");
+  const mark = fault ? "\u2716" : "\u25b2", words = active > 1 ? textOf("alarm.many", { mark, count: active }) : textOf("alarm.one", { mark });
+  return gone ? textOf("alarm.with_gone", { active: words, ...ended }) : words;
 }
 
 const cards = new Map();
@@ -224,13 +228,13 @@ function card(name) {
   link.append(head, parts.x, parts.text, parts.alarms);
   box.append(link);
   if (!page.replay) {
-    const stop = cell("button", `STOP ${name}`, "stop-one");
+    const stop = cell("button", textOf("stop.button_of", { rig: name }), "stop-one");
     Object.assign(stop.dataset, { act: "stop", board: name });
     stop.type = "button";
     box.append(stop);
   }
   if (may.has("acknowledge")) {
-    parts.remove = cell("button", `Remove ${name} from the pages`, "plain");
+    parts.remove = cell("button", textOf("overview.remove", { rig: name }), "plain");
     Object.assign(parts.remove.dataset, { act: "remove", board: name });
     Object.assign(parts.remove, { type: "button", hidden: true });
     box.append(parts.remove);
@@ -238,15 +242,13 @@ function card(name) {
   return { box, parts };
 }
 
-const NOBODY = page.replay
-  ? "Nothing is being replayed. Choose a log under Logs and press Replay."
-  : "No message from a board has arrived yet. Is the gateway running?";
+const NOBODY = page.replay ? textOf("overview.nothing_replayed") : textOf("overview.waiting");
 
 function overview() {
   const place = $("boards");
   if (page.board) return;
   const gap = line.gap(), gone = gap > FRAME_LIMIT_S;
-  put("lost", gone ? `NO DATA for ${gap.toFixed(0)} s \u2013 this page has lost its server` : "", gone ? "bad" : "none");
+  put("lost", gone ? textOf("line.no_server", { seconds: gap.toFixed(0) }) : "", gone ? "bad" : "none");
   if (!place) return;
   for (const name of [...cards.keys()].filter((one) => !boards?.some((board) => board.name === one))) {
     cards.get(name).box.remove();
@@ -263,9 +265,11 @@ function overview() {
     if (box.parentElement !== place) place.append(box);
     if (parts.remove) parts.remove.hidden = !board.unseen || gone;
     box.dataset.state = !live || board.fault ? "bad" : board.alarms + board.gone ? "warn" : "good";
-    parts.link.textContent = gone ? "\u2715 NO SERVER" : LINK_WORDS[board.link] ?? board.link;
-    parts.x.textContent = live ? `${shown(board.x_m, 1e3, 3)} mm` : `no data${board.age_s === null ? "" : ` for ${Math.round(board.age_s)} s`}`;
-    parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.coil}` : board.reason;
+    parts.link.textContent = gone ? LINK["no-server"] : linkWords(board.link);
+    const absent = board.age_s === null ? textOf("overview.no_data") : textOf("overview.no_data_for", { seconds: Math.round(board.age_s) });
+    parts.x.textContent = live ? textOf("overview.position", { x: shown(board.x_m, 1e3, 3) }) : absent;
+    const state = { x_ref: shown(board.x_ref_m, 1e3, 3), mode: modeWords(board.mode), coil: COILS[board.coil] };
+    parts.text.textContent = live ? textOf("overview.state", state) : board.reason;
     parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault);
   }
 }

@@ -3,6 +3,8 @@
 // A series is {kind, low, high, name, scale, factor, style, dash, width, fill, digits}: which rows it reads and at which places
 // of a row its low and high are.  A gap, or a new session, is a gap in the line.
 
+import { textOf } from "./texts.js";
+
 /* global uPlot */
 
 const GAP_S = 0.25, COARSE_GAP_S = 5;
@@ -56,7 +58,7 @@ export class Plot {
   lines(one) {
     const line = { scale: one.scale, stroke: () => css(one.style), width: one.width ?? 1.6, dash: one.dash, points: { show: false },
                    value: (u, v) => (v == null ? "" : v.toFixed(one.digits ?? 3)) };
-    return [{ ...line, label: one.name }, { ...line, label: `${one.name}, highest`, class: "highest" }];
+    return [{ ...line, label: one.name }, { ...line, label: textOf("plots.highest", { name: one.name }), class: "highest" }];
   }
 
   // The scale follows at once outwards and only when much is empty inwards: a jumping scale cannot be read.
@@ -139,7 +141,7 @@ export class Plot {
       const axis = this.options.axes.at(-1), y = u.valToPos(this.line, axis.scale, true);
       rule([left, y], [left + width, y], css("bad"), [10, 4, 2, 4]);
       g.textAlign = "right";
-      g.fillText("alarm line", left + width - 6 * ratio, y - 4 * ratio);
+      g.fillText(textOf("plots.alarm_line"), left + width - 6 * ratio, y - 4 * ratio);
     }
     g.textAlign = "left";
     let free = left - 1; // names must not lie on one another

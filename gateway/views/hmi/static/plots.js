@@ -2,35 +2,36 @@
 
 import { $ } from "./dom.js";
 import { Plot } from "./plot.js";
+import { textOf } from "./texts.js";
 
 const MEASURED = "measured", TWIN = "twin", REFERENCE = "reference", INPUT = "input"; // colours of hmi.css
 const DASH = [7, 4];
 
 const PLOTS = {
   "plot-x": {
-    title: "Position", axes: [{ scale: "mm", label: "mm", minSpan: 0.4, floor: -0.15 }],
+    title: textOf("plots.position"), axes: [{ scale: "mm", label: "mm", minSpan: 0.4, floor: -0.15 }],
     series: [
-      { kind: "s", low: 3, high: 4, name: "measured", scale: "mm", factor: 1e3, style: MEASURED },
-      { kind: "t", low: 3, high: 4, name: "twin", scale: "mm", factor: 1e3, style: TWIN, dash: DASH, width: 1.8 },
-      { kind: "s", low: 5, high: 5, name: "reference", scale: "mm", factor: 1e3, style: REFERENCE, dash: [2, 3], width: 2 },
+      { kind: "s", low: 3, high: 4, name: textOf("plots.measured"), scale: "mm", factor: 1e3, style: MEASURED },
+      { kind: "t", low: 3, high: 4, name: textOf("plots.twin"), scale: "mm", factor: 1e3, style: TWIN, dash: DASH, width: 1.8 },
+      { kind: "s", low: 5, high: 5, name: textOf("plots.reference"), scale: "mm", factor: 1e3, style: REFERENCE, dash: [2, 3], width: 2 },
     ],
   },
   "plot-i": {
-    title: "Current and input",
+    title: textOf("plots.current"),
     axes: [{ scale: "A", label: "A", minSpan: 0.1, floor: -0.05 }, { scale: "V", label: "V", minSpan: 0.3, floor: -0.15, side: 1 }],
     series: [
-      { kind: "s", low: 8, high: 9, name: "u_c, V", scale: "V", style: INPUT, width: 1.1, dash: [1, 2], fill: "22" },
-      { kind: "s", low: 6, high: 7, name: "i_c, A", scale: "A", style: MEASURED },
-      { kind: "t", low: 5, high: 6, name: "twin, A", scale: "A", style: TWIN, dash: DASH, width: 1.8 },
+      { kind: "s", low: 8, high: 9, name: textOf("plots.input"), scale: "V", style: INPUT, width: 1.1, dash: [1, 2], fill: "22" },
+      { kind: "s", low: 6, high: 7, name: textOf("plots.current_measured"), scale: "A", style: MEASURED },
+      { kind: "t", low: 5, high: 6, name: textOf("plots.current_twin"), scale: "A", style: TWIN, dash: DASH, width: 1.8 },
     ],
   },
   "plot-d": {
-    title: "Rig minus twin", noise: { scale: "sigma", low: -2, high: 2 },
-    axes: [{ scale: "sigma", label: "x \u2212 twin, \u03c3 of noise", minSpan: 8 },
-           { scale: "NIS", label: "mean NIS", log: true, floor: 0.5, side: 1, alarm: true }],
+    title: textOf("plots.residual"), noise: { scale: "sigma", low: -2, high: 2 },
+    axes: [{ scale: "sigma", label: textOf("plots.residual_axis"), minSpan: 8 },
+           { scale: "NIS", label: textOf("plots.nis_axis"), log: true, floor: 0.5, side: 1, alarm: true }],
     series: [
-      { kind: "d", low: 3, high: 4, name: "x \u2212 twin (grey: noise, 95 %)", scale: "sigma", style: MEASURED, digits: 1 },
-      { kind: "d", low: 5, high: 5, name: "mean NIS (2 is noise alone)", scale: "NIS", style: TWIN, width: 2, digits: 2 },
+      { kind: "d", low: 3, high: 4, name: textOf("plots.residual_line"), scale: "sigma", style: MEASURED, digits: 1 },
+      { kind: "d", low: 5, high: 5, name: textOf("plots.nis_line"), scale: "NIS", style: TWIN, width: 2, digits: 2 },
     ],
   },
 };
@@ -63,7 +64,7 @@ export class Plots {
 
   pause(wanted) {
     this.paused = wanted;
-    this.button.textContent = wanted ? "\u25b6 Go on" : "\u2016 Pause";
+    this.button.textContent = wanted ? textOf("plots.go_on") : textOf("plots.pause");
     this.button.setAttribute("aria-pressed", String(wanted));
   }
 
@@ -73,9 +74,9 @@ export class Plots {
       const offset = now.host_s - now.t_s;
       if (Math.abs(offset - this.offset) > 0.2) this.offset = offset; // else the lines would tremble
     }
-    const edge = lost ? now?.at || "no sample" : "now";
+    const time = lost ? now?.at || textOf("plots.no_sample") : textOf("plots.now");
     for (const [name, plot] of Object.entries(this.plots)) {
-      const about = `${PLOTS[name].title}, ${this.span} seconds up to ${edge}`;
+      const about = textOf("plots.about", { plot: PLOTS[name].title, seconds: this.span, time });
       if (plot.place.ariaLabel !== about) plot.place.ariaLabel = about;
       if (this.paused && plot.lost === lost) continue;
       plot.lost = lost;

@@ -4,6 +4,8 @@
 //         what was told as not answered does not happen later.  STOP has no such date.
 // Rule 2: the browser has six connections for a server: STOP's three and the question for the session are kept free.
 
+import { textOf } from "./texts.js";
+
 export const page = document.querySelector("meta[name=board51]").dataset;
 export const may = new Set(page.may.split(" "));
 
@@ -25,13 +27,13 @@ class Server {
 
   // The answer to an act.  Raises an Error where there is none.
   async ask(path, body, { limit = ANSWER_S, method = "POST" } = {}) {
-    if (this.acts >= MAX_ACTS) throw new NotSent("two others wait for their answers still");
+    if (this.acts >= MAX_ACTS) throw new NotSent();
     this.acts += 1;
     try {
       const seen = (this.ahead + performance.now() / 1000).toFixed(3);
       return await this.post(path, body, { signal: AbortSignal.timeout(limit * 1000), headers: { "x-board51-seen": seen }, method });
     } catch (error) {
-      if (error.name === "TimeoutError") throw new Error(`no answer for ${limit} s`);
+      if (error.name === "TimeoutError") throw new Error(textOf("request.no_answer", { seconds: limit }));
       throw error;
     } finally {
       this.acts -= 1;
@@ -48,7 +50,7 @@ class Server {
       body: method === "GET" ? undefined : raw ? body : JSON.stringify(body ?? {}),
     });
     const answer = await response.json();
-    if (response.status === 401 || answer.reason === "token") renew("NOT SENT: this page was of a session that is over. Do it again.");
+    if (response.status === 401 || answer.reason === "token") renew(textOf("request.session_over"));
     return answer;
   }
 
@@ -90,7 +92,7 @@ export function toast(text, state = "busy") {
     if (element.childElementCount > 1) return;
     const close = document.createElement("button");
     close.type = "button";
-    close.textContent = "Close";
+    close.textContent = textOf("request.close");
     close.onclick = () => element.remove();
     element.append(close);
   };
@@ -100,16 +102,16 @@ export function toast(text, state = "busy") {
 
 // Ask, and say what became of it under `name`.  Returns the answer, null where there was none.
 export async function act(name, path, body, options) {
-  const say = toast(`\u2026 ${name}`);
+  const say = toast(textOf("request.busy", { act: name }));
   try {
     const answer = await server.ask(path, body, options);
-    const by = answer.refused_by ? `Refused by ${answer.refused_by} (${answer.reason}): ` : "";
-    if (answer.accepted) say(`\u2713 ${name}: ${answer.text || "accepted"}`, "good");
-    else say(`\u2715 ${name}: ${by}${answer.text}`, "bad");
+    const { text, refused_by: by, reason } = answer;
+    if (answer.accepted) say(text ? textOf("request.accepted_text", { act: name, text }) : textOf("request.accepted", { act: name }), "good");
+    else say(by ? textOf("request.refused_by", { act: name, by, reason, text }) : textOf("request.refused", { act: name, text }), "bad");
     return answer;
   } catch (error) {
-    if (error instanceof NotSent) say(`\u2715 ${name}: NOT SENT, ${error.message}.`, "bad");
-    else say(`\u2715 ${name}: NOT ANSWERED (${error.message}). Whether it acted is not known: see mode and values.`, "bad");
+    if (error instanceof NotSent) say(textOf("request.not_sent", { act: name }), "bad");
+    else say(textOf("request.not_answered", { act: name, error: error.message }), "bad");
     return null;
   }
 }

@@ -7,10 +7,11 @@
 // Rule 4: where a panel is open, Esc closes it first and says so: who closes a list by habit must not drop the ball.
 
 import { page, server, toast } from "./server.js";
+import { textOf, textsOf } from "./texts.js";
 
 const UNANSWERED = 3, LATE_S = 3, SHOWN_S = 6, AGAIN_SHOWN_S = 20;
 
-export const IN_DOUBT = "COIL MAY BE ON"; // of a fault that the board cannot end
+export const IN_DOUBT = "in-doubt"; // the coil of a board with a fault that it cannot end
 
 export class Stop {
   // rigs(): {name: {fresh, idle, mode, coil, tick, session}} as samples say now; say(text, state): the words across the page
@@ -36,13 +37,13 @@ export class Stop {
       event.preventDefault();
       open.close();
     }
-    toast("Esc closed what was open; nothing was stopped. Esc again is STOP.", "note");
+    toast(textOf("stop.esc_closed"), "note");
   }
 
   async press(board) {
     const flight = new AbortController();
     this.waiting.push(flight);
-    while (this.waiting.length > UNANSWERED) this.waiting.shift().abort(new Error("given up for a newer one"));
+    while (this.waiting.length > UNANSWERED) this.waiting.shift().abort(new Error(textOf("stop.replaced")));
     const asked = server.post(`/api/${board}/stop`, {}, { signal: flight.signal }); // before anything that may fail
     const press = { board, sessions: {}, at: performance.now(), replies: null, error: "", off: {}, on: null, goodAt: null };
     this.newest = press;
@@ -76,47 +77,48 @@ export class Stop {
   words(press) {
     const rigs = this.rigs(), names = Object.keys(press.replies ?? (press.board === "*" ? rigs : { [press.board]: 0 }));
     const coils = names.map((name) => this.coil(press, name, rigs[name], press.replies?.[name]));
-    const said = coils.map(([words], n) => (names.length > 1 ? `${names[n]}: ${words}` : words)).join(" \u00b7 ");
-    const by_hand = "Switch the rig off by hand.";
+    const of = ([coil], n) => (names.length > 1 ? textOf("stop.coil_of", { rig: names[n], coil }) : coil);
+    const all = { coils: coils.map(of).join(" \u00b7 ") };
     const refused = names.filter((name) => press.replies && !press.replies[name].accepted);
-    if (press.error) return [`STOP NOT DELIVERED, or not answered (${press.error}). ${by_hand} ${said}`, "bad"];
+    if (press.error) return [textOf("stop.not_delivered", { error: press.error, ...all }), "bad"];
     if (!press.replies) {
       const late = (performance.now() - press.at) / 1000;
-      if (late < LATE_S) return [`STOP sent \u2026 ${said}`, "busy"];
-      return [`STOP sent, NO ANSWER for ${late.toFixed(0)} s. ${by_hand} ${said}`, "bad"];
+      if (late < LATE_S) return [textOf("stop.sent", all), "busy"];
+      return [textOf("stop.late", { seconds: late.toFixed(0), ...all }), "bad"];
     }
-    if (!names.length) return ["STOP: no rig is known yet, nothing was stopped", "bad"];
+    if (!names.length) return [textOf("stop.no_rig"), "bad"];
     const worst = ["bad", "busy", "warn"].find((state) => coils.some(([, its]) => its === state)) ?? "good";
-    if (refused.length === names.length && names.length === 1) return [`STOP REFUSED. ${said}`, worst];
-    if (refused.length) return [`STOP REFUSED for ${refused.join(", ")}${refused.length < names.length ? ", accepted for the others" : ""}: ${said}`, worst];
-    return [`STOP accepted after ${press.took} ms: ${said}`, worst];
+    if (!refused.length) return [textOf("stop.accepted", { ms: press.took, ...all }), worst];
+    if (names.length === 1) return [textOf("stop.refused", all), worst];
+    const of_rigs = { rigs: refused.join(", "), ...all };
+    return [refused.length < names.length ? textOf("stop.refused_for_some", of_rigs) : textOf("stop.refused_for", of_rigs), worst];
   }
 
   // [words, state] of one coil, by its samples.
   coil(press, name, rig, reply) {
     if (reply && !reply.accepted) {
-      const why = `REFUSED by ${reply.refused_by} (${reply.reason}): ${reply.text}`;
-      if (rig?.fresh && rig.idle) return [`${why} Its coil is off, says the sample of tick ${rig.tick}.`, "bad"];
-      return [`${why} Switch ${name} off by hand.`, "bad"];
+      const refusal = textOf("stop.refused_by", { by: reply.refused_by, reason: reply.reason, text: reply.text });
+      if (rig?.fresh && rig.idle) return [textOf("stop.refused_but_off", { refusal, tick: rig.tick }), "bad"];
+      return [textOf("stop.refused_by_hand", { refusal, rig: name }), "bad"];
     }
     if (!rig?.fresh) {
-      const before = press.off[name] ? `coil off at tick ${press.off[name]}, ` : "";
-      return [`${before}no samples come now, so whether the coil is off is not known`, "warn"];
+      const tick = press.off[name];
+      return [tick ? textOf("stop.silent_was_off", { tick }) : textOf("stop.silent"), "warn"];
     }
-    if (rig.coil === IN_DOUBT) return ["THE COIL MAY BE ON: cut its supply", "bad"];
+    if (rig.coil === IN_DOUBT) return [textOf("stop.may_be_on"), "bad"];
     // A sample older than the STOP says nothing of it.
+    const mode = textsOf("mode")[rig.mode] ?? rig.mode, waits = () => [textOf("stop.waiting", { tick: reply.tick }), "busy"];
     const after = reply && (rig.tick >= reply.tick || rig.session !== press.sessions[name]);
     if (rig.idle) {
       press.off[name] = rig.tick;
       press.on = null;
-      return [reply && !after ? `accepted at tick ${reply.tick}, waiting for its sample` : `coil off, says the sample of tick ${rig.tick}`,
-              reply && !after ? "busy" : "good"];
+      return reply && !after ? waits() : [textOf("stop.off", { tick: rig.tick }), "good"];
     }
     if (press.off[name]) {
       press.on ??= performance.now();
-      return [`it was off and is ON AGAIN: ${rig.mode} \u00b7 coil on`, "bad"];
+      return [textOf("stop.on_again", { mode }), "bad"];
     }
-    if (reply && !after) return [`accepted at tick ${reply.tick}, waiting for its sample`, "busy"];
-    return [`COIL ON, say the samples: ${rig.mode}`, reply ? "bad" : "busy"];
+    if (reply && !after) return waits();
+    return [textOf("stop.on", { mode }), reply ? "bad" : "busy"];
   }
 }

@@ -1,8 +1,8 @@
 """The board's clock on the host's time axis: evenly spaced source timestamps without the jitter of the link.  Pure.
 
 A sample's arrival is late by the link's latency, which varies; its tick is exact but of an unknown origin.  The origin
-is estimated per session: early arrivals pull it at once (a sample cannot arrive before it was made), late ones slowly,
-so that it follows the drift of the quartz and not the queue.
+is estimated per session.  Early arrivals pull it at once, because a sample cannot arrive before it was made.  Late ones
+pull it slowly, so that it follows the drift of the quartz and not the queue.
 """
 
 from __future__ import annotations

@@ -13,15 +13,15 @@ LINK_STATES = ("live", "silent", "absent", "handshake", "connecting", "streaming
 LINK_CODE = "link/code"
 # Path, type, whether an array, what it is.
 EXTRAS: tuple[tuple[str, ua.VariantType, bool, str], ...] = (
-    ("link/state", _V.String, False, "live, or why not: silent, absent, handshake, connecting, no-gateway"),
+    ("link/state", _V.String, False, "live, or silent, absent, handshake, connecting, no-gateway"),
     (LINK_CODE, _V.Int32, False, "link/state as a number: 0 is live"),
-    ("link/reason", _V.String, False, "a sentence; empty where live"),
-    ("alarms/active", _V.UInt32, False, "conditions that hold now"),
-    ("alarms/unacknowledged", _V.UInt32, False, "that nobody has seen yet"),
+    ("link/reason", _V.String, False, "reason of the state, a sentence; empty while live"),
+    ("alarms/active", _V.UInt32, False, "number of conditions that hold now"),
+    ("alarms/unacknowledged", _V.UInt32, False, "number of conditions that nobody has acknowledged"),
     ("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first"),
-    ("last_command/who", _V.String, False, "of the newest command to this board, by whichever way it came"),
-    ("last_command/what", _V.String, False, "its kind"),
-    ("last_command/accepted", _V.Boolean, False, "whether it was"),
+    ("last_command/who", _V.String, False, "sender of the newest command to this board, by any route"),
+    ("last_command/what", _V.String, False, "kind of the newest command"),
+    ("last_command/accepted", _V.Boolean, False, "whether the newest command was accepted"),
     ("last_command/reason", _V.String, False, "why it was refused, kebab-case"),
     ("last_command/text", _V.String, False, "why it was refused, a sentence"),
 )

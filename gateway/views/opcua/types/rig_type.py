@@ -40,7 +40,7 @@ def add_types(server: InternalServer, spaces: Namespaces) -> None:
 def _add_link_state(server: InternalServer, builder: Builder) -> None:
     attributes = ua.DataTypeAttributes()
     attributes.DisplayName = ua.LocalizedText(LINK_STATE)
-    attributes.Description = ua.LocalizedText("whether samples come from a rig, and if not, how far the link is")
+    attributes.Description = ua.LocalizedText("whether samples arrive from a rig, and if not, the state of the link")
     attributes.IsAbstract = False
     node = builder.add(ua.NodeId(_O.Enumeration), LINK_STATE, ua.NodeClass.DataType, attributes, _O.HasSubtype, None)
     fields = [ua.EnumField(Name=name, Value=n) for n, name in enumerate(LINK_STATES)]
