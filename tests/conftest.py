@@ -40,6 +40,23 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
 
 
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Fail where the scheduler does not see the groups.
+
+    xdist writes them into the ids of the tests and spreads what has no group there.  That would be silent: each
+    process would make the same fixtures, for twice the time of a run.
+    """
+    if getattr(session.config.option, "loadgroup", False):  # in a process of the run
+        lost = [
+            item.nodeid for item in session.items if any(item.iter_markers("xdist_group")) and "@" not in item.nodeid
+        ]
+        if lost:
+            text = (
+                f"pytest {pytest.__version__} and pytest-xdist do not group tests: {lost[0]} and {len(lost) - 1} more"
+            )
+            raise pytest.UsageError(text)
+
+
 def _compile_one_at_a_time() -> None:
     """Of the processes of a run one compiles a kernel; the others wait and read it from numba's cache on disk."""
     from numba.core.compiler_lock import global_compiler_lock
