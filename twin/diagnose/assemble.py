@@ -233,7 +233,7 @@ def _remainder(
     choice: Choice,
     options: Options,
 ) -> Remainder | None:
-    """Return the model what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
+    """Model what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
     has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
     is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form
     if not is_requested or judge is None or whole is None or choice.fit is None or search.change is not None:

@@ -1,6 +1,6 @@
 """Adequacy: does the model leave nothing but sensor noise?
 
-Rule 1: a model is adequate if its innovations are white and as large as the sensor noise makes them.
+Rule 1: a model is adequate if its innovations are white and as large as the sensor noise makes them, (S 6).
 Rule 2: small departures have no physical cause: converters round and the filter linearises.  The limits are in
         `settings.py`.
 """

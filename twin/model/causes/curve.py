@@ -1,6 +1,6 @@
 """The curves for what no cause explains: smooth functions of one quantity each.
 
-    g(s) = sum over j of k_j B_j(s)    cubic B-splines, uniform knots over the range that the recordings have visited
+    g(s) = sum over j of k_j B_j(s),   cubic B-splines, uniform knots over the range of the recordings    (S 12)
 
 Rule 1: a curve without a range is exactly absent; the extended model is then the one with the causes alone.
 Rule 2: outside its range a curve fades to 0 within three knots: nothing is extrapolated.
