@@ -19,7 +19,7 @@ from protocol.files import open_regular
 
 T = TypeVar("T")
 LARGEST_TABLE = 500_000_000  # bytes, unpacked: four hours at 500 Hz
-LARGEST_RATIO = 100  # samples pack ten times; equal rows, which are no recording, a thousand times
+LARGEST_RATIO = 100  # samples pack ten times; equal rows, which are not a recording, a thousand times
 FREE_BYTES = 4_000_000
 LONGEST_LINE = 100_000  # bytes; below the largest cell of Python's csv
 REMEDY = "Name a CSV file (also .gz), a MATLAB or an MCAP file"
@@ -81,7 +81,7 @@ def is_number(cell: str) -> bool:
 def read_mat(
     path: Path, collect: Callable[[str, Any, dict[str, T], dict[str, str]], None], *, squeeze: bool
 ) -> tuple[dict[str, T], dict[str, str]]:
-    """Return the columns of a .mat file up to version 7, and why its other variables are no columns.
+    """Return the columns of a .mat file up to version 7, and why its other variables are not columns.
 
     Args:
         path: Path of the file.

@@ -8,7 +8,8 @@ Rule 3: g is a share of the weight, the magnetic force, the current that holds t
         So one prior serves all rigs.
 
 B-splines with a prior on their coefficients are a Gaussian process of few numbers (P. H. C. Eilers, B. D. Marx,
-Statistical Science 11(2), 1996, doi:10.1214/ss/1038425655).  A curve is no cause: it says where and how large, not why.
+Statistical Science 11(2), 1996, doi:10.1214/ss/1038425655).
+A curve is not a cause: it says where and how large, not why.
 """
 
 from __future__ import annotations
