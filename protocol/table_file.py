@@ -20,7 +20,7 @@ from protocol.errors import DataError
 from protocol.files import open_regular
 
 LARGEST_TABLE = 500_000_000  # bytes, unpacked: four hours at 500 Hz
-LARGEST_RATIO = 100  # samples pack ten times; equal rows, which are no recording, a thousand times
+LARGEST_RATIO = 100  # samples pack ten times; equal rows, which are not a recording, a thousand times
 FREE_BYTES = 4_000_000
 LONGEST_LINE = 100_000  # bytes; below the largest cell of Python's csv
 REMEDY = "Name a CSV file (also .gz), a MATLAB or an MCAP file"

@@ -26,7 +26,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Packed: TypeAlias = tuple[Any, ...]  # tuple(of a NamedTuple of numbers)
 _IN_MACHINE_CODE = b"@kernel", b"@inlined", b"(NamedTuple)"
-OLD_S = 7 * 86400.0  # machine code of sources that are no more, untouched for so long, is removed
+OLD_S = 7 * 86400.0  # machine code of former sources is removed after this time without use
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:

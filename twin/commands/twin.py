@@ -142,7 +142,7 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
     for what, word in (("--who", who), ("--id", args.id)):
         if len(word) > MAX_WORD or not word.isprintable():
             raise UsageError(
-                f"{what} {word[:MAX_WORD]!r} is no name", remedy=f"Use up to {MAX_WORD} printable characters"
+                f"{what} {word[:MAX_WORD]!r} is not a name", remedy=f"Use up to {MAX_WORD} printable characters"
             )
     belief = believe(_model(args.hand_over), who=who)
     answers = hand_over(

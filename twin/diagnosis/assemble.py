@@ -209,7 +209,7 @@ def _remainder(
     choice: Choice,
     options: Options,
 ) -> Remainder | None:
-    """Return a model of what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
+    """Model what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
     judge = inputs.judge
     has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
     is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form

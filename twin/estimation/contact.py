@@ -43,6 +43,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     x = record.x
     known = np.isfinite(x)
     x = np.interp(np.arange(n), np.flatnonzero(known), x[known])
+    # The range within a window, not its standard deviation: a slow rise of an unstable ball has a small one at first.
     spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
     sigma = max(scatter(x), 1e-4 * plant.travel_m)
     core = spread <= HELD_SCALES * sigma
@@ -74,6 +75,7 @@ def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> B
 
     Just before lift-off a changing force raises the ball by some ten micrometres.
     """
+    # The line over the current takes out crosstalk: else a changing current would look like a ball that moves.
     rest_m = line_over(i_c[held], x[held])(i_c) if np.isfinite(i_c).all() else np.median(x[held])
     off = uniform_filter1d(x - rest_m, BOUNCE_SAMPLES)
     spread = max(1.4826 * float(np.median(np.abs(off[held]))), sigma / np.sqrt(BOUNCE_SAMPLES))
@@ -103,6 +105,7 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
     # Two clear steps each way: a single wrong reading gives one step each way.
     up, down = np.minimum(steps[:-1], steps[1:]), np.minimum(-steps[:-1], -steps[1:])
     clear = np.minimum(up[:-4], down[4:]) > CLEAR_STEP * sigma
+    # Mean slopes over two intervals before and after: their difference is an acceleration, compared with the weight's.
     change = ((x[2:-4] - x[:-6]) + (x[4:-2] - x[6:])) / (2.0 * step_s)
     min_change = TURNS * plant.gravity_m_s2 * 4.0 * step_s + CLEAR_STEP * sigma / step_s
     even = np.convolve(np.abs(np.diff(record.t) - step_s) < 0.5 * step_s, np.ones(6), mode="valid") == 6.0
@@ -116,6 +119,8 @@ def at_converter_end(values: FloatArray) -> BoolArray:
     if len(values) < HELD_SAMPLES or not np.isfinite(values).any():
         return cut
     for end in (np.nanmin(values), np.nanmax(values)):
+        # The share at the exact end value, not the distance to a nominal range: the converter's range is often not
+        # known.
         at_end = (values == end).astype(float)
         cut |= uniform_filter1d(at_end, HELD_SAMPLES) > END_SHARE
     return cut

@@ -55,7 +55,9 @@ class Series:
 
 @kernel
 def whiten(out: NDArray[np.float64], loglik: NDArray[np.float64], white: NDArray[np.float64]) -> float:
-    """Compute log-likelihood and whitened innovations of each sample; return their total, without constants.
+    """Compute log-likelihood and whitened innovations of each sample; return its total, without constants.
+
+    (S 2) of docs/theory/statistics.md (F. Schweppe, 1965), whitened by the Cholesky factor of S, i_c first.
 
     Args:
         out: output of the filter, shape (n, 5).
@@ -103,7 +105,7 @@ def information(
     scores: NDArray[np.float64],
     fisher: NDArray[np.float64],
 ) -> None:
-    """Compute score per sample and Fisher information from the filter's output and its derivatives.
+    """Compute score per sample and Fisher information, (S 3), from the filter's output and its derivatives.
 
     With w the whitened innovations and dw, dS their derivatives in the whitened frame,
         score_a = 1/2 (w' dS_a w - tr dS_a) - w' dnu_a,   F_ab = dnu_a' dnu_b + 1/2 tr(dS_a dS_b).

@@ -91,6 +91,8 @@ def climb(
             ends in any case, as slopes that promise more are those of a likelihood with kinks.
     """
     point, damping, converged = start, Damping(), False
+    # Fisher scoring, not Gauss-Newton or BFGS: the noise levels are parameters, so the weights of the residuals change.
+    # The information matrix costs nothing beyond the derivatives, and is positive semidefinite, unlike the Hessian.
     loglik, outputs = surface.visit(start)
     slopes = surface.slopes(start, outputs, free, None, math.inf)
     max_step = np.array([surface.max_step(name) for name in free])
@@ -101,6 +103,7 @@ def climb(
     for _ in range(passes):
         used += 1
         step, decrement = newton(slopes, active_of(surface, point, free, slopes.score), damping.value)
+        # Approximate derivatives find the way, but only exact ones may decide that the way has ended.
         if decrement < CLOSE and not slopes.exact:
             slopes = surface.exact(point, outputs, free)
             step, decrement = newton(slopes, active_of(surface, point, free, slopes.score), damping.value)
@@ -115,11 +118,13 @@ def climb(
         for index, name in enumerate(free):
             trial = surface.moved(trial, name, float(step[index]))
         value, trial_outputs = surface.visit(trial)
+        # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < _LITTLE else 0
             damping.accepted()
             point, loglik, outputs = trial, value, trial_outputs
             slopes = surface.slopes(point, outputs, free, slopes, decrement)
+        # Before a step is blamed, its derivatives are: old or approximate ones may point the wrong way.
         elif not (slopes.fresh and slopes.exact):
             slopes = surface.exact(point, outputs, free)
         elif not damping.rejected():
@@ -141,6 +146,7 @@ def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatAr
     """Return which coordinates may move, shape (count,): all but those at a bound whose score points outwards."""
     return np.array(
         [
+            # The point itself knows its bounds, so a small move is tried in place of a second list of bounds.
             surface.moved(point, name, _NUDGE if score[index] > 0.0 else -_NUDGE) != point
             for index, name in enumerate(free)
         ],
@@ -168,6 +174,7 @@ def newton(slopes: Slopes, active: NDArray[np.bool_], damping: float) -> tuple[F
     if not (np.isfinite(g).all() and np.isfinite(F).all()):
         return step, math.inf
     scale = np.sqrt(np.maximum(np.diag(F), 1e-12))
+    # Least squares instead of Cholesky: a coordinate without information makes F singular, and its step should be 0.
     scaled = F / np.outer(scale, scale)
     step[active] = np.linalg.lstsq(scaled + damping * np.eye(len(g)), g / scale, rcond=1e-14)[0] / scale
     whole = np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale

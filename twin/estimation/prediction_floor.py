@@ -1,7 +1,7 @@
 """The noise floor: the error of a right model N samples ahead.
 
 A prediction starts from the filter's estimate and uses the recorded u_c.  Under a right model its error has the
-covariance P of that estimate, propagated by the steps' Jacobians, plus the reading's noise:
+covariance P of that estimate, propagated by the steps' Jacobians, plus the reading's noise (S 7):
 
     var = h (F_N .. F_1 P F_1' .. F_N' + propagated process noise) h' + sigma_x^2
 

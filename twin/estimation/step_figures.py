@@ -240,7 +240,7 @@ def measure(
 
 
 def settling_band(size_m: float, noise_m: float) -> float:
-    """Return the half the width of the settling band, a share of the step; `noise_m`: standard deviation of x, m."""
+    """Return half the width of the settling band, a share of the step; `noise_m`: standard deviation of x, m."""
     return max(BAND, 4.0 * noise_m / abs(size_m))
 
 

@@ -83,6 +83,7 @@ def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | N
             _coloured(i_c).total + max(_white(captured).total, _coloured(captured).total),
         )
         if 2.0 * (separate - joint.total) < chi2.isf(settings.COLOUR_CHANCE, 3):
+            # One colour unless two are significantly better: it has three numbers less.
             i_c_colour = captured_colour = joint.colour
     return i_c_colour, _colour(x), captured_colour
 
@@ -104,11 +105,13 @@ def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
 def _colour(windows: Sequence[_Windows]) -> Colour | None:
     if sum(len(part.rows) for part in windows) < FEWEST:
         return None
+    # The grid of fits is the costly part.  The score needs no fit, and ends the question where the noise is white.
     if max(_score(windows, tau_s) for tau_s in _TAU_S[::5].tolist()) < settings.COLOUR_SCORE:
         return None
     white, coloured = _white(windows), _coloured(windows)
     gains = coloured.each - white.each
     min_gain = 0.5 * float(chi2.isf(settings.COLOUR_CHANCE, 2))
+    # Without the best window: one disturbed window would otherwise make coloured noise of a whole campaign.
     surely = float(gains.sum() - gains.max()) > min_gain and coloured.total > _wandering(windows).total
     assert coloured.colour is not None
     material = max(_next(coloured.colour, part.step_s) for part in windows) > settings.MAX_AUTOCORRELATION
@@ -156,6 +159,8 @@ def _white(windows: Sequence[_Windows]) -> _Fit:
 
 def _coloured(windows: Sequence[_Windows]) -> _Fit:
     best: _Fit | None = None
+    # A grid, not an optimiser: the likelihood is flat between white noise and short correlation times, and the
+    # eigenvectors of each time are cached.
     for tau_s in _TAU_S.tolist():
         transformed = []
         for part in windows:
@@ -172,7 +177,7 @@ def _coloured(windows: Sequence[_Windows]) -> _Fit:
 
 
 def _wandering(windows: Sequence[_Windows]) -> _Fit:
-    """Return the white noise and an offset that wanders."""
+    """Fit white noise with an offset that wanders."""
     values, axes = np.linalg.eigh(_WALK)
     fits = []
     for white in _WHITE.tolist():

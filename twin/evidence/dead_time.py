@@ -27,6 +27,7 @@ def dead_time(records: Sequence[Record]) -> tuple[float, float] | None:
     if not steps:
         return None
     interval = min(_interval(record) for record in steps)
+    # A grid of whole samples, coarse and then fine: the error has a kink at each sample, at which a slope misleads.
     coarse, longest = max(round(_COARSE_S / interval), 1), round(_LONGEST_S / interval)
     errors = {delay: _error(steps, delay) for delay in range(0, longest + 1, coarse)}
     best = min(errors, key=lambda delay: errors[delay])

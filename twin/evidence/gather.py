@@ -79,6 +79,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     records = [record for record, _ in rows]
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
+    # In this order: what is held does not need the stops, the stops need what is held, and platforms need the stops.
     blind = range_ends(records, held)
     noise_shows = min_noise(records) > converter_step(records)
     visible = [is_held & ~np.isin(record.x, blind) for record, is_held in zip(records, held, strict=True)]
@@ -106,6 +107,8 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         flies = record.kind == "sawtooth" and not lifted[number]
         scale, shift = _rescaling(low, high, plant)
         rescaled = replace(record, x=(record.x - shift) * scale, kind="prbs" if flies else record.kind)
+        # `prepare` finds contacts by the nominal travel.  Rescaled readings show it the stops there, and the original
+        # readings go into the series: a scale must stay for the causes to explain.
         series, (usage,) = prepare([rescaled], plant)
         usage.kind = record.kind
         usages.append(usage)

@@ -246,9 +246,13 @@ class _Group:
 def _groups(windows: _Windows) -> list[_Group]:
     """Return the groups of sources that do not differ significantly (hierarchical merging); most windows first."""
     present, counts = np.unique(windows.source, return_counts=True)
+    # Levels are compared as logarithms of squares: their scatter is the same for any level, and nearly normal for
+    # windows of this length.  An F test of the squares would rely on Gaussian tails.
     groups = [_Group((int(first),), windows.log[windows.source == first]) for first in present[counts >= FEWEST]]
     surely = float(norm.isf(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1)))
     while len(groups) > 1:
+        # Merging from below, not splitting: with no difference all recordings end in one group, the simplest answer.
+        # The level is that of all pairs together (Bonferroni).
         separation, first, second = min(
             ((a.separation(b), a, b) for a, b in combinations(groups, 2)), key=lambda pair: pair[0]
         )
@@ -299,6 +303,7 @@ def _fitted(windows: _Windows, group: IntArray) -> Channel:
         after = log - powers @ bend
         gained = float(left @ left - after @ after) / float(np.var(after, ddof=bends))
         change = float(np.std(left - after))
+        # Significant and large: with many windows a bend of 1 % is significant, but does not matter.
         if chi2.sf(gained, 1) > settings.INSTRUMENT_CHANCE or change < math.log(TOLERANCE):
             break
         curve, left = Channel(bend=tuple(bend.tolist()), range_m=(low, high)), after

@@ -26,6 +26,7 @@ def bridged(record: Record) -> tuple[Record, BoolArray]:
     """Return (the recording with a row for each single lost sample; which rows those are, shape (n,))."""
     steps, interval = np.diff(record.t), record.interval_s
     with np.errstate(invalid="ignore"):
+        # Single lost samples only: the input of one is determined by the next reading of i_c, two would share it.
         single = np.flatnonzero(np.abs(steps - 2.0 * interval) <= 2.0 * REGULAR_SHARE * interval)
         even = np.count_nonzero(np.abs(steps - interval) <= REGULAR_SHARE * interval)
     lost = np.zeros(len(record.t) + len(single), np.bool_)

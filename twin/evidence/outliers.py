@@ -61,14 +61,17 @@ def _wild(series: Series, column: int) -> BoolArray:
     flies = series.flags & FLIES != 0
     min_spread = _count(values) * np.sqrt(_POWER / 12.0)  # due to rounding alone
     for kind in (flies, ~flies):
+        # The median, not the standard deviation: outliers must not hide themselves by widening the scale.
         usual = off[kind & whole]
         if len(usual) >= _FEWEST:
             spread = max(1.4826 * float(np.median(np.abs(usual))), min_spread)
             scaled[kind] = off[kind] / spread if spread > 0.0 else np.nan
     wild = np.abs(np.nan_to_num(scaled)) > settings.OUTLIER_ERRORS
     if column == 0:
+        # A response to the input is not an outlier, even if one reading alone shows it.
         wild &= ~_steps(series.u)
     for index in np.flatnonzero(wild):
+        # A single wrong reading appears in five fourth differences as 1, -4, 6, -4, 1.  Another pattern is motion.
         neighbours = scaled[index - 2 : index + 3]
         left = float(neighbours @ neighbours - (neighbours @ _SPIKE) ** 2 / _POWER)
         # Comparison with NaN is False: a reading with an unknown neighbour is not an outlier.

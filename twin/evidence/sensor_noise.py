@@ -22,6 +22,8 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
     if evidence.noise is not None:
         coloured = zip(result, evidence.noise.colours[:2], strict=True)
         result = [colour.sigma if colour is not None else sigma for sigma, colour in coloured]
+        # At rest before in flight: there the loop answers to the noise, so that differences show a little more than
+        # the sensor.
         in_flight = [channel.sigma if math.isfinite(channel.sigma) else None for channel in evidence.noise.channels]
         result = [sigma if sigma is not None else other for sigma, other in zip(result, in_flight, strict=True)]
     return result[0], result[1]
@@ -56,6 +58,8 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
             for column, values in ((0, series.i[window]), (1, series.x[window])):
                 if not usable[column]:
                     continue
+                # About a line, not about the mean: a coil that warms up moves i_c by more than its noise within
+                # seconds.
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)
                 if len(evidence.noise_ratio):  # scaled to the reference instrument

@@ -18,6 +18,7 @@ def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
     """Return (the recordings, long ones shortened; a sentence about it, empty if none was shortened)."""
     result, cut = [], 0
     flights = [min(len(record.t), FLIGHT_SAMPLES) for record in records if record.kind in _LONG]
+    # Less of each flight, not fewer flights: recordings differ more from one another than their parts do.
     max_samples = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
     for record in records:
         if record.kind in _LONG and len(record.t) > max_samples:

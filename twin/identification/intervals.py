@@ -41,6 +41,7 @@ def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -
         value = getattr(fitted.point, name)
         relative = std / value if name != "b" and value > 0 else 0.0
         floored = name == "T_A" and value <= FLOORS[name] * 1.001  # no standard error and no lower end
+        # The parabola is taken where it holds, because a profile costs several fits for each end.
         crooked = (
             floored
             or relative > settings.PROFILE_FROM
@@ -87,6 +88,7 @@ def _profile(likelihood: Likelihood, fitted: Fit, name: str, side: int, target: 
         below, above = (max(below, distance), above) if root < target else (below, min(above, distance))
         if root < target and distance >= max_distance:
             return 0.0 if side < 0 and name != "b" else side * float("inf")
+        # The root is proportional to the distance for a parabola, so this secant step needs fewer fits than bisection.
         guess = distance * target / root if root > 0.05 * target else distance * 4.0
         if not below < guess < above:
             guess = 0.5 * (below + above) if np.isfinite(above) else distance * 2.0

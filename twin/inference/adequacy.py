@@ -1,6 +1,6 @@
 """Adequacy: does the model leave nothing but sensor noise?
 
-Rule 1: a model is adequate if its innovations are white and as large as the sensor noise makes them.
+Rule 1: a model is adequate if its innovations are white and as large as the sensor noise makes them, (S 6).
 Rule 2: small departures have no physical cause: converters round and the filter linearises.  The limits are in
         `settings.py`.
 """
@@ -24,6 +24,7 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
     """Return whether the model is adequate, and if not, a sentence with the reason; `floor` is that of this model."""
     _, white = criterion.white(fit.theta)
     colour = whiteness(criterion.evidence.series, white)
+    # Size before colour: a large rest is coloured as well, and its size is the clearer sentence.
     if floor.measured and floor.above_noise(fit.loglik):
         per_reading = floor.excess(fit.loglik) / floor.readings
         return False, (
@@ -31,6 +32,8 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
         )
     if floor.misplaced_m > settings.MISPLACED_STOP_M:
         return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, correct it there"
+    # Both bars: 0.06 keeps out what rounding does in a long campaign, the standard errors what chance does in a short
+    # one.
     counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
     chance = settings.AUTOCORRELATION_ERRORS / math.sqrt(min(counts)) if counts else math.inf
     if colour.worst > max(settings.MAX_AUTOCORRELATION, chance):

@@ -50,6 +50,7 @@ class Budget:
         Raises:
             Spent: this run, or one before it, exceeds the budget.
         """
+        # Closed for good after the first refusal: a smaller run that still fits would make the end depend on the order.
         self.closed = self.closed or self.spent + steps > self._open
         if self.closed:
             raise Spent
@@ -57,6 +58,7 @@ class Budget:
 
     def shares(self, count: int) -> list[Budget]:
         """Divide the rest into equal parts; `settle` returns them."""
+        # Equal shares beforehand, not first come first served: the answer must not depend on which thread is faster.
         return [Budget(0.0 if self.closed else (self._open - self.spent) / count) for _ in range(count)]
 
     def settle(self, shares: Sequence[Budget]) -> None:
@@ -76,5 +78,5 @@ class Budget:
 
     @property
     def used(self) -> float:
-        """Return the share of the limit."""
+        """Return the spent share of the limit."""
         return self.spent / self.limit if self.limit > 0.0 else 1.0

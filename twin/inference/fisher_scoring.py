@@ -66,6 +66,7 @@ def climb(
 
     With `approximate`, cheaper slopes lead near the maximum, and the fit counts as not converged.
     """
+    # An approximate fit stops at the looser tolerance: its slopes are not worth more.
     surface = _Surface(criterion, approximate=approximate)
     top = optimiser.climb(
         surface, start, free, passes=passes, tolerance=SLOW_TOLERANCE if approximate else tolerance, patience=2
@@ -90,8 +91,10 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
     if part is not criterion:
         fit = climb(part, start, free, passes=settings.PASSES_APPROACH, approximate=True)
         before, after = criterion.values([start, fit.theta])
+    # Going astray is judged by all samples, which cost two runs; the part's own likelihood would not show it.
     if part is criterion or after < before:  # the part does not show an effect, and the fit went astray
         return climb(criterion, start, free, passes=settings.PASSES_FIRST, approximate=True)
+    # Information grows with the number of samples, so the covariance of the part shrinks by its share.
     covariance = part.share * fit.covariance
     return replace(
         fit,
@@ -113,6 +116,7 @@ def narrowing(free: Sequence[str], covariance: FloatArray) -> float:
         covariance: of the coordinates, shape (count, count).
     """
     spreads = {name: prior_spread(name) for name in free}
+    # Only shapes count, as only they have a prior.  An Occam factor for strengths would need a prior for each rig.
     priors = [k for k, name in enumerate(free) if math.isfinite(spreads[name]) and covariance[k, k] > 0.0]
     if not priors or not np.isfinite(covariance).all():
         return 0.0
@@ -148,6 +152,8 @@ class _Surface:
         if before is not None and decrement <= CLOSE:
             # The derivatives are as good as those of this point.
             return self._of(point, results, free, before.retained, exact=before.exact, fresh=False)
+        # The mean square of the whitened innovations shows how wrong the model still is.  Rough slopes of a very wrong
+        # model may point the wrong way, and cheap slopes do not pay for steps that are rejected.
         rough = self._criterion.mean_square(results.innovations) < settings.EXACT_SLOPES_SQUARE
         _, change = self._criterion.derivatives(point, free, results, rough=rough)
         return self._of(point, results, free, change, exact=self._approximate or not rough)

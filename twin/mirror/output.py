@@ -80,7 +80,7 @@ class Output:
 
     @property
     def divergence(self) -> pb.Divergence:
-        """Return the measured against twin, and the observer's innovation."""
+        """Compare measured with twin, and report the observer's innovation."""
         if self._divergence is None:
             self._divergence = self._compared()
         return self._divergence

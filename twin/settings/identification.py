@@ -26,7 +26,7 @@ RESIDUAL_MEMORY_S = 0.1
 
 # --- Intervals ---
 
-# Reasoned.  Relative standard error from which the log-likelihood is no parabola and the profile gives the interval.
+# Reasoned.  Relative standard error from which the log-likelihood is not a parabola and the profile gives the interval.
 PROFILE_FROM = 0.15
 # Level.  Standard errors of b from 0 below which the profile gives its interval: 0.3 %.
 SMALL_DRAG = 3.0

@@ -121,6 +121,8 @@ def find_change(
     order = in_time(records)
     # A periodic force has a phase in each recording anyway.
     candidates = [cause for cause in candidates if cause.detector != "spectral-line"]
+    # Only cuts between recordings: within one, `consistency.beginnings` looks.  A fit for each cause and cut would be
+    # far too many; the score sums of the recordings give the promising ones from one set of derivatives.
     for cut, begins in _promising_cuts(criterion, selection, candidates, order):
         first, second = order[:cut], order[cut:]
         names = records[first[-1]].name, records[second[0]].name
@@ -143,6 +145,8 @@ def find_change(
             chosen = find_classes(
                 switched, chosen, candidates=candidates, max_candidates=max_candidates, quick=True, report=report
             )
+            # The rival is the same cause all the time, fitted anew.  Without it a cause that was merely missed by the
+            # search would count as a change.
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=settings.PASSES)
             gain = chosen.fit.loglik - max(always.loglik, selection.fit.loglik)
             if gain > settings.CHANGE_GAIN:

@@ -67,6 +67,7 @@ def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str,
         fisher, each = np.zeros((len(names), len(names))), np.empty((n, len(names)))
         information(base[block], np.ascontiguousarray(change[:, block]), each, fisher)
         for index, name in enumerate(names):
+            # Each coordinate alone, the others held: a joint fit of each block would need more data than a second has.
             information_sum = float(fisher[index, index])
             if information_sum > 1e-12:
                 result[name].append(
@@ -112,6 +113,8 @@ def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Be
             continue
         weights = np.array([stretch.std**-2 for stretch in moves_of_cause])
         strengths = strength + np.array([stretch.move for stretch in moves_of_cause])
+        # One change of the mean by least squares (Hinkley, 1970), not a running test: the question is asked once,
+        # afterwards.
         index, gain, before, after = _split(strengths, weights)
         is_absent_before = abs(before) < settings.BEGINNING_ABSENT * abs(after) and after * strength > 0.0
         is_significant = abs(after) * math.sqrt(float(weights[index:].sum())) > settings.BEGINNING_Z

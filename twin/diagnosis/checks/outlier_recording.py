@@ -65,6 +65,8 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
         each, fisher = np.empty((piece.stop - piece.start, len(names))), np.zeros((len(names), len(names)))
         information(out[piece], np.ascontiguousarray(change[:, piece]), each, fisher)
         score = each.sum(axis=0)
+        # The score of one recording at the common fit, in place of a fit without each: one set of derivatives serves
+        # all.
         gain = 0.5 * float(score @ inverse(fisher) @ score)
         best = max(best, (gain, number))
     number = best[1]
@@ -74,6 +76,8 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
     rest = [other for index, other in enumerate(evidence.records) if index != number]
     plant, stops = criterion.plant, (evidence.low_m, evidence.high_m)
     try:
+        # The recording alone must be explained by another rig, not only disagree: a recording with an unknown effect
+        # disagrees, too, and is evidence that must not be thrown away.
         start = with_noise_bounds(start_theta([record], plant), evidence)
     except DataError:
         return None  # one recording does not suffice for a start

@@ -6,9 +6,9 @@ part of it, within the limits that the campaign and the experiment set:
 
     z^2 = min over xi of |Delta_campaign + J_campaign xi|^2 + |Delta_experiment + J_experiment xi|^2
 
-with J the whitened derivatives by the paper's parameters, the stops and the confounder's own.  The confounder was
-fitted to the campaign, so |Delta_campaign|^2 is twice the difference of log-likelihood there, and J_campaign'
-Delta_campaign is 0.
+(S 11) of docs/theory/statistics.md (A. C. Atkinson, V. V. Fedorov, 1975), with J the whitened derivatives by the
+paper's parameters, the stops and the confounder's own.  The confounder was fitted to the campaign, so
+|Delta_campaign|^2 is twice the difference of log-likelihood there, and J_campaign' Delta_campaign is 0.
 
 Rule 1: both models have the noise levels of the named cause, so only the predictions differ.
 Rule 2: an experiment in which the ball would not stay in flight is not proposed.

@@ -87,6 +87,8 @@ def refusal_of(candidate: Candidate, gains: Sequence[Gain], *, sure: bool) -> Re
         gains: over the reference.
         sure: whether its names hold by their own evidence.
     """
+    # Two bars: no model may be clearly worse, and one whose names are not sure must be significantly better.  A single
+    # bar for both would either write candidates that do nothing, or refuse true causes that the judges hardly excite.
     harm, decisive = worse(gains), at_20_ms(gains)
     if harm is not None:
         return Refusal(causes=candidate.causes, gain=harm, worse=True)
@@ -138,6 +140,8 @@ def candidates_of(selection: Selection, *, has_model: bool) -> list[Candidate]:
     fewer = [
         fit for fit in selection.smaller.values() if causes_of(fit) and set(causes_of(fit)) < set(selection.causes)
     ]
+    # The likeliest first, not the best on the judges: the judges test a choice that the fit made.  Choosing by them
+    # would make their error an optimistic one.
     fewer.sort(key=lambda fit: -fit.loglik)
     return [
         *([Candidate(kind="all-causes", fit=selection.fit)] if selection.causes else []),

@@ -44,7 +44,7 @@ class Gain:
 
     @property
     def ratio(self) -> float:
-        """Return the extended error over baseline error."""
+        """Return extended over baseline error."""
         return self.extended_rmse_m / max(self.baseline_rmse_m, 1e-300)
 
     @property

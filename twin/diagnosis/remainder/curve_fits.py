@@ -1,4 +1,4 @@
-"""Curves beside the causes: over which range, which would gain most, and their fit by the same likelihood."""
+"""The curves that are fitted with the causes: their range, expected gain, and fit by the same likelihood."""
 
 from __future__ import annotations
 

@@ -105,6 +105,7 @@ class _Judge:
         self.chooses: BoolArray = np.zeros(len(recording), np.bool_)
         for number in np.unique(recording):
             (rows,) = np.nonzero(recording == number)
+            # Halves in time, not every other sample: errors 20 ms ahead overlap, so neighbours would share theirs.
             self.chooses[rows[: len(rows) // 2]] = True
 
     def squares(self, theta: Theta) -> FloatArray:
@@ -167,7 +168,7 @@ def remainder_of(
     *,
     seed: int,
 ) -> Remainder | None:
-    """Return the model what `found` leaves; None where too little was flown to choose.
+    """Model what `named` leaves; None if the judges have too little flight to choose.
 
     Args:
         criterion: of the recordings for fitting.
@@ -183,6 +184,7 @@ def remainder_of(
     """
     judging = _Judge(criterion, judge, seed)
     before = judging.squares(named.theta)
+    # The ratio of a model to itself is NaN only if there are too few blocks, for any other model as well.
     if math.isnan(judging.ratio(before, before, judging.chooses)[0]):
         return None
     attempts: list[Attempt] = []
@@ -191,6 +193,7 @@ def remainder_of(
     if paper is not None and named.theta.causes:
         without_causes = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
         without_causes = _extend(judging, without_causes, (), attempts, max_curves=1)
+        # One curve against all named causes: if it predicts and explains as well, nothing speaks for the names.
         as_good = judging.choosing(without_causes.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
         if as_good and without_causes.fit.loglik >= named.loglik:
             best = without_causes
@@ -222,6 +225,8 @@ def _extend(
     for _ in range(max_curves):
         promising = scores(criterion, at.fit, [curve for curve in CURVES if curve not in at.curves])
         promising = [score for score in promising[: settings.CURVES_FITTED] if score.evidence > settings.MIN_GAIN]
+        # The likelihood chooses which curves are fitted, the prediction which one is kept: what a smooth function
+        # gains one sample ahead says little about 20 ms.
         best = _best(judging, at, promising, attempts)
         if best is None or not judging.ratio(at.squares, best[2], judging.chooses)[1] < settings.CURVE_RATIO:
             break

@@ -187,7 +187,7 @@ class Windows:
         return self._aligned(np.convolve(positions_m, parabola(self.half, self.T_s)[0][::-1], "valid"))
 
     def left(self, positions_m: FloatArray, modelled: FloatArray) -> FloatArray:
-        """Return the measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
+        """Return measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
         weights = parabola(self.half, self.T_s)[1]
         # The acceleration at each sample contributes to the parabola with the double sum of the weights.
         spread = np.cumsum(np.cumsum(weights))[:-2] * self.T_s * self.T_s

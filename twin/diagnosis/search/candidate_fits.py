@@ -55,6 +55,7 @@ def fit_candidates(
     copies = {copy: original for copy, original in _SAME.items() if original in names and copy in names}
     scores = [score for score in scores if score.cause not in copies]
     trials = criterion.each(partial(_start_trial, criterion, current), scores)
+    # The candidates with the best scores pass the first stage in any case: a poor start costs a fit more than a score.
     favourites = {score.cause for score in scores[: settings.SAFE_CANDIDATES]}
     # Successive halving: fits to the end of all candidates would spend most passes on those that are far behind.
     # Dropping by the gain alone would lose a candidate with a poor start, so its slope counts, too.
@@ -62,6 +63,7 @@ def fit_candidates(
         trials.sort(key=lambda trial: -_expected(trial))
         best = max((trial.gain for trial in trials), default=0.0)
         last = stage == len(settings.HALVING) - 1 and bool(trials)
+        # The last stage compares with the end of the best fit.  Before that its lead is uncertain by STEEPNESS_DOUBT.
         overtaken = (
             best - settings.EQUIVALENT_GAIN
             if last
@@ -76,6 +78,8 @@ def fit_candidates(
                 break
         active: set[str] = set()
         for rank, trial in enumerate(trials):
+            # Two estimates for two errors: the parabola ranks the candidates, and its multiple bounds what a likelihood
+            # that is not a parabola may still give.
             goes_on = rank < max_candidates and _expected(trial) >= min_share * best and _promise(trial) >= overtaken
             goes_on = goes_on and _promise(trial) >= cutoff_gain
             if goes_on or (stage == 0 and trial.cause in favourites):
@@ -163,6 +167,7 @@ def within_range(trial: Trial) -> bool:
     for name in coordinates_of(trial.cause):
         parameter = parameter_of(name)
         value = trial.fit.theta.value(name)
+        # A limit at infinity acts on no sample.
         if math.isinf(value):
             return False
         span = parameter.high - parameter.low

@@ -2,7 +2,7 @@
 
     for each selected cause: try every other candidate in its place -> a better one replaces it; equals are its class
 
-Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class.
+Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class, (S 10).
 """
 
 from __future__ import annotations
@@ -68,6 +68,8 @@ def find_classes(
         selection, changed = _class_of(
             criterion, selection, floor, cause, candidates, candidate_limit, doubtful(), report
         )
+        # Every class was found with the other causes fixed, so a change makes all of them stale.  Repairing only the
+        # affected ones would need to know which causes interact.
         if changed:
             return find_classes(
                 criterion,
@@ -116,6 +118,8 @@ def _replace_two(
 
     Two causes that imitate a third are never found superfluous one by one.
     """
+    # The bar is that of the fit with both causes, less what a class allows: one cause in place of two has fewer
+    # parameters, so equal likelihood suffices.
     min_loglik = selection.fit.loglik - settings.EQUIVALENT_GAIN
     remaining = sorted(set(selection.causes) - {cause, trial.cause}, key=lambda name: selection.gains[name])
 
@@ -155,6 +159,7 @@ def _class_of(
     """
     original = cause
     if len(selection.causes) == 1:
+        # A single cause was chosen from the model without it, so the trials of that round are already this comparison.
         current, known = selection.base, {trial.cause: trial for trial in selection.rounds[0].trials}
     else:
         current, known = fit_without(criterion, selection, cause), {}
@@ -169,10 +174,13 @@ def _class_of(
     remaining = [entry for entry in candidates if entry.name not in selection.causes]
     scores = screen(criterion, current.theta, current.free, [*remaining, BY_NAME[cause]])
     score_gains = {score.cause: score.gain for score in scores}
+    # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only
+    # sorts out candidates that cannot reach the class even then.  `all_scores` pays for fits of all of them.
     comparable = settings.COMPARABLE_SCORE * score_gains.get(cause, 0.0)
     similar = {
         name for name, gain in score_gains.items() if gain > settings.SIMILAR_SCORE * score_gains.get(cause, 0.0)
     }
+    # Causes of one family are similar by their physics, whatever their scores at this fit are.
     similar |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
     # A cause with the same effect on the samples is an equal without a fit.
     same = same_as(cause) & {entry.name for entry in remaining}
@@ -183,11 +191,13 @@ def _class_of(
             score
             for score in scores
             if score.gain > comparable
+            # Either condition suffices: a similar signature, or a gain that could still reach the class.
             if score.cause in similar
             or score.gain * steepness(score.cause) > selected.gain - settings.OUT_OF_CLASS_GAIN
         ][: max(max_candidates - len(known), 2)]
     trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
     trials += [renamed(selected, other) for other in same]
+    # Candidates far behind the class are not fitted to the end: only the lead in `runner_up` depends on them.
     trials += fit_candidates(
         criterion, current, scores, cutoff_gain=-math.inf if all_scores else selected.gain - settings.OUT_OF_CLASS_GAIN
     )
@@ -224,6 +234,7 @@ def _class_of(
         runner_up={**selection.runner_up, cause: selected.gain - max(behind, default=0.0)},
         gains={**selection.gains, cause: selected.gain},
     )
+    # Equals are examined, too: one of them may replace two causes where the selected one does not.
     for trial in (selected, *equals):
         smaller = None if trial.cause in (original, *same) else _replace_two(criterion, selection, cause, trial, report)
         if smaller is not None:
@@ -253,8 +264,10 @@ def _rephase(
 
 def _refit_from(criterion: Criterion, selected: Trial, confounder: Trial) -> Trial:
     """Fit a candidate that is behind once more, from the parameters found with `selected`."""
+    # A member of the class needs no better fit: its membership would not change.
     if selected.gain - confounder.gain < settings.EQUIVALENT_GAIN:
         return confounder
+    # A part of the samples suffices to choose a start; the fit that follows uses all.
     start = substitute_start(criterion.thinner, selected.fit.theta, BY_NAME[selected.cause], BY_NAME[confounder.cause])
     start = replace(start, phases_s=confounder.fit.theta.phases_s)
     if criterion.value(start) <= confounder.fit.loglik:

@@ -117,7 +117,10 @@ def decide(
         return Round(scores=tuple(scores), trials=(), selected="")
     gained, min_reduction = current.loglik - base.loglik, _required_reduction(min_share)
     possible = [trial for trial in trials if within_range(trial)]
+    # Only the best is judged.  A weaker candidate in place of a refused better one would be a name that explains less.
     best = (possible or trials)[0]
+    # The conditions go from the cheap and general to the one that may need predictions; the first that fails is
+    # reported.
     share = _share(criterion, base, current, floor, best)
     refusal: Refusal = ""
     if best.gain < settings.MIN_GAIN:
@@ -154,6 +157,8 @@ def _share(criterion: Criterion, base: Fit, current: Fit, floor: Floor, best: Tr
     """
     none, before, after = part_logliks(criterion, base.theta, current.theta, best.fit.theta)
     gains = after - before
+    # The part with the largest gain, not the sum over all: a noisy current would hide that a law of the force explains
+    # all that the position lacks.
     part = int(np.argmax(gains))
     lacking = floor.lacking(before, len(criterion.evidence.statics))[part]
     if np.isfinite(lacking):
@@ -183,6 +188,8 @@ def _with_dead_time(criterion: Criterion, current: Fit, scores: list[Score]) -> 
     raised = {}
     for score in delays:
         theta = probed(current.theta.having("T_A", T_A), BY_NAME[score.cause], delay_s)
+        # The likelihood of a delay is flat at zero, so its slope there says nothing.  One run at the delay that the
+        # step responses show costs less than probes at many delays.
         gain = criterion.value(theta) - current.loglik
         if gain > score.gain:
             raised[score.cause] = replace(

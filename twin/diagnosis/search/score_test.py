@@ -1,8 +1,9 @@
 """The score test: how much would each cause of the catalogue gain, and can these data show it?
 
 Each candidate is tested on the innovations of all recordings together.  Effects that the parameters of the model can
-take up are projected out.  A probe or two of each candidate replace a fit, with the slopes of the model as it is.  That
-is exact enough to choose the candidates for a fit (tests/twin/inference/test_derivatives.py).
+take up are projected out: (S 8), (S 9) of docs/theory/statistics.md (C. R. Rao, 1948).  A probe or two of each
+candidate replace a fit, with the slopes of the model as it is.  That is exact enough to choose the candidates for a
+fit (tests/twin/inference/test_derivatives.py).
 
 Rule 1: the signature of a candidate is a secant to a small value, because a limit that is not reached has no
         derivative.
@@ -81,6 +82,7 @@ def screen(
     change[:k] = free_change
     models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
+    # Slopes of the model without a cause serve for its probe: the probe is small, and a run with known slopes is cheap.
     reuse = [Reuse.NONE if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
     outs = criterion.outputs_reusing(models, run, reuse)
     for index, out in enumerate(outs, k):

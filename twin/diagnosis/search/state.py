@@ -35,6 +35,7 @@ class Selection:
     def recall(self, free: Sequence[str]) -> Fit | None:
         """Return the fit with these free parameters if one is known and has the present phases; None otherwise."""
         fit = self.smaller.get(frozenset(free))
+        # The key is the set of free parameters; the phases are not among them, so they are compared.
         stale = fit and periodic.AMPLITUDE in free and fit.theta.phases_s != self.fit.theta.phases_s
         return None if stale else fit
 

@@ -91,6 +91,9 @@ def _search(
     """Yield the selection after each step."""
     max_causes = settings.MAX_CAUSES if share >= settings.MIN_SHARE else len(candidates)
     thorough = share == settings.MIN_SHARE and not quick
+    # Forward and backward steps alone are greedy: a false first name stays if the later ones lean on it.  The class
+    # search may replace it, and then the forward steps are worth another try.  The number of round trips is limited,
+    # as two causes of one class could replace each other for ever.
     for _ in range(settings.ROUND_TRIPS if thorough and classes else 1):
         passes = settings.PASSES_QUICK if quick else settings.PASSES
         while len(selection.causes) < max_causes:
@@ -106,6 +109,7 @@ def _search(
         before = set(selection.causes)
         yield (selection := _refine_phases(criterion, selection, thorough))
         with criterion.budget.question(_confounder_question(selection.causes)):
+            # Without the floor the class search trusts the selected causes, and fits only similar candidates.
             doubt = floor if thorough else None
             selection = find_classes(
                 criterion,
@@ -198,11 +202,14 @@ def _together(
     if len(selection.causes) >= settings.MAX_TOGETHER:
         return selection
     excess = floor.under(criterion, selection.fit.theta).excess(selection.fit.loglik)
+    # All pairs and triples of the catalogue would be thousands of fits.  So only candidates that explain a little alone
+    # are starting points.
     if not refused.trials or refused.trials[0].gain < settings.MIN_SHARE_TOGETHER * excess:
         return selection
     report("it explains too little alone; does it leave only noise together with others?")
     with criterion.budget.question("whether several causes explain together what none explains alone"):
         retried = _retry(criterion, selection, floor, refused)
+        # A greedy search from a few first steps, not all combinations; the first set that leaves only noise ends it.
         for first in _firsts(retried):
             *_, more = _apply_step(
                 criterion, replace(selection, rounds=selection.rounds[:-1]), floor, first, report, settings.PASSES
@@ -218,6 +225,7 @@ def _together(
                     else settings.MIN_SHARE_LAST
                 )
                 *_, more = _add(criterion, more, floor, candidates, max_candidates, min_share, report)
+            # A set that leaves more than noise is worth less than none: its names could imitate an unknown cause.
             if not material(criterion, more, floor):
                 return more
             selection = replace(selection, smaller=more.smaller)
@@ -231,6 +239,7 @@ def _firsts(retried: Round) -> list[Round]:
     firsts = [retried]
     for trial in retried.trials[1:]:
         is_close = trial.gain > settings.FIRST_SHARE * retried.trials[0].gain and within_range(trial)
+        # Candidates of nearly equal gain are likely one class, and would lead to the same set.
         if is_close and all(abs(trial.gain - first.trials[0].gain) > settings.EQUIVALENT_GAIN for first in firsts):
             rest = tuple(other for other in retried.trials if other is not trial)
             firsts.append(replace(retried, trials=(trial, *rest), selected=trial.cause, best=trial, on_trial=True))
@@ -257,6 +266,8 @@ def backward(criterion: Criterion, selection: Selection, floor: Floor, report: R
     """Remove each cause that would no longer be selected together with the later ones."""
     earlier = selection.causes[:-1]
     selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection, passes=passes), earlier))
+    # In the order of selection and one at a time, as in Efroymson's stepwise regression: two causes that replace each
+    # other would both go if they were tested against the same model.
     for cause in earlier:
         smaller = fit_without(criterion, selection, cause, passes)
         selection = selection.with_fits([smaller])

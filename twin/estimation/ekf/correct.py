@@ -121,6 +121,8 @@ def start_flight(f: Memory, reading: float) -> None:
     y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
     y[SENSOR], y[RATE] = reading, 0.0
     f.in_flight, f.readings = True, 0
+    # The speed starts unknown and is not set from two readings: the filter weighs all of them, and a difference of
+    # readings would have to treat offset, colour and lag of the sensor a second time.
     # With crosstalk the error of the current adds to that of the position.
     slope = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
     P[1, 1], P[2, 2] = r_x + slope * slope * P[0, 0], SPEED_STD_M_S**2
@@ -183,6 +185,8 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
     """
     wandered(f, f.y)
     P, m = f.P, f.m
+    # One reading after the other instead of both with a 2 x 2 inverse: the result is the same, as the noise of the two
+    # is independent, and no matrix is inverted.  The joint covariance is noted first, for the likelihood.
     n_i, n_x = i - expected_current_reading(f), 0.0
     if use_x:
         n_x = x - position_slopes(f, f.y[:], f.h_x[:])
@@ -268,9 +272,11 @@ def variance(f: Memory, h: Floats, r: float) -> float:
 
 @inlined
 def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
-    """Correct state and covariance by one reading; returns the variance of its innovation; f.K is the Kalman gain.
+    """Correct state and covariance by one reading; returns the variance s of its innovation; f.K is the Kalman gain.
 
-    If the ball is held, only the current and the lasting states are corrected.
+        s = h' P h + r,   K = P h / s,   y -> y + K nu,   P -> P - K s K'    (Kalman, 1960)
+
+    P has shape (m, m); h and K have (m,).  If the ball is held, only the current and the lasting states are corrected.
     """
     P, K, m = f.P, f.K, f.m
     s = r
@@ -287,6 +293,8 @@ def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
             f.y[f.places[a]] += K[a] * innovation
     for a in range(m):
         for b in range(a, m):
+            # P - K s K' for one reading is symmetric by construction.  Joseph's form would cost three products of
+            # matrices.
             P[a, b] -= K[a] * K[b] * s
             P[b, a] = P[a, b]
     return s

@@ -1,7 +1,8 @@
 """The extended Kalman filter of the extended model: prediction errors along a whole campaign.
 
 The state and the prediction are those of `twin/model/extended.py`; the Jacobians are differences of it.  For each
-sample: predict (`predict.py`), initialise what begins there, correct (`correct.py`).
+sample: predict (`predict.py`), initialise what begins there, correct (`correct.py`).  R. E. Kalman, J. Basic Eng. 82,
+1960.
 
 Rule 1: the flags are those of `../innovations.py`.  RESTS_LOW, RESTS_HIGH: the ball rests at a stop, whose place is
         known, which tests the position sensor alone: offset, scale and crosstalk without any force.  RESTS_UNSEEN: the
@@ -95,6 +96,8 @@ def fill(system: System, samples: Samples, known: Steps, results: Results) -> No
 def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
     t, step, u, y_i, y_x, flags, noise_ratio = samples
     out, state, spread, written = results
+    # One pass over all recordings in a row: FOLLOWS marks where a new chain begins, and everything is initialised
+    # there. A run for each of many short captures would pay for a call each time.
     inputs = u.copy()  # those of lost samples are estimated
     r_x, fast = f.r_x, False
     for n in range(len(u)):
@@ -120,6 +123,8 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 find_input(
                     base_of(f), f.c[:], f.previous[:], inputs, lost, n, f.first, t[n - 1], T_s, reading, f.moved[:]
                 )
+            # With known steps the prediction is linear around them, which suffices for a model that differs only in
+            # its noise. A step across a lost input depends on the model itself, so it is always integrated.
             if known.after.shape[0] > 0 and not unknown:
                 step_linearised(f, known.slopes[n], known.before[n], known.after[n - 1], T_s)
             else:
@@ -154,6 +159,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             if use_x:
                 start_flight(f, y_x[n])
             use_x = False
+        # The first of these readings determined the lost input (rule 5), so it does not test a model.
         if use_i and f.in_flight and n - f.first > 1 and (flags[n - 1] | flags[n - 2]) & LOST != 0:
             correct(f, f.h_i[:], f.r_i, y_i[n] - expected_current_reading(f))
             use_i = False
@@ -168,4 +174,6 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             for k in range(state.shape[1]):
                 state[n, k] = f.y[k] if f.in_flight else np.nan
         if not math.isfinite(f.y[X] + f.y[I_C] + f.y[V]):
+            # Not an exception: the optimiser may try such parameters, and a likelihood that is not finite makes it
+            # turn back.
             forget(f)  # the parameters are impossible

@@ -148,6 +148,8 @@ def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
 def add_process_noise(f: Memory, T_s: float) -> None:
     """Add the process noise of an interval to the covariance."""
     P, a2 = f.P, f.q_a
+    # The acceleration is white from tick to tick and constant within one, hence T^4 / 4 and T^3 / 2 (Y. Bar-Shalom, X.
+    # R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 6).
     P[0, 0] += f.q_i * T_s
     P[1, 1] += 0.25 * a2 * T_s**4
     P[1, 2] += 0.5 * a2 * T_s**3

@@ -112,7 +112,7 @@ def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) ->
 def ball_start(
     records: list[Record], plant: Plant, amplifier: AmplifierStart | None, *, downwards: bool = False
 ) -> BallStart | None:
-    """Return the regression over all windows of all flights; None if no flight is as long as a window.
+    """Fit the regression over all windows of all flights; None if no flight is as long as a window.
 
     Args:
         records: with i_c and x.

@@ -21,7 +21,7 @@ Trait = Literal[
     "of-the-gap",  # its equation has the distance of ball and coil in it
     "warms",  # comes and goes with the warmth of the coil
 ]
-# In innovations, in their spectrum, in the times of samples; a curve, which is no cause, in what is left.
+# In innovations, in their spectrum, in the times of samples; a curve, which is not a cause, in what is left.
 Detector = Literal["score-test", "spectral-line", "gaps", "remainder"]
 AtRest = Literal["", "balance", "amplifier"]
 PLACES = 111

@@ -1,6 +1,6 @@
 """The curves for what no cause explains: smooth functions of one quantity each.
 
-    g(s) = sum over j of k_j B_j(s)    cubic B-splines, uniform knots over the range that the recordings have visited
+    g(s) = sum over j of k_j B_j(s),   cubic B-splines, uniform knots over the range of the recordings    (S 12)
 
 Rule 1: a curve without a range is exactly absent; the extended model is then the one with the causes alone.
 Rule 2: outside its range a curve fades to 0 within three knots: nothing is extrapolated.
@@ -8,7 +8,8 @@ Rule 3: g is a share of the weight, the magnetic force, the current that holds t
         So one prior serves all rigs.
 
 B-splines with a prior on their coefficients are a Gaussian process of few numbers (P. H. C. Eilers, B. D. Marx,
-Statistical Science 11(2), 1996, doi:10.1214/ss/1038425655).  A curve is no cause: it says where and how large, not why.
+Statistical Science 11(2), 1996, doi:10.1214/ss/1038425655).
+A curve is not a cause: it says where and how large, not why.
 """
 
 from __future__ import annotations
