@@ -171,7 +171,7 @@ def _problem(name: str, baud: int, error: Exception) -> PortProblem:
     if number in (errno.EACCES, errno.EPERM):
         return PortProblem(
             "port-permission",
-            f"No permission to open {name}: add the user to its group (sudo usermod -aG dialout $USER), log in again.",
+            f"No permission to open {name}: add the user to its group (sudo usermod -aG dialout $USER). Log in again.",
         )
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         return PortProblem("port-absent", f"There is no {name}: is the adapter plugged in?")

@@ -207,7 +207,7 @@ def test_what_was_refused_does_not_stand_as_if_in_force(page: Page, bus: Bus) ->
     close_loop(bus)
     field, said = page.locator('[data-number="reference"]'), page.locator(".toast[data-state=bad]")
     expect(page.locator('[data-live="reference-range"]')).to_contain_text(
-        "0.3 .. 5.199 mm"
+        "0.3 to 5.199 mm"
     )  # 5.2 mm is between two counts
     in_force = field.input_value()
 

@@ -93,7 +93,7 @@ def test_a_page_whose_server_restarted_asks_to_log_in_again(browser: Browser, pl
         plant.hmi.kill()
         plant.hmi = plant.start_hmi()
 
-        expect(tab.get_by_text("Your session is over: log in again.")).to_be_visible(timeout=UP_MS)
+        expect(tab.get_by_text("Your session is over. Log in again.")).to_be_visible(timeout=UP_MS)
         log_in(tab, "ben")
         tab.wait_for_url(f"https://127.0.0.1:{plant.port}/rig/rig", timeout=UP_MS)
         tab.wait_for_selector("body[data-live=yes]", timeout=UP_MS)

@@ -132,7 +132,7 @@ def test_the_ends_of_the_range_on_the_page_are_within_the_limits(page: Page, rig
     page.goto(f"{rig.url}/rig/rig")
     words = page.locator('[data-live="reference-range"]')
     expect(words).to_contain_text("mm")
-    low, _, rest = words.inner_text().partition(" .. ")
+    low, _, rest = words.inner_text().partition(" to ")
     typed = low if end == "lowest" else rest.partition(" ")[0]
     before = len(bus.messages["rig/command/record"])
 

@@ -123,6 +123,12 @@ def test_no_script_has_a_text_of_its_own(name: str) -> None:
     assert [word for word in shown if re.search(r"[A-Za-z]", word)] == []
 
 
+def test_the_style_sheet_has_no_text() -> None:
+    contents = re.findall(r'content: "([^"]*)"', (HMI / "static" / "hmi.css").read_text(encoding="utf-8"))
+
+    assert [text for text in contents if re.search(r"(?<!\\)\b[A-Za-z]{2,}", re.sub(r"\\[0-9a-f]+", "", text))] == []
+
+
 def test_texts_are_short_sentences() -> None:
     for key, text in TEXTS.items():
         assert text == " ".join(text.split()), key

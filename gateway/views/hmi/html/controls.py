@@ -67,7 +67,8 @@ def _choice(label: str, name: str, options: dict[str, str], chosen: str) -> Mark
 def _mode() -> Markup:
     def button(word: str, mode: pb.Mode) -> Markup:
         text, command = texts_of("mode_button")[word], json.dumps({"set_mode": {"mode": pb.Mode.Name(mode)}})
-        return tag("button", text, type="button", class_="mode", data_mode=word, data_command=command)
+        return tag("button", text, type="button", class_="mode", data_mode=word, data_command=command,
+                   data_last_known=text_of("controls.last_known"))  # fmt: skip
 
     return _card(text_of("controls.mode"), tag("div", *(button(*mode) for mode in _MODES.items()), class_="modes"))
 
