@@ -28,8 +28,12 @@ def test_a_hundred_thousand_damaged_frames_are_all_rejected() -> None:
 
 
 @pytest.mark.slow
-def test_ten_million_damaged_frames_are_all_rejected() -> None:
-    check_that_none_is_accepted(10_000_000, seed=2)
+def test_a_million_damaged_frames_are_all_rejected() -> None:
+    """A decoder that leaves out one of the 16 bits of the CRC accepts 11 of these.
+
+    Ten million are `python tests/bench/decoder.py`.
+    """
+    check_that_none_is_accepted(1_000_000, seed=2)
 
 
 def test_every_damaged_frame_has_one_to_three_flipped_bits_and_all_bits_are_hit() -> None:
