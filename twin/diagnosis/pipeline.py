@@ -271,5 +271,5 @@ def check_flight_time(evidence: Evidence) -> None:
     if any(record.has("x") for record in evidence.records) and flown_s < MIN_FLIGHT_S:
         raise DataError(
             f"the recordings for fitting hold {flown_s:.2g} s of flight: too little to tell one cause from another",
-            remedy=f"Record at least {MIN_FLIGHT_S:g} s with the ball in flight, or a minute with steps of x_ref",
+            remedy=f"Record at least {MIN_FLIGHT_S:g} s of flight, preferably a minute with steps of x_ref",
         )
