@@ -43,16 +43,15 @@ _PATIENCE_S = 1.0  # speed 0: how long a host may leave its buffer full before b
 
 
 class BoardOptions(TypedDict, total=False):
-    """What the boards of an emulator are."""
+    """The options of the boards of an emulator."""
 
     effects: Mapping[str, float]  # strengths by name (none)
     faults: Iterable[str | Fault]  # as given to --fault, or parsed (none)
     seed: int  # of noise and faults; board n has seed + n (0)
     baud: int  # bits per second (115200)
     board_id: int  # of the first board; the others count up (1)
-    firmware: Callable[
-        ..., Board
-    ]  # makes a board: the model (default), the core in C (`native`), a chip (`firmware.sim`)
+    # Makes a board: the model (default), the core in C (`native`), or a chip (`firmware.sim`).
+    firmware: Callable[..., Board]
     rig: str  # plant and board (`rigs.RIGS`; ce152)
 
 

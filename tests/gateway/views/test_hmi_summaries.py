@@ -94,7 +94,7 @@ def test_one_summary_is_read_at_a_time_and_ends_with_its_request(rig: Rig, page:
     wait_for(lambda: not children(rig.hmi.pid), "its end")
     assert refused <= 3
     assert lower >= 0
-    assert not Path(f"/proc/{first}").exists()
+    wait_for(lambda: not Path(f"/proc/{first}").exists(), "the end of its process")
 
 
 def test_a_summary_is_what_info_prints(page: Page) -> None:

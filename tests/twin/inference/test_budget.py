@@ -130,7 +130,7 @@ def test_the_command_line_says_that_the_search_ended_by_its_budget(
     assert data["verdict"] == "unfinished"
     assert data["budget"]["filter_steps"] == SHORT
     assert data["budget"]["spent"] <= SHORT
-    assert "ended by its budget" in told.out
+    assert "the search used up its budget" in told.out
     assert "3 candidates" in told.out
     assert " %  " in told.err  # progress
     report = (tmp_path / "report.html").read_text(encoding="utf-8")

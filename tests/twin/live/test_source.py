@@ -135,7 +135,7 @@ def test_several_boards_must_be_told_apart_and_none_is_an_error() -> None:
         with pytest.raises(ServiceError, match=r"No gateway reports lab/\*.*Start `board51 gateway`"):
             find_board(session, "lab", None)
         with gateway(own, "one", "two"):
-            with pytest.raises(UsageError, match=r"boards one, two\. Choose one with --board"):
+            with pytest.raises(UsageError, match=r"report: one, two\. Choose one with --board"):
                 find_board(session, "lab", None)
             assert find_board(session, "lab", "two")[0] == "two"
 
