@@ -21,7 +21,7 @@ NOT_NAMES = frozenset(
 )
 OTHERS_NAMES = frozenset(["kw_only", "zero_copy_only", "encipher_only", "decipher_only"])  # of libraries
 # Per cent.  By the same list and count: python-control 0.2, diffrax 0.2, ophyd-async 0.3, h11 1.0.
-MAX_SHARE = {"protocol": 0.5, "gateway": 0.5, "twin": 0.5}
+MAX_SHARE = {"protocol": 0.3, "gateway": 0.3, "twin": 0.3}
 
 # A docstring begins with a verb, or with an article and a noun.
 NOT_BEGINNINGS = re.compile(
@@ -29,7 +29,7 @@ NOT_BEGINNINGS = re.compile(
     r"|At|On|Into|After|Before|It|Its|This|These|Both|Same|Like|Until|While|Between|About|Over|Under|Here|There"
     r"|Nothing|More|Less|Such|Also|Done|Said|Told|Found)\b"
 )
-MAX_BEGINNINGS = {"protocol": 0, "gateway": 0, "twin": 200}
+MAX_BEGINNINGS = {"protocol": 0, "gateway": 0, "twin": 0}
 
 
 def trees(package: str) -> Iterator[tuple[str, ast.Module]]:
