@@ -28,7 +28,7 @@ class Options:
 
     @property
     def proposes(self) -> bool:
-        """Whether to find the experiments that split equivalence classes."""
+        """Return whether to find the experiments that split equivalence classes."""
         return not self.quick if self.experiments is None else self.experiments
 
     @property
