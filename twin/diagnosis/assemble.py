@@ -75,7 +75,7 @@ class SearchResult:
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What a diagnosis is made from."""
+    """The inputs of a diagnosis."""
 
     campaign: Campaign
     records: Sequence[Record]  # for fitting
