@@ -16,6 +16,8 @@ from packaging.requirements import Requirement
 
 import board51
 from gateway.emulator.serve import Emulator
+from gateway.processes.run import listens
+from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
@@ -105,12 +107,14 @@ def _run(python: Path, words: list[str], cwd: Path) -> subprocess.CompletedProce
 
 
 def test_the_gateway_needs_no_extra(core: Path, tmp_path: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    port = free_port()
+    endpoint = f"tcp/127.0.0.1:{port}"
     with Emulator(boards=1) as emulator:
         words = _words("gateway", "--board", f"rig1={emulator.urls[0]}", "--listen", endpoint, "--log-dir", "logs")
         surroundings = {**os.environ, "PYTHONPATH": str(ROOT)}
         gateway = subprocess.Popen([core, *words], cwd=tmp_path, env=surroundings)
         try:
+            wait_for(lambda: listens(port), "the router of the gateway")
             watched = _run(
                 core,
                 _words("watch", "--connect", endpoint, "--topic", "state", "--count", 20, "--timeout", HANG_S),

@@ -249,6 +249,7 @@ def test_a_plot_can_be_held_zoomed_and_read(page: Page, bus: Bus) -> None:
     page.get_by_role("button", name="1 min").click()
     expect(page.locator(".plot-x")).to_have_attribute("aria-label", "Position, 60 seconds up to now")
     page.get_by_role("button", name="Pause").click()
+    page.evaluate("new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
     held, tick = page.evaluate(PICTURE), bus.states()[-1].tick
     wait_for(later, "half a second of samples")
     assert page.evaluate(PICTURE) == held
