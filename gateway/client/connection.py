@@ -16,6 +16,7 @@ from concurrent.futures import Future
 from datetime import UTC, datetime
 
 import zenoh
+from zenoh.handlers import Callback
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -26,6 +27,7 @@ from protocol.bus.identity import HELP, Identity
 JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be older than itself (access/authorize.py)
 STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
 STOP_WAIT_S = 2.0  # for each answer
+_LAST_CALL_S = 2.0  # a subscription that ends waits so long for the callback under way
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,10 +82,12 @@ class Subscription:
 
     def __init__(self, session: zenoh.Session, keys: Iterable[str], receive: Callable[[zenoh.Sample], None]) -> None:
         declared: Future[list[zenoh.Subscriber[None]]] = Future()
+        self._ended = threading.Semaphore(0)  # counts the threads that have called back for the last time
+        callback = Callback(receive, self._ended.release)
 
         def declare() -> None:
             try:
-                declared.set_result([session.declare_subscriber(key, receive) for key in keys])
+                declared.set_result([session.declare_subscriber(key, callback) for key in keys])
             except BaseException as error:
                 declared.set_exception(error)
 
@@ -91,11 +95,17 @@ class Subscription:
         self._subscribers = declared.result()
 
     def close(self) -> None:
-        """End the subscription.  May be called again."""
-        for subscriber in self._subscribers:
+        """End the subscription and wait for its threads.  May be called again.
+
+        If the interpreter ended while zenoh still wakes such a thread, the process would abort: Python ends the thread
+        by an exception that zenoh's Rust code does not pass on.
+        """
+        subscribers, self._subscribers = self._subscribers, []
+        for subscriber in subscribers:
             with contextlib.suppress(zenoh.ZError):  # the session is closed
                 subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
-        self._subscribers = []
+        for _ in subscribers:
+            self._ended.acquire(timeout=_LAST_CALL_S)
 
 
 def send(

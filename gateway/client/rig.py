@@ -345,7 +345,9 @@ class Rig:
 
     def subscribe(self, receive: Callable[[zenoh.Sample], None]) -> Subscription:
         """Call `receive` with all messages of the board, in their order, until the rig is closed; it must be fast."""
-        return Subscription(self._session, [f"{self.site}/{self.board}/**"], receive)
+        subscription = Subscription(self._session, [f"{self.site}/{self.board}/**"], receive)
+        self._closing.callback(subscription.close)
+        return subscription
 
     def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
         """Wait for the next status of link, bus and log, which is sent every second.
