@@ -2,7 +2,7 @@
 
 Rule 1: a model is adequate if its innovations are white and as large as the sensor noise makes them, (S 6).
 Rule 2: small departures have no physical cause: converters round and the filter linearises.  The limits are in
-        `settings.py`.
+        `twin/settings/diagnosis.py`.
 """
 
 from __future__ import annotations
