@@ -346,8 +346,7 @@ class Rig:
     def subscribe(self, receive: Callable[[zenoh.Sample], None]) -> Subscription:
         """Call `receive` with all messages of the board, in their order, until the rig is closed; it must be fast."""
         subscription = Subscription(self._session, [f"{self.site}/{self.board}/**"], receive)
-        self._closing.callback(subscription.close)
-        return subscription
+        return self._closing.enter_context(contextlib.closing(subscription))
 
     def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
         """Wait for the next status of link, bus and log, which is sent every second.
