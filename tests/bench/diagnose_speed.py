@@ -2,7 +2,7 @@
 
 Wall time is what a user waits for; processor time is what it costs where other programs have the cores.  Targets: 60 s
 full and 10 s quick, on two free cores.  And what a filter step takes, of which a budget is made, on recordings of a rig
-that the model does not fit; its baseline is what twin/diagnosis/README.md states.
+that the model does not fit; its baseline is what twin/diagnosis/matrix.md states.
 """
 
 from __future__ import annotations
