@@ -15,8 +15,8 @@ CAUSE = Cause(
     name="air-gap-offset",
     family="force",
     title="the coil's plane is higher than x_max",
-    sentence="the coil sits {d_m} higher than the model has it",
-    opposite="the coil sits {d_m} lower than the model has it",
+    sentence="the coil sits {d_m} higher than in the model",
+    opposite="the coil sits {d_m} lower than in the model",
     acts_on="magnetic force (3)",
     equation="F_m = K_c i_c^2 / (x_max + d - x)^2",
     source="(3) counts the gap from x_max, taken for the top of the travel; four published equilibria of a CE "
