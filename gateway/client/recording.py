@@ -89,12 +89,11 @@ class Recording:
 
     def close(self) -> RecorderStats:
         """End the recording and finish the file; returns its statistics.  May be called again."""
-        # Later messages are not part of the recording; a closed recorder would count them as dropped.
-        self._closed.set()
         try:
             if self._subscription is not None:
-                self._subscription.close()
+                self._subscription.close()  # delivers what has arrived
         finally:
+            self._closed.set()  # a closed recorder would count later messages as dropped
             self._recorder.close()
         return self._recorder.stats()
 

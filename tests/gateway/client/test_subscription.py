@@ -1,12 +1,15 @@
-"""A subscription of a client: when it has ended, no thread of it calls back or waits for the interpreter."""
+"""The end of a subscription and of a recording: what has arrived is delivered, and no thread calls back later."""
 
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 
 import zenoh
 
 from gateway.client.connection import Subscription
+from gateway.client.recording import Recording
+from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.patience import HANG_S
@@ -39,3 +42,14 @@ def test_a_subscription_that_is_closed_waits_for_the_callback_under_way() -> Non
 
     assert waits
     assert closed.is_set()
+
+
+def test_a_recording_that_is_closed_has_all_that_arrived_before(tmp_path: Path) -> None:
+    messages = [pb.State(tick=tick, session=1, host_time_ns=tick + 1).SerializeToString() for tick in range(2000)]
+    with played_gateway() as gateway, client(gateway.endpoint) as bus:
+        recording = Recording(bus.session, "board51", "rig", tmp_path, connect=gateway.endpoint).start()
+        for message in messages:
+            bus.session.put("board51/rig/state", message)  # of the same session: it has arrived when `put` returns
+        stats = recording.close()
+
+    assert (stats.written, stats.dropped) == (len(messages), 0)
