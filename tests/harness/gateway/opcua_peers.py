@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import threading
 import time
+import traceback
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any, TypeVar
@@ -37,7 +39,8 @@ class Served:
         self._thread.start()
         try:
             wait_for(lambda: self.port or self._failures, "OPC UA server")
-        except AssertionError:
+        except AssertionError as error:
+            error.add_note("".join(traceback.format_stack(sys._current_frames()[self._thread.ident or 0])))
             self.__exit__()
             raise
         if self._failures:
