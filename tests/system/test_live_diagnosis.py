@@ -118,6 +118,7 @@ def test_a_lasting_alarm_leads_to_a_diagnosis_of_the_flight_and_to_a_quiet_twin(
     assert "air-gap-offset" in said, "the emulated coil is 2.4 mm above the nominal model's"
     assert "quadratic-drag" in said
     rms = [float(x) for x in re.findall(r"innovation (?:before|after): +x ([0-9.]+) um", said)]
+    assert len(rms) == 2, said
     assert rms[1] < 0.2 * rms[0]
     (folder,) = (line.folder / "diagnosis").glob("live-*")
     assert (folder / "campaign.toml").is_file()
