@@ -37,7 +37,7 @@ from gateway.link.clock import HostClock
 from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
 from gateway.link.port import check_url
-from gateway.record.recorder import Recorder
+from gateway.record.recorder import Recorder, RecorderOptions
 from gateway.record.writer import LogError
 from protocol.bus import topics
 from protocol.bus.encoding import is_replayed, state_batch
@@ -262,18 +262,19 @@ def gateway_identity(config: GatewayConfig) -> Identity:
 @contextmanager
 def _recording(log: LogConfig) -> Iterator[Recorder]:
     directory = Path(log.directory)
-    compression = {"lz4": "lz4", "zstd": "zstd", "none": "none"}[log.compression]
     try:
         directory.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(
             directory,
-            prefix=log.prefix,
-            rotate_bytes=log.rotate_bytes,
-            rotate_s=log.rotate_s,
-            flush_s=log.flush_s,
-            queue=log.queue,
-            min_free_bytes=log.min_free_bytes,
-            compression=compression,  # type: ignore[arg-type]  # config.py allows these three only
+            RecorderOptions(
+                prefix=log.prefix,
+                rotate_bytes=log.rotate_bytes,
+                rotate_s=log.rotate_s,
+                flush_s=log.flush_s,
+                queue=log.queue,
+                min_free_bytes=log.min_free_bytes,
+                compression=log.compression,
+            ),
         )
         recorder.start()
     except (OSError, LogError) as error:
