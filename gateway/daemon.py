@@ -29,7 +29,7 @@ from gateway.access.certificates import WARN_DAYS
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_bus_listeners
 from gateway.bus.command_service import CommandService
-from gateway.bus.publisher import GATHER_S, BoardSink, Publisher
+from gateway.bus.publisher import GATHER_S, BoardSink, Publisher, Publishers
 from gateway.bus.router_watch import RouterWatch
 from gateway.bus.status import StatusMaker
 from gateway.config import GatewayConfig, LogConfig
@@ -37,7 +37,7 @@ from gateway.link.clock import HostClock
 from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
 from gateway.link.port import check_url
-from gateway.record.recorder import Recorder
+from gateway.record.recorder import Recorder, RecorderOptions
 from gateway.record.writer import LogError
 from protocol.bus import topics
 from protocol.bus.encoding import is_replayed, state_batch
@@ -65,21 +65,18 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus(config))
         recorder = stack.enter_context(_recording(config.log)) if config.log.enabled else None
-        samples = Publisher("publish-samples", config.zenoh.queue)
-        batches = Publisher("publish-batches", config.zenoh.queue, gather_s=GATHER_S, join=state_batch)
-        messages = Publisher("publish-messages", MESSAGES_QUEUE)
+        publishers = Publishers(
+            messages=Publisher("publish-messages", MESSAGES_QUEUE),
+            samples=Publisher("publish-samples", config.zenoh.queue),
+            batches=Publisher("publish-batches", config.zenoh.queue, gather_s=GATHER_S, join=state_batch),
+        )
         replies = Publisher("publish-replies", MESSAGES_QUEUE)
         clock = HostClock()
         sinks = [
-            BoardSink(
-                bus, config.site, board.name, samples=samples, batches=batches, messages=messages, recorder=recorder
-            )
+            BoardSink(bus, config.site, board.name, publishers, recorder, log_raw=config.log.raw)
             for board in config.boards
         ]
-        log_raw = recorder is not None and config.log.raw
-        drivers = [
-            BoardDriver(board, sink, clock, log_raw=log_raw) for board, sink in zip(config.boards, sinks, strict=True)
-        ]
+        drivers = [BoardDriver(board, sink, clock) for board, sink in zip(config.boards, sinks, strict=True)]
         link = LinkThread(drivers)
         guarded = bool(config.security.directory)
         authorizer = Authorizer(time.time_ns(), partial(_publish_flood, drivers), guarded=guarded)
@@ -88,19 +85,18 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             recorder.on_event = partial(_publish_all, drivers)
             twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
             stack.callback(twin.undeclare)
-        for publisher in (messages, replies, samples, batches):
+        for publisher in (*publishers, replies):
             publisher.start()
             stack.callback(publisher.stop)
         watch = None
         if config.zenoh.mode == "client":
-            watch = RouterWatch(bus, ", ".join(config.zenoh.connect), sinks, (messages, samples, batches))
+            watch = RouterWatch(bus, ", ".join(config.zenoh.connect), sinks, publishers)
             stack.callback(watch.close)
         link.start()
         stack.callback(link.stop)
-        now_s = time.monotonic()
+        now_s = look_s = time.monotonic()
         makers = [StatusMaker(driver, sink, now_s) for driver, sink in zip(drivers, sinks, strict=True)]
         _logger.info("serving %d boards as %s on %s", len(drivers), config.site, _where(config))
-        look_s = time.monotonic()
         while not stop.wait(STATUS_S):
             if watch is not None and (change := watch.look()) is not None:
                 _logger.log(logging.INFO if change.severity == "info" else logging.WARNING, "%s", change.text)
@@ -108,26 +104,14 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             step_ns = clock.step_ns()
             if step_ns:
                 authorizer.clock_stepped(step_ns)
-                for driver in drivers:
-                    link.post(partial(driver.handler.clock_stepped, step_ns))
+                _step_clock(drivers, link, step_ns)
             if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
                     _publish_all(drivers, "certificate-expires", "warning", text)
-            for driver, sink, maker in zip(drivers, sinks, makers, strict=True):
-                if step_ns:
-                    driver.publish_event(
-                        "clock-stepped",
-                        "warning",
-                        f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the samples use the new time from"
-                        " the next session on.",
-                    )
-                log, now_s = recorder.stats() if recorder is not None else None, time.monotonic()
-                status = maker.make(log, now_s)
-                sink.send("status", status, status.host_time_ns)
-                alarms = maker.alarms(log, now_s)
-                if alarms is not None:
-                    sink.send("alarms", alarms, alarms.host_time_ns)
+            log, now_s = recorder.stats() if recorder is not None else None, time.monotonic()
+            for maker in makers:
+                maker.send(log, now_s)
         _logger.info("ending; the boards follow their host-loss policy")
         del queryables
 
@@ -262,18 +246,19 @@ def gateway_identity(config: GatewayConfig) -> Identity:
 @contextmanager
 def _recording(log: LogConfig) -> Iterator[Recorder]:
     directory = Path(log.directory)
-    compression = {"lz4": "lz4", "zstd": "zstd", "none": "none"}[log.compression]
     try:
         directory.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(
             directory,
-            prefix=log.prefix,
-            rotate_bytes=log.rotate_bytes,
-            rotate_s=log.rotate_s,
-            flush_s=log.flush_s,
-            queue=log.queue,
-            min_free_bytes=log.min_free_bytes,
-            compression=compression,  # type: ignore[arg-type]  # config.py allows these three only
+            RecorderOptions(
+                prefix=log.prefix,
+                rotate_bytes=log.rotate_bytes,
+                rotate_s=log.rotate_s,
+                flush_s=log.flush_s,
+                queue=log.queue,
+                min_free_bytes=log.min_free_bytes,
+                compression=log.compression,
+            ),
         )
         recorder.start()
     except (OSError, LogError) as error:
@@ -291,7 +276,15 @@ def _recording(log: LogConfig) -> Iterator[Recorder]:
 def _publish_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: str) -> None:
     """Publish an event of the gateway under each board, so that viewers of one board see, say, a failing log."""
     for driver in drivers:
-        driver.publish_event(name, severity, text)
+        driver.report.publish(name, severity, text)
+
+
+def _step_clock(drivers: Sequence[BoardDriver], link: LinkThread, step_ns: int) -> None:
+    """Correct the time of the last STOP of each board after a step of the host's clock, and report the step."""
+    for driver in drivers:
+        link.post(partial(driver.handler.clock_stepped, step_ns))
+    text = f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the samples use the new time from the next session on."
+    _publish_all(drivers, "clock-stepped", "warning", text)
 
 
 def _publish_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:

@@ -73,7 +73,6 @@ def checked(
     data: object,
     *,
     where: str,
-    key: str = "",
     error: type[ConfigError] | type[DataError] = ConfigError,
     from_text: bool = False,
     remedy: str = "",
@@ -85,7 +84,6 @@ def checked(
         kind: A dataclass, or an annotated type.
         data: Tables, lists, numbers and texts.
         where: File, variable or flag, for the error.
-        key: Path of `data` in it; empty for the whole file.
         error: Class of the error to raise.
         from_text: `data` is a text that may stand for a number, such as the value of an environment variable.
         remedy: What to do about any error, for a file that a program wrote; empty: what to write at the key.
@@ -99,7 +97,7 @@ def checked(
         return adapter.validate_strings(data) if from_text else adapter.validate_python(data)
     except ValidationError as failed:
         errors = failed.errors(include_url=False)
-    problem, correction = _explain(kind, data, errors, key, toml=error is ConfigError, quote=quote)
+    problem, correction = _explain(kind, data, errors, toml=error is ConfigError, quote=quote)
     raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy or correction)
 
 
@@ -128,10 +126,10 @@ def bounds(kind: Any) -> tuple[float | None, float | None]:
 
 
 def _explain(
-    kind: Any, data: object, errors: list[ErrorDetails], path: str, *, toml: bool, quote: Callable[[object], str]
+    kind: Any, data: object, errors: list[ErrorDetails], *, toml: bool, quote: Callable[[object], str]
 ) -> tuple[str, str]:
     """Return (problem, remedy) of the first error."""
-    first, hint, keys, value = errors[0], kind, {}, data
+    first, hint, keys, value, path = errors[0], kind, {}, data, ""
     mistake, location = first["type"], first["loc"]
     if mistake == "missing" and isinstance(location[-1], int):  # of four numbers: the list is wrong
         mistake, location = "too_short", location[:-1]

@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import zenoh
 from google.protobuf.message import Message as ProtoMessage
@@ -167,6 +167,14 @@ class Publisher:
         return ((channel, payloads, 0) for channel, payloads in gathered.items())
 
 
+class Publishers(NamedTuple):
+    """The threads that publish the output of all boards."""
+
+    messages: Publisher
+    samples: Publisher
+    batches: Publisher  # of the same samples
+
+
 class BoardSink:
     """The output of one board: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
 
@@ -175,16 +183,15 @@ class BoardSink:
         session: zenoh.Session,
         site: str,
         board: str,
-        *,
-        samples: Publisher,
-        batches: Publisher,
-        messages: Publisher,
+        publishers: Publishers,
         recorder: Recorder | None,
+        *,
+        log_raw: bool,
     ) -> None:
-        self._session, self._recorder = session, recorder
-        self._samples, self._batches, self._messages = samples, batches, messages
+        self._session, self._recorder, self._log_raw = session, recorder, log_raw
+        self._messages, self._samples, self._batches = publishers
         self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}
-        publishers = {
+        targets = {
             topic.name: session.declare_publisher(
                 self._keys[topic.name],
                 encoding=zenoh_encoding(topic.message),
@@ -193,8 +200,8 @@ class BoardSink:
             for topic in topics.TOPICS
             if topic.source == "gateway" and topic.bus
         }
-        self._single, self._batched = publishers["state"], publishers["states"]
-        self._channels = {name: PublishQueue(publisher) for name, publisher in publishers.items()}
+        self._single, self._batched = targets["state"], targets["states"]
+        self._channels = {name: PublishQueue(target) for name, target in targets.items()}
         self.state_channel, self._batch_channel = self._channels["state"], self._channels["states"]
         self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
         self._alive_channel = PublishQueue(_Token(session, topics.key(site, board, topics.ALIVE)))
@@ -240,7 +247,7 @@ class BoardSink:
 
     def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
         """Write bytes of the UART to the log."""
-        if self._recorder is not None:
+        if self._recorder is not None and self._log_raw:
             message = pb.RawBytes(host_time_ns=host_time_ns, to_board=to_board, data=data)
             self._recorder.put(self._raw_key, message.SerializeToString(), host_time_ns)
 

@@ -40,7 +40,7 @@ class StatusMaker:
         self._last_s, self._last_samples, self._last_bytes = now_s, samples, received
         latencies_s = self._sink.state_channel.take_latencies_s()
         status = pb.Status(
-            host_time_ns=driver.host_ns(),
+            host_time_ns=driver.report.host_ns(),
             link=driver.link,
             port=driver.port,
             uptime_s=now_s - self._started_s,
@@ -50,7 +50,7 @@ class StatusMaker:
             samples_lost=unwrapper.lost,
             bytes_received=received,
             bytes_sent=counts.bytes_sent,
-            reconnects=counts.reconnects,
+            reconnects=max(0, counts.opened - 1),
             board_resets=counters.board_resets,
             commands_accepted=handler.accepted_count,
             commands_refused=handler.refused_count,
@@ -83,20 +83,27 @@ class StatusMaker:
             status.log_file, status.log_bytes, status.log_state = log.file, log.bytes, log.state
         return status
 
+    def send(self, log: RecorderStats | None, now_s: float) -> None:
+        """Send the status, and the alarms if they are due."""
+        status, alarms = self.make(log, now_s), self.alarms(log, now_s)
+        self._sink.send("status", status, status.host_time_ns)
+        if alarms is not None:
+            self._sink.send("alarms", alarms, alarms.host_time_ns)
+
     def alarms(self, log: RecorderStats | None, now_s: float) -> pb.Alarms | None:
         """Return active conditions and acknowledgements if they are due, else None."""
-        driver, holding = self._driver, dict[str, Condition]()
+        driver, report, holding = self._driver, self._driver.report, dict[str, Condition]()
         if driver.link != "streaming":
-            holding[LINK] = Condition(text=driver.reason, since_ns=driver.since_ns)
-        if driver.unanswered is not None:
-            holding[TO_BOARD] = Condition(text=driver.unanswered.text, since_ns=driver.unanswered.host_time_ns)
+            holding[LINK] = Condition(text=report.reason, since_ns=report.since_ns)
+        if report.unanswered is not None:
+            holding[TO_BOARD] = Condition(text=report.unanswered.text, since_ns=report.unanswered.host_time_ns)
         sample = driver.known.sample
         if sample is not None and sample.state.flags & Flag.FAULT:
-            holding |= fault_condition(driver.fault, sample.state.u_c)
+            holding |= fault_condition(report.fault, sample.state.u_c)
         if log is not None and log.state not in ("writing", "off"):
             holding[LOG] = Condition(text=f"The log is not written: {log.state}.")
         acknowledged = driver.handler.annotations.acknowledged
-        return self._standing.due_message(holding, acknowledged, host_ns=driver.host_ns(), now_s=now_s)
+        return self._standing.due_message(holding, acknowledged, host_ns=report.host_ns(), now_s=now_s)
 
 
 def fault_condition(event: pb.Event | None, u_c: int) -> dict[str, Condition]:

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import zenoh
 
-from gateway.campaign.checks import AT_STOP_S, STOP_SHARE, Problem, rest_level_m
+from gateway.campaign.checks import AT_STOP_S, STOP_SHARE, Cure, Problem, rest_level_m
 from gateway.campaign.plan import CAPTURE_PRE_S, CAPTURE_S, Action, GoTo, Send, Shoot
 from gateway.campaign.subscriber import ID_PREFIX, BoardSubscriber
 from gateway.client.connection import new_id
@@ -40,9 +40,25 @@ class Stopped(Exception):  # noqa: N818  # not an error: somebody wanted it
 class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
     """The attempt gives no usable recording."""
 
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem.text)
-        self.problem = problem
+    def __init__(self, code: str, text: str, *, cure: Cure = "again") -> None:
+        super().__init__(text)
+        self.problem = Problem(code=code, text=text, cure=cure)
+
+
+class Dwell:
+    """Measures how long a condition holds without a break, by the board's clock."""
+
+    def __init__(self, sample_time_s: float) -> None:
+        self._sample_time_s = sample_time_s
+        self._since: int | None = None  # tick
+
+    def update(self, tick: int, *, holds: bool) -> float:
+        """Return for how long the condition has held at this tick, s; 0 if it does not hold."""
+        if not holds:
+            self._since = None
+        elif self._since is None:
+            self._since = tick
+        return 0.0 if self._since is None else (tick - self._since) * self._sample_time_s
 
 
 class RigControl:
@@ -73,8 +89,6 @@ class RigControl:
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         with self._subscriber.changed:
             while not ready():
-                if self._stop.is_set():
-                    raise Stopped
                 self._heed()
                 if self._subscriber.silence_s() > SILENCE_S:
                     raise self._lost("No samples")
@@ -86,6 +100,8 @@ class RigControl:
         return True
 
     def _heed(self) -> None:
+        if self._stop.is_set():
+            raise Stopped
         if self._subscriber.stop_sender is not None:
             raise ServiceError(
                 f"{self._subscriber.stop_sender} stopped the board",
@@ -115,9 +131,7 @@ class RigControl:
                 f"{self._address} streams but does not send its parameters and status", remedy="Restart its gateway"
             )
         self._heed()
-        assert self._subscriber.state is not None
-        assert self._subscriber.parameters is not None
-        return self._subscriber.state, self._subscriber.parameters
+        return self._subscriber.newest, self._subscriber.newest_parameters
 
     def hold(self, duration_s: float, *, from_tick: int | None = None) -> None:
         """Wait for `duration_s` of the board's time, from now or from a tick.
@@ -125,44 +139,32 @@ class RigControl:
         Raises:
             Cut: the board was reset, reports a fault or a lost host, or the ball is at a stop in closed loop.
         """
-        first, period_s = self._newest(), self._sample_time_s()
+        first, period_s = self._subscriber.newest, self._subscriber.newest_parameters.sample_time_s
         start = first.tick if from_tick is None else from_tick
         due = start + round(duration_s / period_s)
-        at_stop_since = -1
+        dwell = Dwell(period_s)
 
         def over() -> bool:
-            nonlocal at_stop_since
-            state = self._newest()
+            state = self._subscriber.newest
             self._watch(state, first.session)
-            if state.mode == pb.MODE_CLOSED_LOOP and self._at_stop(state):
-                at_stop_since = state.tick if at_stop_since < 0 else at_stop_since
-                if (state.tick - at_stop_since) * period_s > 2 * AT_STOP_S + STEADY_S:
-                    raise Cut(Problem(code="ball-fell", cure="lower", text="the ball fell out of the loop"))
-            else:
-                at_stop_since = -1
+            fallen = state.mode == pb.MODE_CLOSED_LOOP and self._at_stop(state)
+            if dwell.update(state.tick, holds=fallen) > 2 * AT_STOP_S + STEADY_S:
+                raise Cut("ball-fell", "the ball fell out of the loop", cure="lower")
             return state.tick >= due
 
         self.wait(over)
 
     def _watch(self, state: pb.State, session: int) -> None:
         if state.session != session:
-            raise Cut(Problem(code="board-reset", text="the board began a new session in between"))
+            raise Cut("board-reset", "the board began a new session in between")
         if state.flags & Flag.FAULT:
-            raise Cut(Problem(code="fault", text="the board reports a fault"))
+            raise Cut("fault", "the board reports a fault")
         if state.flags & Flag.HOST_LOST:
-            raise Cut(Problem(code="host-lost", text="the board missed its host and has acted on its own"))
+            raise Cut("host-lost", "the board missed its host and has acted on its own")
 
     def _at_stop(self, state: pb.State) -> bool:
         height = (state.x_m - self.rest_m) / self._travel_m
         return state.HasField("x_m") and not STOP_SHARE < height < 1.0 - STOP_SHARE
-
-    def _newest(self) -> pb.State:
-        assert self._subscriber.state is not None
-        return self._subscriber.state
-
-    def _sample_time_s(self) -> float:
-        assert self._subscriber.parameters is not None
-        return self._subscriber.parameters.sample_time_s
 
     # --- commands
 
@@ -176,8 +178,6 @@ class RigControl:
         """
         end_s = time.monotonic() + _AGAIN_LIMIT_S
         while True:
-            if self._stop.is_set():
-                raise Stopped
             self._heed()
             reply = self._send(command)
             if reply.accepted:
@@ -186,9 +186,8 @@ class RigControl:
                 raise self._lost("No answer to a command")
             if reply.reason not in _AGAIN or time.monotonic() > end_s:
                 what = str(command.WhichOneof("what")).replace("_", " ")
-                cure = "none" if reply.reason == "out-of-range" else "again"
                 text = f"{what} was refused by the {reply.refused_by}: {reply.reason}: {reply.text}".rstrip(".")
-                raise Cut(Problem(code="refused", text=text, cure="none" if cure == "none" else "again"))
+                raise Cut("refused", text, cure="none" if reply.reason == "out-of-range" else "again")
             self._stop.wait(0.1)
 
     def _send(self, command: pb.Command, *, timeout_s: float = 5.0) -> pb.CommandReply:
@@ -218,37 +217,35 @@ class RigControl:
         tick = self.command(pb.Command(excite=level))
         self.hold(shot.lead_s, from_tick=tick)
         with self._subscriber.changed:
-            before, session = self._subscriber.captures, self._newest().session
-            parameters = self._subscriber.parameters
-            assert parameters is not None
-        lasts_s = min(CAPTURE_S, parameters.capture_s or CAPTURE_S)  # a gateway of before does not say it
+            before, session = self._subscriber.captures, self._subscriber.newest.session
+            capture_s = self._subscriber.newest_parameters.capture_s
+        lasts_s = min(CAPTURE_S, capture_s or CAPTURE_S)  # a gateway of before does not say it
         capture = pb.Capture(u_from_v=shot.u_from_v, u_to_v=shot.u_to_v, duration_s=lasts_s, pre_s=CAPTURE_PRE_S)
         self.command(pb.Command(capture=capture))
 
         def arrived() -> bool:
-            self._watch(self._newest(), session)
+            self._watch(self._subscriber.newest, session)
             return self._subscriber.captures > before
 
         if not self.wait(arrived, timeout_s=CAPTURE_LIMIT_S):
-            raise Cut(Problem(code="captures-missing", text="the samples of a capture did not arrive"))
+            raise Cut("captures-missing", "the samples of a capture did not arrive")
 
     def go_to(self, x_ref_m: float) -> None:
         """Move the reference in steps within the board's limit."""
-        parameters = self._subscriber.parameters
-        assert parameters is not None
+        parameters = self._subscriber.newest_parameters
         step_m, count_m = 0.95 * parameters.x_ref_step_max_m, abs(parameters.x_lsb_m)
         while True:
-            at_m = self._newest().x_ref_m
+            at_m = self._subscriber.newest.x_ref_m
             left_m = x_ref_m - at_m
             if abs(left_m) <= count_m:
                 return
             target_m = x_ref_m if abs(left_m) <= step_m else at_m + (step_m if left_m > 0 else -step_m)
             tick = self.command(pb.Command(set_reference=pb.SetReference(x_ref_m=target_m)))
-            session = self._newest().session
+            session = self._subscriber.newest.session
 
             def has_tick(tick: int = tick, session: int = session) -> bool:
-                self._watch(self._newest(), session)
-                return self._newest().tick >= tick
+                self._watch(self._subscriber.newest, session)
+                return self._subscriber.newest.tick >= tick
 
             self.wait(has_tick)
 
@@ -260,25 +257,22 @@ class RigControl:
         """
         self.go_to(x_ref_m)
         self.mode(pb.MODE_CLOSED_LOOP)
-        period_s, session = self._sample_time_s(), self._newest().session
-        first, since = self._newest().tick, -1
+        period_s, session = self._subscriber.newest_parameters.sample_time_s, self._subscriber.newest.session
+        first, dwell = self._subscriber.newest.tick, Dwell(period_s)
 
         def steady() -> bool:
-            nonlocal since
-            state = self._newest()
+            state = self._subscriber.newest
             self._watch(state, session)
             is_close = abs(state.x_m - state.x_ref_m) < STOP_SHARE * self._travel_m and not self._at_stop(state)
-            since = (state.tick if since < 0 else since) if is_close else -1
+            steady_s = dwell.update(state.tick, holds=is_close)
             if (state.tick - first) * period_s > SETTLE_S:
-                height = (state.x_m - self.rest_m) * 1e3
-                raise Cut(
-                    Problem(
-                        code="reference-not-reached",
-                        text=f"{SETTLE_S:g} s after closing the loop the ball is at {height:.2f} mm above its rest, the"
-                        f" reference at {(state.x_ref_m - self.rest_m) * 1e3:.2f} mm",
-                    )
+                height_mm, aim_mm = ((x_m - self.rest_m) * 1e3 for x_m in (state.x_m, state.x_ref_m))
+                text = (
+                    f"{SETTLE_S:g} s after closing the loop the ball is at {height_mm:.2f} mm above its rest, the"
+                    f" reference at {aim_mm:.2f} mm"
                 )
-            return since >= 0 and (state.tick - since) * period_s >= STEADY_S
+                raise Cut("reference-not-reached", text)
+            return steady_s >= STEADY_S
 
         self.wait(steady)
 

@@ -68,6 +68,18 @@ class BoardSubscriber:
         self._last_message_s = time.monotonic()
         self._subscription = rig.subscribe(self._arrived)
 
+    @property
+    def newest(self) -> pb.State:
+        """The newest state; only after the first one."""
+        assert self.state is not None
+        return self.state
+
+    @property
+    def newest_parameters(self) -> pb.Parameters:
+        """The newest parameters; only after the first ones."""
+        assert self.parameters is not None
+        return self.parameters
+
     def silence_s(self) -> float:
         """Time since the last state, s; before the first state, since the start."""
         return time.monotonic() - self._last_message_s

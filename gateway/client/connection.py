@@ -8,26 +8,35 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
 
 import zenoh
 from zenoh.handlers import Callback
 
+from gateway.client.errors import accepted
+from gateway.client.values import Reply
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, router_refusal, zenoh_config
-from protocol.bus.identity import HELP, Identity
+from protocol.bus.identity import HELP, Identity, find_identity, login_name
+from protocol.errors import ServiceError, UsageError
 
 JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be older than itself (access/authorize.py)
 STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
 STOP_WAIT_S = 2.0  # for each answer
 _LAST_CALL_S = 2.0  # a subscription that ends waits so long for the callback under way
+_AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_stream", "set_host_loss"})  # move nothing
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +74,17 @@ def open_bus(connect: str, identity: Identity | None = None) -> Iterator[zenoh.S
         raise router_refusal([connect], identity) from None
     with session:
         yield session
+
+
+class BusBoard(NamedTuple):
+    """A board on an open bus."""
+
+    session: zenoh.Session
+    site: str  # first chunk of its keys
+    board: str  # second chunk of its keys; "*": every board
+
+    def __str__(self) -> str:
+        return f"{self.site}/{self.board}"
 
 
 class Subscription:
@@ -109,9 +129,7 @@ class Subscription:
 
 
 def send(
-    session: zenoh.Session,
-    site: str,
-    board: str,
+    board: BusBoard,
     command: pb.Command,
     *,
     timeout_s: float = 5.0,
@@ -128,9 +146,7 @@ def send(
     between gives it up: the gateway remembers its first arrival.
 
     Args:
-        session: of the bus.
-        site: first chunk of the key.
-        board: second chunk of the key.
+        board: the board.
         command: the command; its head is completed in place.
         timeout_s: for the answer, s; the command does not begin to act later.
         identity: of the sender on a guarded bus.
@@ -145,14 +161,14 @@ def send(
     command.valid_s = command.valid_s or timeout_s
     if identity is not None:
         role, command.who = identity.role, identity.name
-    key = topics.command_key(site, board, role=role, who=command.who)
+    key = topics.command_key(board.site, board.board, role=role, who=command.who)
     end_s = time.monotonic() + min(timeout_s, JUST_STARTED_S)
     while True:
         if is_new:
             command.issued_ns, since_ns = since_ns or time.time_ns(), 0
-        answer = ask(session, key, command, timeout_s)
+        answer = ask(board.session, key, command, timeout_s)
         if answer is None:
-            return _unanswered(command, f"{site}/{board}", guarded=identity is not None, typed=typed)
+            return _unanswered(command, str(board), guarded=identity is not None, typed=typed)
         if not is_new or answer.reason != "not-fresh" or time.monotonic() >= end_s:
             return answer
         time.sleep(0.1)
@@ -163,14 +179,12 @@ def new_id() -> str:
     return os.urandom(16).hex()  # as uuid4, whose module takes a tenth of the start of `board51 send`
 
 
-def send_stop(
-    session: zenoh.Session, site: str, board: str, who: str, *, identity: Identity | None = None
-) -> tuple[pb.Command, pb.CommandReply]:
+def send_stop(board: BusBoard, who: str, *, identity: Identity | None = None) -> tuple[pb.Command, pb.CommandReply]:
     """Send new STOPs until one is accepted, for STOP_PATIENCE_S; returns the last with its reply."""
     end_s = time.monotonic() + STOP_PATIENCE_S
     while True:
         command = pb.Command(who=who, stop=pb.Stop())
-        reply = send(session, site, board, command, timeout_s=STOP_WAIT_S, identity=identity)
+        reply = send(board, command, timeout_s=STOP_WAIT_S, identity=identity)
         if reply.accepted or time.monotonic() > end_s:
             return command, reply
         time.sleep(0.1)
@@ -194,3 +208,123 @@ def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) 
         text += options[0] if guarded else options[1]
     text += " If a gateway received the command before it ended, the board may have acted."
     return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)
+
+
+class BoardConnection:
+    """The base of `Rig`, which has its arguments: opening, closing, any command, STOP and all messages of a board.
+
+    Rules 2 and 3 of `rig.py` hold here.
+    """
+
+    def __init__(
+        self,
+        board: str,
+        *,
+        connect: str = DEFAULT_ENDPOINT,
+        site: str = topics.DEFAULT_SITE,
+        identity: Identity | Path | str | None = None,
+        who: str = "",
+        timeout_s: float = 5.0,
+        stop_on_error: bool = True,
+    ) -> None:
+        self.board, self.site = topics.check_name(board, what="board"), topics.check_name(site, what="site")
+        self.connect = check_endpoint(connect, where="connect")
+        self.identity = identity if isinstance(identity, Identity) else find_identity(identity)
+        if self.identity is not None:
+            self.identity.check_valid(datetime.now(UTC))
+        if not 0 < timeout_s < math.inf:
+            raise UsageError(f"timeout_s is {timeout_s}", remedy="Give a positive time in seconds")
+        self.who = who or login_name()
+        self._timeout_s, self._stop_on_error = timeout_s, stop_on_error
+        self._has_moved = False
+        self._open: zenoh.Session | None = None
+        self._closing = contextlib.ExitStack()
+        weakref.finalize(self, self._closing.close)  # of a rig that nobody closed; also when the interpreter ends
+
+    # --- opening and closing
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is not None and self._has_moved and self._stop_on_error:
+                self._stop_after(error)
+        finally:
+            self.close()
+
+    def open(self) -> Self:
+        """Join the bus without `with`, as in a notebook.
+
+        The end of the program, whatever its cause, closes the rig; as `close` does, it sends the board no command.
+
+        Raises:
+            ServiceError: there is no router, or it refuses this identity.
+        """
+        if self._open is None:
+            self._open = self._closing.enter_context(open_bus(self.connect, self.identity))
+        return self
+
+    def close(self) -> None:
+        """End recordings and leave the bus without a command to the board.  May be called again."""
+        try:
+            self._closing.close()
+        finally:
+            self._open = None
+
+    def _stop_after(self, error: BaseException) -> None:
+        try:
+            self.stop()
+            error.add_note(f"{self.site}/{self.board} was stopped because of this.")
+        except ServiceError as second:
+            error.add_note(str(second))
+
+    @property
+    def _bus_board(self) -> BusBoard:
+        if self._open is None:
+            raise UsageError(
+                f"The rig {self.site}/{self.board} is not open",
+                remedy="Use it in `with Rig(...) as rig:`, or open() it",
+            )
+        return BusBoard(self._open, self.site, self.board)
+
+    # --- commands
+
+    def stop(self) -> Reply:
+        """Switch the coil off at once; mode idle.  It is repeated until it is answered, and works on a closed rig.
+
+        Raises:
+            CommandNotDeliveredError: no answer for 10 s: THE COIL MAY BE ON.
+        """
+        if self._open is None:
+            with open_bus(self.connect, self.identity) as session:
+                return self._stop_through(session)
+        return self._stop_through(self._open)
+
+    def _stop_through(self, session: zenoh.Session) -> Reply:
+        board = BusBoard(session, self.site, self.board)
+        return accepted(*send_stop(board, self.who, identity=self.identity))
+
+    def send(self, command: pb.Command, *, timeout_s: float | None = None) -> pb.CommandReply:
+        """Send any command and return its reply; a refusal is not an exception here.
+
+        An existing `id` and `issued_ns` are kept, so that a command can be repeated without being executed twice.
+
+        Args:
+            command: The command; missing fields of its head are filled in.
+            timeout_s: For the answer, s; None: that of the rig.
+        """
+        if command.WhichOneof("what") not in _AT_REST:
+            self._has_moved = True  # before it is sent, as an interrupted command may act
+        command.who = command.who or self.who
+        return send(self._bus_board, command, timeout_s=timeout_s or self._timeout_s, identity=self.identity)
+
+    def _execute(self, command: pb.Command) -> Reply:
+        return accepted(command, self.send(command))
+
+    def subscribe(self, receive: Callable[[zenoh.Sample], None]) -> Subscription:
+        """Call `receive` with all messages of the board, in their order, until the rig is closed; it must be fast."""
+        subscription = Subscription(self._bus_board.session, [f"{self.site}/{self.board}/**"], receive)
+        return self._closing.enter_context(contextlib.closing(subscription))

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self, TypeVar
 import zenoh
 from google.protobuf.message import Message
 
-from gateway.client.connection import Subscription
+from gateway.client.connection import BusBoard, Subscription
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.errors import UsageError
@@ -36,9 +36,7 @@ class MessageQueue(Iterator[Message]):
     """The messages of some topics from now on: an iterator that ends when it is closed or garbage-collected.
 
     Args:
-        session: of the bus.
-        site: first chunk of the keys.
-        board: second chunk of the keys; "*": every board.
+        board: the board, or every board.
         names: of topics.
         capacity: of the queue, messages.
         timeout_s: time without a message after which an iteration ends, s; None: no end.
@@ -46,9 +44,7 @@ class MessageQueue(Iterator[Message]):
 
     def __init__(
         self,
-        session: zenoh.Session,
-        site: str,
-        board: str,
+        board: BusBoard,
         names: Iterable[str],
         *,
         capacity: int = CAPACITY,
@@ -56,7 +52,7 @@ class MessageQueue(Iterator[Message]):
     ) -> None:
         self._waiting = _Waiting(capacity)
         self._timeout_s = timeout_s
-        subscription = Subscription(session, [f"{site}/{board}/{name}" for name in names], self._waiting.put)
+        subscription = Subscription(board.session, [f"{board}/{name}" for name in names], self._waiting.put)
         # The callbacks refer to the queue and not to the feed, so that a loop left with `break` ends the subscription.
         self._end = weakref.finalize(self, subscription.close)
 

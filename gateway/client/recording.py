@@ -13,9 +13,9 @@ from typing import Self
 
 import zenoh
 
-from gateway.client.connection import Subscription
+from gateway.client.connection import BusBoard, Subscription
 from gateway.client.values import Samples, read_log
-from gateway.record.recorder import Recorder, RecorderStats
+from gateway.record.recorder import Recorder, RecorderOptions, RecorderStats
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.files import make_folder
@@ -25,9 +25,7 @@ class Recording:
     """A recording of all logged topics of one board, or of all boards, from `start` until `close`.
 
     Args:
-        session: of the bus.
-        site: first chunk of the keys.
-        board: second chunk of the keys; "*": every board.
+        board: the board, or every board.
         directory: for the files; created if missing.
         connect: the router's endpoint, for the metadata of every file.
         prefix: first part of the file names.
@@ -41,9 +39,7 @@ class Recording:
 
     def __init__(
         self,
-        session: zenoh.Session,
-        site: str,
-        board: str,
+        board: BusBoard,
         directory: Path | str,
         *,
         connect: str,
@@ -53,13 +49,11 @@ class Recording:
         on_event: Callable[[str, str, str], None] | None = None,
     ) -> None:
         topics.check_name(prefix, what="prefix")
-        self._session, self._keys, self._board = session, f"{site}/{board}/**", board
+        self._board, self._keys = board, f"{board}/**"
         make_folder(Path(directory))
         self._recorder = Recorder(
             Path(directory),
-            prefix=prefix,
-            rotate_bytes=rotate_bytes,
-            rotate_s=rotate_s,
+            RecorderOptions(prefix=prefix, rotate_bytes=rotate_bytes, rotate_s=rotate_s),
             metadata={"record": {"connect": connect, "keys": self._keys}},
             on_event=on_event,
         )
@@ -75,7 +69,7 @@ class Recording:
         """
         self._recorder.start()
         try:
-            self._subscription = Subscription(self._session, [self._keys], self._arrived)
+            self._subscription = Subscription(self._board.session, [self._keys], self._arrived)
         except BaseException:
             self._recorder.close()
             raise
@@ -113,7 +107,7 @@ class Recording:
         Raises:
             DataError: there are no samples, or several boards were recorded.
         """
-        return read_log(self.files, board=None if self._board == "*" else self._board)
+        return read_log(self.files, board=None if self._board.board == "*" else self._board.board)
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if self._closed.is_set():

@@ -8,30 +8,23 @@ Rule 3: an exception that ends the `with` block stops the board, if this rig has
 
 from __future__ import annotations
 
-import contextlib
 import math
-import weakref
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import zenoh
 from google.protobuf.message import Message
 
 from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
-from gateway.client.connection import Subscription, ask, new_id, open_bus, send, send_stop
+from gateway.client.connection import BoardConnection, ask, new_id
 from gateway.client.errors import accepted
 from gateway.client.message_queue import CAPACITY, MessageQueue, check_topic
 from gateway.client.sample_stream import SampleStream
 from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
-from protocol.bus.identity import Identity, find_identity, login_name
-from protocol.errors import ServiceError, UsageError
+from protocol.errors import ServiceError
 
 if TYPE_CHECKING:
     from gateway.client.recording import Recording
@@ -39,11 +32,10 @@ if TYPE_CHECKING:
 SILENCE_S = 3.0  # longest time without a sample; a gateway reconnects a port and reads a board again within it
 NEWEST_WAIT_S = 8.0  # periodic messages are sent at least every 5 s
 CAPTURE_WAIT_S = 10.0  # reading 2000 samples takes 63 answers of the board
-_AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_stream", "set_host_loss"})  # move nothing
 M = TypeVar("M", bound=Message)
 
 
-class Rig:
+class Rig(BoardConnection):
     """A board, through its gateway; a context manager that several threads may use at once.
 
     Args:
@@ -61,80 +53,6 @@ class Rig:
         ConfigError: endpoint, name or identity is not valid.
         UsageError: `timeout_s` is not positive and finite.
     """
-
-    def __init__(
-        self,
-        board: str,
-        *,
-        connect: str = DEFAULT_ENDPOINT,
-        site: str = topics.DEFAULT_SITE,
-        identity: Identity | Path | str | None = None,
-        who: str = "",
-        timeout_s: float = 5.0,
-        stop_on_error: bool = True,
-    ) -> None:
-        self.board, self.site = topics.check_name(board, what="board"), topics.check_name(site, what="site")
-        self.connect = check_endpoint(connect, where="connect")
-        self.identity = identity if isinstance(identity, Identity) else find_identity(identity)
-        if self.identity is not None:
-            self.identity.check_valid(datetime.now(UTC))
-        if not 0 < timeout_s < math.inf:
-            raise UsageError(f"timeout_s is {timeout_s}", remedy="Give a positive time in seconds")
-        self.who = who or login_name()
-        self._timeout_s, self._stop_on_error = timeout_s, stop_on_error
-        self._has_moved = False
-        self._open: zenoh.Session | None = None
-        self._closing = contextlib.ExitStack()
-        weakref.finalize(self, self._closing.close)  # of a rig that nobody closed; also when the interpreter ends
-
-    # --- opening and closing
-
-    def __enter__(self) -> Self:
-        return self.open()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if error is not None and self._has_moved and self._stop_on_error:
-                self._stop_after(error)
-        finally:
-            self.close()
-
-    def open(self) -> Self:
-        """Join the bus without `with`, as in a notebook.
-
-        The end of the program, whatever its cause, closes the rig; as `close` does, it sends the board no command.
-
-        Raises:
-            ServiceError: there is no router, or it refuses this identity.
-        """
-        if self._open is None:
-            self._open = self._closing.enter_context(open_bus(self.connect, self.identity))
-        return self
-
-    def close(self) -> None:
-        """End recordings and leave the bus without a command to the board.  May be called again."""
-        try:
-            self._closing.close()
-        finally:
-            self._open = None
-
-    def _stop_after(self, error: BaseException) -> None:
-        try:
-            self.stop()
-            error.add_note(f"{self.site}/{self.board} was stopped because of this.")
-        except ServiceError as second:
-            error.add_note(str(second))
-
-    @property
-    def _session(self) -> zenoh.Session:
-        if self._open is None:
-            raise UsageError(
-                f"The rig {self.site}/{self.board} is not open",
-                remedy="Use it in `with Rig(...) as rig:`, or open() it",
-            )
-        return self._open
 
     # --- commands
 
@@ -187,7 +105,7 @@ class Rig:
             period_end_s: s; for "chirp" the last period.
             seed: For "prbs" and "multisine".
         """
-        signal = commands.excite(
+        command = commands.excite(
             shape,
             duration_s=duration_s,
             on_reference=on_reference,
@@ -197,7 +115,7 @@ class Rig:
             period_end_s=period_end_s,
             seed=seed,
         )
-        return self._execute(signal)
+        return self._execute(command)
 
     def capture(self, *, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> Capture:
         """Record the coil current at 25 kHz around a step of u_c, and wait for the result; idle or open loop.
@@ -260,47 +178,13 @@ class Rig:
         command.id, command.who = new_id(), self.who
         role, who = ("", "") if self.identity is None else (self.identity.role, self.identity.name)
         key = topics.command_key(self.site, self.board, role=role, who=who, topic="twin/command")
-        reply = ask(self._session, key, command, self._timeout_s)
+        reply = ask(self._bus_board.session, key, command, self._timeout_s)
         if reply is None:
             raise ServiceError(
                 f"No twin answers for {self.site}/{self.board}",
                 remedy="Start `board51 twin`; on a guarded bus only an engineer hands models over",
             )
         return accepted(command, reply)
-
-    def stop(self) -> Reply:
-        """Switch the coil off at once; mode idle.  It is repeated until it is answered, and works on a closed rig.
-
-        Raises:
-            CommandNotDeliveredError: no answer for 10 s: THE COIL MAY BE ON.
-        """
-        if self._open is None:
-            with open_bus(self.connect, self.identity) as session:
-                return self._stop_through(session)
-        return self._stop_through(self._open)
-
-    def _stop_through(self, session: zenoh.Session) -> Reply:
-        return accepted(*send_stop(session, self.site, self.board, self.who, identity=self.identity))
-
-    def send(self, command: pb.Command, *, timeout_s: float | None = None) -> pb.CommandReply:
-        """Send any command and return its reply; a refusal is not an exception here.
-
-        An existing `id` and `issued_ns` are kept, so that a command can be repeated without being executed twice.
-
-        Args:
-            command: The command; missing fields of its head are filled in.
-            timeout_s: For the answer, s; None: that of the rig.
-        """
-        if command.WhichOneof("what") not in _AT_REST:
-            self._has_moved = True  # before it is sent, as an interrupted command may act
-        return self._send(self._session, command, timeout_s or self._timeout_s)
-
-    def _send(self, session: zenoh.Session, command: pb.Command, timeout_s: float) -> pb.CommandReply:
-        command.who = command.who or self.who
-        return send(session, self.site, self.board, command, timeout_s=timeout_s, identity=self.identity)
-
-    def _execute(self, command: pb.Command) -> Reply:
-        return accepted(command, self.send(command))
 
     # --- data from the board
 
@@ -317,7 +201,7 @@ class Rig:
         Raises:
             NoSamplesError: during the iteration, no sample arrived for `timeout_s`.
         """
-        queue = MessageQueue(self._session, self.site, self.board, ["state"], capacity=capacity)
+        queue = MessageQueue(self._bus_board, ["state"], capacity=capacity)
         return SampleStream(queue, f"{self.site}/{self.board}", duration_s, timeout_s)
 
     def read(self, duration_s: float, *, timeout_s: float = SILENCE_S) -> Samples:
@@ -341,12 +225,7 @@ class Rig:
         """
         for name in names:
             check_topic(name)
-        return MessageQueue(self._session, self.site, self.board, names, timeout_s=timeout_s)
-
-    def subscribe(self, receive: Callable[[zenoh.Sample], None]) -> Subscription:
-        """Call `receive` with all messages of the board, in their order, until the rig is closed; it must be fast."""
-        subscription = Subscription(self._session, [f"{self.site}/{self.board}/**"], receive)
-        return self._closing.enter_context(contextlib.closing(subscription))
+        return MessageQueue(self._bus_board, names, timeout_s=timeout_s)
 
     def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
         """Wait for the next status of link, bus and log, which is sent every second.
@@ -399,6 +278,6 @@ class Rig:
         """
         from gateway.client.recording import Recording  # with the writer of logs, which no command needs
 
-        recording = Recording(self._session, self.site, self.board, directory, connect=self.connect, prefix=prefix)
+        recording = Recording(self._bus_board, directory, connect=self.connect, prefix=prefix)
         self._closing.callback(recording.start().close)
         return recording

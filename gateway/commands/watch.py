@@ -10,7 +10,7 @@ import time
 from google.protobuf.json_format import MessageToDict
 from google.protobuf.message import Message
 
-from gateway.client.connection import add_bus_arguments, open_bus
+from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.client.message_queue import MessageQueue
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     end = time.monotonic() + args.timeout if args.timeout else None
     with (
         open_bus(args.connect, find_identity(args.identity)) as session,
-        MessageQueue(session, args.site, args.board, names) as queue,
+        MessageQueue(BusBoard(session, args.site, args.board), names) as queue,
     ):
         while not args.count or printed < args.count:
             arrival = queue.take(max(0.0, end - time.monotonic()) if end else None)

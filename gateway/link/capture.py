@@ -6,9 +6,9 @@ line, so reading begins at the latest at the computed end of the capture.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from gateway.board.scaling import Scaling, WireCommand
+from gateway.link.reporter import LinkReporter
+from gateway.link.sink import Sink
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.codec import unpack_pair
 from protocol.wire.events import Answer
@@ -26,13 +26,13 @@ class CaptureReader:
 
     Args:
         session: Session for the READ_CAPTURE commands.
-        finished: Called once for each capture, with its record (host_time_ns still 0) or a sentence with the reason of
-            its failure.
+        report: Reports a capture that failed.
+        sink: Receives the records.
     """
 
-    def __init__(self, session: Session, finished: Callable[[pb.CaptureRecord | str], None]) -> None:
+    def __init__(self, session: Session, report: LinkReporter, sink: Sink) -> None:
         self.deadline_s = float("inf")  # when `poll` has something to do
-        self._session, self._finished = session, finished
+        self._session, self._report, self._sink = session, report, sink
         self._under_way = False
         self._token: int | None = None  # of the READ_CAPTURE that is under way
 
@@ -105,4 +105,8 @@ class CaptureReader:
     def _end(self, result: pb.CaptureRecord | str) -> None:
         if self._under_way:
             self._under_way, self._token, self.deadline_s = False, None, float("inf")
-            self._finished(result)
+            if isinstance(result, str):
+                self._report.publish("capture-failed", "warning", result)
+            else:
+                result.host_time_ns = self._report.host_ns()
+                self._sink.send("capture", result, result.host_time_ns)

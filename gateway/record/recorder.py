@@ -47,49 +47,44 @@ class RecorderStats:
     state: str  # "writing" | "off" | "disk-full" | "failed: ..."
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderOptions:
+    """The names, length and memory of the parts of a log."""
+
+    prefix: str  # first part of the file names
+    rotate_bytes: int  # a part larger than this is closed and the next one begun
+    rotate_s: float  # the same by age, s
+    flush_s: float = 0.1  # longest time between flushes, s
+    queue: int = 20_000  # messages that may wait
+    # With less free space the log pauses: the part in work can still be closed and the machine stays usable.
+    min_free_bytes: int = 50_000_000
+    compression: Compression = "lz4"  # of the chunks
+
+
 class Recorder:
     """Writes `<prefix>-<start>-<number>.mcap` files into `directory`.
 
     Args:
         directory: Must exist.
-        prefix: First part of the file names.
-        rotate_bytes: A part larger than this is closed and the next one begun.
-        rotate_s: The same by age, s.
-        flush_s: Longest time between flushes, s.
-        queue: Messages that may wait.
+        options: Of the parts.
         metadata: MCAP metadata of every part.
-        min_free_bytes: Below this much free space the log pauses, so that the part in work can still be closed and the
-            machine stays usable.
         on_event: Called as (name, severity, text) in the recorder's thread: log-disk-full, log-failed, log-resumed,
             log-rotated, log-dropping, log-removed.
-        compression: Of the chunks.
     """
 
     def __init__(
         self,
         directory: Path,
+        options: RecorderOptions,
         *,
-        prefix: str,
-        rotate_bytes: int,
-        rotate_s: float,
-        flush_s: float = 0.1,
-        queue: int = 20_000,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
-        min_free_bytes: int = 50_000_000,
         on_event: OnEvent | None = None,
-        compression: Compression = "lz4",
     ) -> None:
         self.directory = directory
         self.on_event = on_event
         self.files: list[Path] = []  # all parts that were begun
-        self._prefix = prefix
-        self._rotate_bytes = rotate_bytes
-        self._rotate_s = rotate_s
-        self._flush_s = flush_s
-        self._capacity = queue
+        self._options = options
         self._metadata = dict(metadata or {})
-        self._min_free_bytes = min_free_bytes
-        self._compression: Compression = compression
 
         self._lock = threading.Lock()  # guards _queue, _dropped; held for a few instructions only
         self._queue: deque[Entry] = deque()
@@ -123,7 +118,7 @@ class Recorder:
     def put(self, key: str, data: bytes, time_ns: int) -> None:
         """Queue one message: key `<site>/<board>/<topic>`, serialised protobuf, Unix time in ns."""
         with self._lock:
-            if len(self._queue) >= self._capacity:
+            if len(self._queue) >= self._options.queue:
                 self._queue.popleft()
                 self._dropped += 1
             self._queue.append((key, data, time_ns))
@@ -166,7 +161,7 @@ class Recorder:
             self._check_free_space()
             self._drain()
             now_s = time.monotonic()
-            if now_s - self._flushed_s >= self._flush_s:
+            if now_s - self._flushed_s >= self._options.flush_s:
                 self._flush(now_s)
         except LogError as error:
             self._pause(error)
@@ -204,8 +199,8 @@ class Recorder:
         assert self._writer is not None
         self._writer.flush()
         self._flushed_s = now_s
-        full = self._writer.bytes_written >= self._rotate_bytes
-        if full or (now_s - self._opened_s >= self._rotate_s and self._writer.messages > len(self._parameters)):
+        full = self._writer.bytes_written >= self._options.rotate_bytes
+        if full or (now_s - self._opened_s >= self._options.rotate_s and self._writer.messages > len(self._parameters)):
             finished = self._writer
             finished.close()
             self._writer = None
@@ -226,13 +221,12 @@ class Recorder:
 
     def _open_part(self) -> None:
         while True:
-            name = f"{self._prefix}-{self._run}-{self._part:03d}.mcap"
+            name = f"{self._options.prefix}-{self._run}-{self._part:03d}.mcap"
             self._part += 1
-            metadata = {"part": {"prefix": self._prefix, "run": self._run, "number": str(self._part - 1)}}
+            part = {"prefix": self._options.prefix, "run": self._run, "number": str(self._part - 1)}
+            metadata = {**self._metadata, "part": part}
             try:
-                writer = LogWriter(
-                    self.directory / name, metadata={**self._metadata, **metadata}, compression=self._compression
-                )
+                writer = LogWriter(self.directory / name, metadata=metadata, compression=self._options.compression)
                 break
             except LogError as error:
                 if error.reason != "exists already":
@@ -243,20 +237,16 @@ class Recorder:
         self._opened_s = self._flushed_s = time.monotonic()
         self._writer = writer
 
-    def _check_free_space(self) -> None:
-        if self._free_bytes() < self._min_free_bytes:
-            raise LogError(self.directory, OSError(errno.ENOSPC, "below min_free_bytes"))
-
-    def _free_bytes(self) -> int:
+    def _check_free_space(self, factor: float = 1.0) -> None:
         try:
             status = os.statvfs(self.directory)
+            if status.f_bavail * status.f_frsize < factor * self._options.min_free_bytes:
+                raise OSError(errno.ENOSPC, "below min_free_bytes")
         except OSError as error:
             raise LogError(self.directory, error) from None
-        return status.f_bavail * status.f_frsize
 
     def _resume(self) -> None:
-        if self._free_bytes() < RESUME_FACTOR * self._min_free_bytes:
-            raise LogError(self.directory, OSError(errno.ENOSPC, "below min_free_bytes"))
+        self._check_free_space(RESUME_FACTOR)
         if self._cut_off is not None:
             self._finish_cut_off(self._cut_off)
         self._open_part()

@@ -36,7 +36,7 @@ import zenoh
 from google.protobuf.message import Message
 
 from gateway.board.conditions import LINK
-from gateway.client.connection import Subscription, send
+from gateway.client.connection import BusBoard, Subscription, send
 from gateway.views.alarms import Alarm, AlarmBook
 from gateway.views.bins import TopicBins, channels
 from gateway.views.decimate import Decimator
@@ -326,7 +326,7 @@ class Feed:
         command.who = who
         as_role = role if self.guarded else ""
         return send(
-            self._session, self.site, board, command,
+            BusBoard(self._session, self.site, board), command,
             timeout_s=timeout_s, role=as_role, typed=False, since_ns=issued_ns,
         )  # fmt: skip
 

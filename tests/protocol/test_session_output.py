@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from protocol.wire.events import Answer
+from protocol.wire.exchange import MAX_STOPS, PROVEN_S, WAIT_S
 from protocol.wire.framing import DELIMITER
 from protocol.wire.messages import Message
-from protocol.wire.session import MAX_STOPS, PROVEN_S, WAIT_S, Session
+from protocol.wire.session import Session
 from tests.protocol.test_session import ack, answers, frame, identity, new_session, opened, sent
 
 

@@ -12,7 +12,7 @@ import threading
 from dataclasses import asdict
 from pathlib import Path
 
-from gateway.client.connection import add_bus_arguments, open_bus
+from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.client.recording import Recording
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     on_end_signal(stop.set)
     with open_bus(args.connect, find_identity(args.identity)) as session:
         recording = Recording(
-            session, args.site, args.board, args.out, connect=args.connect, prefix=args.prefix,
+            BusBoard(session, args.site, args.board), args.out, connect=args.connect, prefix=args.prefix,
             rotate_bytes=round(args.rotate_mb * 1e6), rotate_s=args.rotate_s,
             on_event=lambda name, severity, text: print(f"{severity}: {name}: {text}", file=sys.stderr, flush=True),
         )  # fmt: skip

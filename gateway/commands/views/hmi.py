@@ -119,12 +119,12 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
         certificate=certificate,
         key=key,
         logs=args.log_dir,
-        data=args.data,
         reports=tuple(args.reports) or (Path("diagnosis"), args.data),
         idle_s=args.idle_min * 60.0,
         lifetime_s=args.session_h * 3600.0,
         loopback=is_loopback(host),
         routes=Routes(
+            data=args.data,
             connect=args.connect,
             site=args.site,
             replay=replay,

@@ -5,8 +5,8 @@
     firmware.tick()                    # T_s of plant time, then one run of the loop
     line.write(firmware.take_output())
 
-Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5, 10 and 13,
-`control_loop.py` and `commands.py` the others.
+Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5 and 13,
+`host_watch.py`, `control_loop.py` and `commands.py` have the others.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from gateway.emulator.firmware_model.flash import (
     BoardProfile,
     Settings,
 )
+from gateway.emulator.firmware_model.host_watch import HostWatch
 from gateway.emulator.firmware_model.output import InputConverter, OutputFault
 from gateway.emulator.firmware_model.settings import first_bad_field
 from gateway.emulator.firmware_model.uart import Inbox, Outbox, Priority
@@ -42,7 +43,6 @@ from protocol.wire.messages import ROW_OF_NAME, ROW_OF_TYPE, VERSION, EventCode,
 
 RETAINED_IDS = 8
 PENDING_COMMANDS = 8
-HOST_LOSS_MS = 500
 _PLANT_STEP_US = 20
 _STATE_TYPE = bytes((ROW_OF_NAME["STATE"].type,))
 _WITHOUT_SESSION = {"HELLO", "PING", "STOP"}
@@ -86,13 +86,10 @@ class Firmware:
         self.next_tick = 0
         self.outbox.clear()
         self._inbox = Inbox()
-        self._pending: deque[tuple[bytes, Message | None, Nack | None]] = deque()
+        self._pending: deque[tuple[bytes, Message | Nack]] = deque()
         self._session: int | None = None
         self._retained: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=RETAINED_IDS)  # id, type, frame
         self._divider = 1
-        self._policy = HostLoss.COIL_OFF
-        self._timeout_ms = HOST_LOSS_MS
-        self._silent_us = 0
         self._events = 0
         self._overruns = 0
         self._ticks_since_overrun_event = TICKS_PER_S
@@ -103,6 +100,7 @@ class Firmware:
         field = first_bad_field(self._stored)
         settings = self._profile.settings if field else self._stored
         self.loop = ControlLoop(self._emit, settings, self._converter)
+        self._host = HostWatch(self.loop, self._emit)
         self._emit(cause, self._resets)
         if field:
             self._emit(EventCode.SETTINGS_REJECTED, field)
@@ -162,10 +160,10 @@ class Firmware:
         self._execute_pending()
         if self._reset_wait and self._leave():
             return
-        self._watch_host()
+        self._host.watch()
         state = self.loop.run(self._profile.current_count(i_pin), self._profile.position_count(x_pin))
         if self._divider and self.next_tick % self._divider == 0 and not lost:
-            self._send_state(state)
+            self.outbox.put(_state_frame(self.next_tick, state), Priority.STATE)
         self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
         self._ticks_since_overrun_event += 1
 
@@ -231,17 +229,10 @@ class Firmware:
         if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
             self._inbox.bad_frames = min(self._inbox.bad_frames + 1, 0xFFFF)
             return
-        self._note_host_frame()
+        self._host.heard()
         decoded = decode_body(body)
-        message = decoded if isinstance(decoded, Message) else None
-        refusal = None
-        if decoded == "type":
-            refusal = Nack(Reason.UNKNOWN_TYPE)
-        elif decoded == "length":
-            refusal = Nack(Reason.BAD_LENGTH)
-        elif message is None:
-            refusal = refuse_range(body)
-        if message is not None and message.name == "STOP":
+        command = decoded if isinstance(decoded, Message) else _refusal(decoded, body)
+        if isinstance(command, Message) and command.name == "STOP":
             self._advance_to(into_tick_us // _PLANT_STEP_US * _PLANT_STEP_US)
             # Commands that came before it are executed first, so that none of them turns the coil on again.
             self._execute_pending()
@@ -250,27 +241,27 @@ class Firmware:
         elif len(self._pending) >= PENDING_COMMANDS:
             self._answer(body, Nack(Reason.BUSY), keep=False)
         else:
-            self._pending.append((body, message, refusal))
+            self._pending.append((body, command))
 
     def _execute_pending(self) -> None:
         while self._pending:
-            body, message, refusal = self._pending.popleft()
-            if message is not None and message.name == "HELLO":
-                self._answer(body, self._hello(message), keep=False)
+            body, command = self._pending.popleft()
+            if isinstance(command, Message) and command.name == "HELLO":
+                self._answer(body, self._hello(command), keep=False)
                 continue
             retained = next((entry for entry in self._retained if entry[0] == body[1]), None)
             if retained is not None and retained[1] == body[0]:
                 self.outbox.put(retained[2], retained[3])
             elif retained is not None:
                 self._answer(body, Nack(Reason.BUSY), keep=False)
-            elif message is None:
+            elif isinstance(command, Nack):
                 # Not kept: noise at the end of a good frame may leave the CRC right and the length wrong, and the
                 # repetition of that command must not meet the noise again.
-                self._answer(body, refusal or Nack(Reason.OUT_OF_RANGE), keep=False)
-            elif self._session is None and message.name not in _WITHOUT_SESSION:
+                self._answer(body, command, keep=False)
+            elif self._session is None and command.name not in _WITHOUT_SESSION:
                 self._answer(body, Nack(Reason.NO_SESSION), keep=False)
             else:
-                self._answer(body, self._execute(message))
+                self._answer(body, self._execute(command))
 
     def _execute(self, message: Message) -> Acceptance | Nack:
         row, tick = ROW_OF_NAME[message.name], self.next_tick
@@ -281,10 +272,9 @@ class Firmware:
             case "SET_STREAM":
                 self._divider = message.int("divider")
             case "SET_HOST_LOSS":
-                self._policy = HostLoss(message.int("policy"))
-                self._timeout_ms = message.int("timeout")
+                self._host.policy, self._host.timeout_ms = HostLoss(message.int("policy")), message.int("timeout")
             case "GET_PARAMETERS":
-                return parameters(self.loop, self._divider, self._policy, self._timeout_ms)
+                return parameters(self.loop, self._divider, self._host.policy, self._host.timeout_ms)
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:
@@ -318,31 +308,20 @@ class Firmware:
         self.reset(EventCode.RESET_COMMANDED)
         return True
 
-    def _note_host_frame(self) -> None:
-        self._silent_us = 0
-        if self.loop.host_lost:
-            self.loop.host_lost = False
-            self._emit(EventCode.HOST_BACK, 0)
-
-    def _watch_host(self) -> None:
-        self._silent_us += T_S_US
-        if self.loop.host_lost or self._silent_us < self._timeout_ms * 1000:
-            return
-        self.loop.host_lost = True
-        self._emit(EventCode.HOST_LOST, self._policy)
-        if self._policy == HostLoss.HOLD and self.loop.mode == Mode.CLOSED_LOOP:
-            self.loop.end_excitation()
-        elif self._policy != HostLoss.KEEP:
-            self.loop.switch_off()
-
     def _emit(self, code: EventCode, detail: int) -> None:
         body = encode_body("EVENT", number=self._events & 0xFF, tick=self.next_tick, code=int(code), detail=int(detail))
         self._events += 1
         self.outbox.put(encode_frame(body), Priority.EVENT)
 
-    def _send_state(self, state: Tick) -> None:
-        # Packed by hand: this runs 500 times a second for each board.
-        sequence = (self.next_tick & 0xFFFF).to_bytes(2, "little")
-        counts = pack_pair(state.i, state.x) + pack_pair(state.u, state.x_ref)
-        body = _STATE_TYPE + sequence + counts + bytes((state.flags,))
-        self.outbox.put(encode_frame(body), Priority.STATE)
+
+def _refusal(fault: str, body: bytes) -> Nack:
+    """Return the refusal of a body that is no command of the host; `fault` is the decoder's."""
+    reason = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH}.get(fault)
+    return refuse_range(body) if reason is None else Nack(reason)
+
+
+def _state_frame(tick: int, state: Tick) -> bytes:
+    # Packed by hand: this runs 500 times a second for each board.
+    sequence = (tick & 0xFFFF).to_bytes(2, "little")
+    counts = pack_pair(state.i, state.x) + pack_pair(state.u, state.x_ref)
+    return encode_frame(_STATE_TYPE + sequence + counts + bytes((state.flags,)))

@@ -42,8 +42,9 @@ _logger = logging.getLogger("gateway.hmi")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Routes:
-    """The options of `board51` by which jobs reach the bus."""
+    """The options of `board51` by which jobs reach the bus, and the folder into which they write."""
 
+    data: Path  # of recordings, campaigns and models
     connect: str
     site: str
     replay: str  # endpoint of the bus on which replays run
@@ -67,33 +68,28 @@ class Actions:
 
     Args:
         feed: of the live site.
-        replayed: of REPLAY_SITE.
         sessions: who is logged in.
         users: where roles come from; None: everybody here is the local operator.
         jobs: where recordings, campaigns and replays run.
         logs: files that may be replayed.
         reports: pages of diagnosis.
-        data: folder for recordings and campaigns.
-        routes: how jobs reach the bus.
+        routes: how jobs reach the bus, and where they write.
     """
 
     def __init__(
         self,
         feed: Feed,
-        replayed: Feed,
         sessions: LoginSessions,
         users: Users | None,
         *,
         jobs: Jobs,
         logs: Library,
         reports: Library,
-        data: Path,
         routes: Routes,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.feed, self.replayed, self.sessions, self.users = feed, replayed, sessions, users
+        self.feed, self.sessions, self.users = feed, sessions, users
         self.jobs, self.logs, self.reports = jobs, logs, reports
-        self._data, self._routes, self._clock = data, routes, clock
+        self._routes = routes
 
     def role(self, session: LoginSession) -> Role:
         """Return the current role: a change of the users file takes effect at once."""
@@ -176,8 +172,9 @@ class Actions:
     def start_recording(self, session: LoginSession, board: str, title: str) -> pb.CommandReply:
         """Log this board's bus into files of their own, beside the gateway's log."""
         name = slug(title)[:16] or "rec"
-        words = ["record", "--out", str(self._data / "recordings"), "--prefix", f"{name}-{board}"[:32].rstrip("-_"),
-                 "--board", board, *self._routes.live(ACCOUNT)]  # fmt: skip
+        prefix = f"{name}-{board}"[:32].rstrip("-_")
+        words = ["record", "--out", str(self._routes.data / "recordings"), "--prefix", prefix, "--board", board]
+        words += self._routes.live(ACCOUNT)
         return self.start_job(session, "recording", "record", board, words, title=title or text_of("job_kind.record"))
 
     def start_replay(self, session: LoginSession, log: str, speed: float) -> pb.CommandReply:
@@ -228,7 +225,7 @@ class Actions:
             return refusal("no-board", text_of("refusal.no_board", board=repr(board[:32])))
         try:
             if kind != "replay":
-                self._data.mkdir(parents=True, exist_ok=True)
+                self._routes.data.mkdir(parents=True, exist_ok=True)
             self.jobs.start(kind, board, words, title=title, who=session.name)
         except Board51Error as error:
             return refusal("busy", str(error))
@@ -239,7 +236,7 @@ class Actions:
 
     def _refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
         """Return the refusal, or None if the action is allowed.  An action restarts the idle time."""
-        now_s = self._clock()
+        now_s = time.monotonic()
         if not self.sessions.is_open(session, now_s):
             return refusal("session-over", text_of("refusal.session_over"))
         self.sessions.acted(session, now_s)

@@ -54,7 +54,6 @@ class HmiSettings:
     certificate: Path | None
     key: Path | None
     logs: Path
-    data: Path
     reports: tuple[Path, ...]
     idle_s: float
     lifetime_s: float
@@ -107,13 +106,11 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     )
     actions = Actions(
         feed,
-        replayed,
         sessions,
         users,
         jobs=jobs,
         logs=Library(_recorded(settings), ("*.mcap",)),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, ("report.html",)),
-        data=settings.data,
         routes=settings.routes,
     )
     live, replay = Snapshots(feed), Snapshots(replayed)
@@ -132,7 +129,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         readers = Live(snapshots, sessions, page_jobs)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
-    work = ModelWork(actions, data=settings.data, logs=settings.logs, routes=settings.routes)
+    work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
     requests = Requests(actions, work, users)
     static = Mount("/static", StaticFiles(directory=STATIC))
     guard = Guard(
@@ -147,7 +144,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
 
 def _recorded(settings: HmiSettings) -> dict[str, Path]:
-    made = {name: settings.data / name for name in ("recordings", "campaigns")}
+    made = {name: settings.routes.data / name for name in ("recordings", "campaigns")}
     return {"logs": settings.logs, **made}
 
 

@@ -28,7 +28,7 @@ from gateway.client import (
     Samples,
     read_log,
 )
-from gateway.client.connection import open_bus
+from gateway.client.connection import BusBoard, open_bus
 from gateway.client.message_queue import MessageQueue
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
@@ -317,7 +317,7 @@ def test_a_data_frame_needs_pandas_and_says_so() -> None:
 
 def test_a_closed_feed_hears_nothing_more(endpoint: str) -> None:
     with open_bus(endpoint) as session:
-        with MessageQueue(session, "board51", "rig", ["state"]) as feed:
+        with MessageQueue(BusBoard(session, "board51", "rig"), ["state"]) as feed:
             assert feed.take(HANG_S) is not None
         while feed.take(0.05) is not None:
             pass

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.client.connection import Subscription
+from gateway.client.connection import BusBoard, Subscription
 from gateway.client.recording import Recording
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway
@@ -47,7 +47,7 @@ def test_a_subscription_that_is_closed_waits_for_the_callback_under_way() -> Non
 def test_a_recording_that_is_closed_has_all_that_arrived_before(tmp_path: Path) -> None:
     messages = [pb.State(tick=tick, session=1, host_time_ns=tick + 1).SerializeToString() for tick in range(2000)]
     with played_gateway() as gateway, client(gateway.endpoint) as bus:
-        recording = Recording(bus.session, "board51", "rig", tmp_path, connect=gateway.endpoint).start()
+        recording = Recording(BusBoard(bus.session, "board51", "rig"), tmp_path, connect=gateway.endpoint).start()
         for message in messages:
             bus.session.put("board51/rig/state", message)  # of the same session: it has arrived when `put` returns
         stats = recording.close()

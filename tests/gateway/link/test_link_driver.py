@@ -106,7 +106,7 @@ def test_a_board_that_streams_and_answers_nothing_is_called_unanswered_until_it_
 
         event = wait_for(lambda: collector.event(TO_BOARD), "the event")
         stop = asked(driver, link, pb.Command(id="s", stop=pb.Stop()))
-        since, link_state = driver.unanswered, driver.link
+        since, link_state = driver.report.unanswered, driver.link
         dead = False
         wait_for(lambda: driver.to_board.state == "answering", "an answer")
 
@@ -115,7 +115,7 @@ def test_a_board_that_streams_and_answers_nothing_is_called_unanswered_until_it_
         assert since is not None
         assert link_state == ("handshake" if from_the_start else "streaming")
         assert collector.event("board-answers")
-        assert driver.unanswered is None
+        assert driver.report.unanswered is None
         wait_for(lambda: driver.link == "streaming", "stream")
 
 

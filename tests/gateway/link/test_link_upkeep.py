@@ -9,8 +9,9 @@ import pytest
 from gateway.config import BoardConfig
 from gateway.link.keepalive import Keepalive
 from protocol.wire.events import Answer
+from protocol.wire.exchange import WAIT_S
 from protocol.wire.messages import Value
-from protocol.wire.session import WAIT_S, Session
+from protocol.wire.session import Session
 
 
 class Noted(Session):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from gateway.record.recorder import Recorder
+from gateway.record.recorder import Recorder, RecorderOptions
 from gateway.record.recover import recover
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.npm import installed
@@ -32,8 +32,11 @@ def check(checker: Path, log: Path) -> dict[str, Any]:
 
 
 def write(folder: Path) -> Path:
-    recorder = Recorder(folder, prefix="rig", rotate_bytes=1 << 30, rotate_s=3600, min_free_bytes=0,
-                        metadata={"config": {"port": "/dev/ttyUSB0"}}, flush_s=0.0)  # fmt: skip
+    recorder = Recorder(
+        folder,
+        RecorderOptions(prefix="rig", rotate_bytes=1 << 30, rotate_s=3600, min_free_bytes=0, flush_s=0.0),
+        metadata={"config": {"port": "/dev/ttyUSB0"}},
+    )
     recorder.start()
     parameters = pb.Parameters(host_time_ns=START_NS, sample_time_s=0.002, gains=[0.49, 1700.0, 17.7, -17600.0])
     recorder.put("board51/rig/parameters", parameters.SerializeToString(), START_NS)

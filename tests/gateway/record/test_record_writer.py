@@ -12,11 +12,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
-from gateway.record.recorder import Recorder
+from gateway.record.recorder import OnEvent, Recorder, RecorderOptions
 from gateway.record.recover import recover
 from gateway.record.writer import Compression, LogError, LogWriter
 from protocol.bus import board51_pb2 as pb
@@ -193,15 +194,9 @@ def test_a_refused_write_leaves_whole_chunks_and_can_be_repeated(tmp_path: Path,
     assert reason == "large"
 
 
-def recorder(directory: Path, **options: object) -> Recorder:
-    settings: dict[str, object] = {
-        "prefix": "rig",
-        "rotate_bytes": 1 << 30,
-        "rotate_s": 3600.0,
-        "min_free_bytes": 0,
-        **options,
-    }
-    return Recorder(directory, **settings)  # type: ignore[arg-type]  # a table of options for the tests
+def recorder(directory: Path, *, on_event: OnEvent | None = None, **options: Any) -> Recorder:
+    settings = {"prefix": "rig", "rotate_bytes": 1 << 30, "rotate_s": 3600.0, "min_free_bytes": 0, **options}
+    return Recorder(directory, RecorderOptions(**settings), on_event=on_event)
 
 
 def test_parts_stand_alone(tmp_path: Path) -> None:
@@ -410,11 +405,13 @@ def test_a_full_disk_is_told_and_logging_resumes_without_loss(small_disk: Path, 
 _KILLED = """
 import sys, time
 from pathlib import Path
-from gateway.record.recorder import Recorder
+from gateway.record.recorder import Recorder, RecorderOptions
 from protocol.bus import board51_pb2 as pb
 sys.path.insert(0, sys.argv[2])
 from test_record_writer import STATE, state
-log = Recorder(Path(sys.argv[1]), prefix="rig", rotate_bytes=1 << 30, rotate_s=3600.0, min_free_bytes=0)
+log = Recorder(
+    Path(sys.argv[1]), RecorderOptions(prefix="rig", rotate_bytes=1 << 30, rotate_s=3600.0, min_free_bytes=0)
+)
 log.start()
 tick = 0
 begin = time.monotonic()

@@ -205,8 +205,8 @@ def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> N
 
 
 def test_a_job_is_on_the_bus_as_the_person_who_started_it(tmp_path: Path) -> None:
-    open_bus = Routes(connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=None)
-    guarded = Routes(connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=tmp_path)
+    open_bus = Routes(data=tmp_path, connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=None)
+    guarded = Routes(data=tmp_path, connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=tmp_path)
 
     assert open_bus.live("ana") == ["--connect", "tcp/h:1", "--site", "s"]
     assert guarded.live("ana")[-2:] == ["--identity", str(tmp_path / "ana")]

@@ -27,17 +27,16 @@ class ModelWork:
 
     Args:
         actions: checks rights and starts jobs.
-        data: folder of campaigns and models.
         logs: folder of the gateway's logs.
-        routes: how jobs reach the bus.
+        routes: how jobs reach the bus, and where they write.
     """
 
-    def __init__(self, actions: Actions, *, data: Path, logs: Path, routes: Routes) -> None:
-        self._actions, self._data, self._logs, self._routes = actions, data, logs, routes
+    def __init__(self, actions: Actions, *, logs: Path, routes: Routes) -> None:
+        self._actions, self._logs, self._routes = actions, logs, routes
 
     @property
     def _root(self) -> Path:
-        return self._data / "campaigns"
+        return self._routes.data / "campaigns"
 
     def campaigns(self, board: str) -> list[CampaignFolder]:
         """Return the campaigns of a board, the newest first."""
@@ -50,7 +49,7 @@ class ModelWork:
 
     def models(self, board: str) -> list[ModelFile]:
         """Return the models of a board, those of the newest campaign first."""
-        return models_of(self._data, board, self.campaigns(board), self.running(board))
+        return models_of(self._routes.data, board, self.campaigns(board), self.running(board))
 
     def start_campaign(
         self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False
@@ -130,13 +129,13 @@ class ModelWork:
         running = self.running(board)
         try:
             if running is not None and not any(file.in_use for file in self.models(board)):
-                keep(self._data, running, board)
+                keep(self._routes.data, running, board)
         except OSError as error:
             return refusal("failed", text_of("refusal.model_not_kept", error=error.strerror))
         words = ["twin", "--hand-over", str(chosen.path), "--board", board, "--who", session.name,
                  *self._routes.live(session.name)]  # fmt: skip
         folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
-        folder = folder if folder.parent == self._root else self._data / "models" / board
+        folder = folder if folder.parent == self._root else self._routes.data / "models" / board
         entry = text_of("campaigns.handed_over", model=chosen.kind)
         return self._start(session, "use_model", "hand-over", board, words, folder, entry)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from asyncua import ua
 
 from gateway.views.feed import BoardFeed
@@ -11,19 +13,29 @@ from gateway.views.opcua.address_space.values import Value, data_value
 _V = ua.VariantType
 LINK_STATES = ("live", "silent", "absent", "handshake", "connecting", "streaming", "no-gateway")  # by number
 LINK_CODE = "link/code"
-# Path, type, whether an array, what it is.
-EXTRAS: tuple[tuple[str, ua.VariantType, bool, str], ...] = (
-    ("link/state", _V.String, False, "live, or silent, absent, handshake, connecting, no-gateway"),
-    (LINK_CODE, _V.Int32, False, "link/state as a number: 0 is live"),
-    ("link/reason", _V.String, False, "reason of the state, a sentence; empty while live"),
-    ("alarms/active", _V.UInt32, False, "number of conditions that hold now"),
-    ("alarms/unacknowledged", _V.UInt32, False, "number of conditions that nobody has acknowledged"),
-    ("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first"),
-    ("last_command/who", _V.String, False, "sender of the newest command to this board, by any route"),
-    ("last_command/what", _V.String, False, "kind of the newest command"),
-    ("last_command/accepted", _V.Boolean, False, "whether the newest command was accepted"),
-    ("last_command/reason", _V.String, False, "why it was refused, kebab-case"),
-    ("last_command/text", _V.String, False, "why it was refused, a sentence"),
+
+
+class Extra(NamedTuple):
+    """A variable of a board beyond its topics."""
+
+    path: str
+    variant: ua.VariantType
+    is_array: bool
+    description: str
+
+
+EXTRAS = (
+    Extra("link/state", _V.String, False, "live, or silent, absent, handshake, connecting, no-gateway"),
+    Extra(LINK_CODE, _V.Int32, False, "link/state as a number: 0 is live"),
+    Extra("link/reason", _V.String, False, "reason of the state, a sentence; empty while live"),
+    Extra("alarms/active", _V.UInt32, False, "number of conditions that hold now"),
+    Extra("alarms/unacknowledged", _V.UInt32, False, "number of conditions that nobody has acknowledged"),
+    Extra("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first"),
+    Extra("last_command/who", _V.String, False, "sender of the newest command to this board, by any route"),
+    Extra("last_command/what", _V.String, False, "kind of the newest command"),
+    Extra("last_command/accepted", _V.Boolean, False, "whether the newest command was accepted"),
+    Extra("last_command/reason", _V.String, False, "why it was refused, kebab-case"),
+    Extra("last_command/text", _V.String, False, "why it was refused, a sentence"),
 )
 
 

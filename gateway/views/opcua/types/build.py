@@ -12,7 +12,8 @@ from typing import Any
 from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
-from gateway.views.opcua.address_space.model import Argument
+from gateway.views.opcua.address_space.extras import Extra
+from gateway.views.opcua.address_space.model import Argument, Leaf
 from gateway.views.opcua.address_space.quality import WAITING
 from gateway.views.opcua.address_space.values import data_value
 from gateway.views.opcua.address_space.words import PROPERTIES
@@ -80,22 +81,20 @@ class Builder:
         self,
         parent: ua.NodeId,
         path: str,
-        variant: ua.VariantType,
-        description: str = "",
+        value: Leaf | Extra,
         *,
-        is_array: bool = False,
         access: int = READ,
         kind: int = _O.BaseDataVariableType,
         data_type: ua.NodeId | None = None,
         min_sampling_ms: float = 0.0,
     ) -> ua.NodeId:
         """Add a variable without a value; its status says so until the first value."""
-        attributes = _variable(variant, is_array=is_array, access=access)
+        attributes = _variable(value.variant, is_array=value.is_array, access=access)
         attributes.MinimumSamplingInterval = min_sampling_ms
         attributes.DataType = data_type or attributes.DataType
-        _describe(attributes, path, description)
+        _describe(attributes, path, value.description)
         node = self.add(parent, path, ua.NodeClass.Variable, attributes, _O.HasComponent, kind)
-        self.await_value(node, variant)
+        self.await_value(node, value.variant)
         return node
 
     def property(

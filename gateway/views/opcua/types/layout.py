@@ -5,6 +5,8 @@ Type and rigs cannot differ: the same code makes both.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from asyncua import ua
 
 from gateway.views.opcua.address_space.extras import EXTRAS, LINK_CODE
@@ -48,24 +50,16 @@ class Layout:
         self._places = {"": top}
         for leaf in leaves():
             self._leaf(leaf)
-        for path, variant, is_array, description in EXTRAS:
-            data_type = ua.NodeId(LINK_STATE, builder.spaces.types) if path == LINK_CODE else None
-            builder.variable(
-                self._above(path),
-                f"{root}/{path}",
-                variant,
-                description,
-                is_array=is_array,
-                data_type=data_type,
-                min_sampling_ms=interval_ms,
-            )
+        for extra in EXTRAS:
+            data_type = ua.NodeId(LINK_STATE, builder.spaces.types) if extra.path == LINK_CODE else None
+            path = f"{root}/{extra.path}"
+            builder.variable(self._above(extra.path), path, extra, data_type=data_type, min_sampling_ms=interval_ms)
         for path, field, description in SETPOINTS:
             leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
             node = builder.variable(
                 self._above(path),
                 f"{root}/{path}",
-                leaf.variant,
-                description,
+                replace(leaf, description=description),
                 access=READ | WRITE,
                 kind=_kind(leaf, path),
                 min_sampling_ms=interval_ms,
@@ -89,9 +83,7 @@ class Layout:
         node = self._builder.variable(
             self._builder.id(f"{self._root}/{base}") if extreme else self._above(leaf.path),
             f"{self._root}/{leaf.path}",
-            leaf.variant,
-            leaf.description,
-            is_array=leaf.is_array,
+            leaf,
             access=READ | HISTORY if leaf.statistic is not None else READ,
             kind=_kind(leaf, leaf.path),
             min_sampling_ms=self._interval_ms,
