@@ -10,13 +10,17 @@ from twin.diagnosis.experiments.designed_law import lift_off_input
 from twin.diagnosis.experiments.schedules import MENU, schedule_of
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.search.score_test import probed
+from twin.diagnosis.search.task import Search
 from twin.estimation.record import Record
 from twin.evidence.gather import gather
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import floor_of
 from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause
 from twin.model.equilibrium import at_rest
+from twin.settings import diagnosis as settings
 
 PLANT = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=8.1e-3, gravity_m_s2=9.81)
 THETA = Theta(
@@ -79,3 +83,9 @@ def fitted(criterion: Criterion, start: Theta, *causes: str) -> Fit:
     """The maximum with these causes, from that start."""
     free = BASE + tuple(name for cause in causes for name in coordinates_of(cause))
     return climb(criterion, start, free)
+
+
+def trusting(criterion: Criterion, base: Fit, candidate: Cause) -> Search:
+    """A search for one candidate that takes the selected causes as right: it asks for another share than usual."""
+    floor, share = floor_of(criterion, base.theta), 0.5 * settings.MIN_SHARE
+    return Search(criterion=criterion, floor=floor, candidates=(candidate,), max_candidates=3, min_share=share)
