@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from protocol.campaign import Campaign
-from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, strong
+from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, rig_of, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.judge.account import account_of
 from twin.diagnosis.judge.prediction_gain import gain
@@ -38,7 +38,7 @@ def steps(theta: Theta, *, seed: int, use: str = "fit", seconds: float = 12.0, s
     t = np.arange(round(seconds / TICK_S)) * TICK_S
     command = MIDDLE_M + size_m * np.where(t % 1.2 < 0.6, 1.0, -1.0)
     schedule = Schedule(name=f"steps_{seed}", kind="closed-loop", command=command, closed_loop=True)
-    (record,) = simulate(theta, PLANT, controller(), schedule, seed=seed)
+    (record,) = simulate(rig_of(theta), schedule, seed=seed)
     return replace(record, use="judge" if use == "judge" else "fit")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from protocol.campaign import Controller, OperatingPoint, Plant
 from protocol.experiments import Experiment
+from twin.diagnosis.experiments.closed_loop import Rig
 from twin.diagnosis.experiments.designed_law import lift_off_input
 from twin.diagnosis.experiments.schedules import MENU, schedule_of
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
@@ -48,6 +49,11 @@ def controller(theta: Theta = THETA) -> Controller:
     )
 
 
+def rig_of(theta: Theta) -> Rig:
+    """The rig and the emulated board's law."""
+    return Rig(theta=theta, plant=PLANT, controller=controller())
+
+
 def strong(cause: str, value: float, theta: Theta = THETA) -> Theta:
     """The rig with that strength of a cause."""
     return probed(theta, BY_NAME[cause], value)
@@ -56,7 +62,7 @@ def strong(cause: str, value: float, theta: Theta = THETA) -> Theta:
 def made(item: Experiment, theta: Theta, *, seed: int = 3) -> list[Record]:
     """An experiment of the menu, as short as it is computed."""
     schedule, _ = schedule_of(item, lift_off_v=lift_off_input(theta, PLANT), travel_m=PLANT.travel_m, tick_s=TICK_S)
-    return simulate(theta, PLANT, controller(), schedule, seed=seed)
+    return simulate(rig_of(theta), schedule, seed=seed)
 
 
 def narrow(theta: Theta, *, seed: int = 1, seconds: float = 6.0) -> list[Record]:
@@ -70,8 +76,8 @@ def narrow(theta: Theta, *, seed: int = 1, seconds: float = 6.0) -> list[Record]
     )
     bursts = Schedule(name="bursts", kind="amplifier-step", command=np.empty(0), bursts=((0.3, 1.5), (1.5, 2.5)))
     return [
-        *simulate(theta, PLANT, controller(), bursts, seed=seed),
-        *simulate(theta, PLANT, controller(), steps, seed=seed + 1),
+        *simulate(rig_of(theta), bursts, seed=seed),
+        *simulate(rig_of(theta), steps, seed=seed + 1),
     ]
 
 
