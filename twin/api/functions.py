@@ -111,8 +111,7 @@ def diagnose(
         data: folder of the recordings, if it is not that of the campaign.
         quick: use fewer candidates and the first seconds of each flight; confidence is then not calibrated.
         share: smallest part of the deviance above the noise floor that a cause must explain, 0 to 1.
-        experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
-            `quick`.
+        experiments: whether to find the experiment that separates equivalent causes; None: if not `quick`.
         free_form: whether to model what is left by smooth curves; None: where more than noise is left, if not `quick`.
         seed: of the random generator for the bootstrap.
         workers: threads; the result does not depend on it.
@@ -281,8 +280,7 @@ def design(
 
     Raises:
         DataError: K_A or K_c of the model is a placeholder, or the file is missing.
-        UsageError: an argument is out of range; the operating point is not possible; the Riccati equation has no
-            solution for the weights; or a gain exceeds the board's format.
+        UsageError: an argument is out of range, the weights have no solution, or a gain exceeds the board's format.
     """
     import numpy as np
 
