@@ -21,8 +21,8 @@ from scipy.optimize import least_squares
 from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.prepare import prepare
 from twin.estimation.record import Record
-from twin.evidence.starting.regression import amplifier_start, ball_start
-from twin.identification.pipeline import _start, identify_records
+from twin.identification.pipeline import identify_records
+from twin.identification.starts import find_starts
 from twin.inference.nominal_fit import NAMES, Fit, Likelihood, fit
 
 FloatArray = NDArray[np.float64]
@@ -93,13 +93,10 @@ def _head(record: Record, ticks: int) -> Record:
 
 def _estimate(record: Record) -> Fit:
     plant = BALL.campaign.plant
-    amplifier = amplifier_start([record])
-    ball = ball_start([record], plant, amplifier)
-    assert amplifier is not None
+    starts = find_starts([record], plant)
+    assert starts.amplifier is not None
     series, _ = prepare([record], plant)
-    start, free = _start(amplifier, ball, None, True, plant.mass_kg, BALL.tick)
-    assert free == NAMES
-    return fit(Likelihood(series, plant, BALL.tick), start, free)
+    return fit(Likelihood(series, plant, BALL.tick), starts.point(starts.amplifier, plant.mass_kg), NAMES)
 
 
 def _ours(record: Record) -> tuple[Fit, float]:

@@ -19,9 +19,9 @@ from twin.settings.diagnosis import MIN_SHARE
 
 if TYPE_CHECKING:
     from twin.control_design.board import Converters
+    from twin.diagnosis.options import Options
 
 Progress = Callable[[str], None]
-SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
 
 
 def _silent(_: str) -> None:
@@ -111,8 +111,7 @@ def diagnose(
         data: folder of the recordings, if it is not that of the campaign.
         quick: use fewer candidates and the first seconds of each flight; confidence is then not calibrated.
         share: smallest part of the deviance above the noise floor that a cause must explain, 0 to 1.
-        experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
-            `quick`.
+        experiments: whether to find the experiment that separates equivalent causes; None: if not `quick`.
         free_form: whether to model what is left by smooth curves; None: where more than noise is left, if not `quick`.
         seed: of the random generator for the bootstrap.
         workers: threads; the result does not depend on it.
@@ -128,10 +127,7 @@ def diagnose(
         ConfigError: a key of the campaign is wrong.
         UsageError: `share` or `budget` is out of range.
     """
-    from twin.diagnosis import pipeline
-    from twin.diagnosis.equilibria.run import is_static
     from twin.diagnosis.options import Options
-    from twin.diagnosis.residuals.summary import summarise
     from twin.inference.budget import MILLION
 
     if not 0.0 < share <= 1.0:
@@ -139,11 +135,9 @@ def diagnose(
     if budget is not None and not 0.0 < budget < math.inf:
         raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
-    campaign, reference = _campaign(campaign), None if model is None else _model(model)
-    if is_static(campaign):
-        return _diagnosed_at_rest(campaign, reference, data, where, progress)
+    campaign = _campaign(campaign)
     options = Options(
-        model=reference,
+        model=None if model is None else _model(model),
         quick=quick,
         share=share,
         experiments=experiments,
@@ -153,8 +147,29 @@ def diagnose(
         budget=None if budget is None else budget * MILLION,
         say=progress,
     )
+    return _diagnosed(campaign, options, data, where)
+
+
+def _diagnosed(campaign: Campaign, options: Options, data: Path | None, where: str) -> Diagnosed:
+    from twin.diagnosis import pipeline
+    from twin.diagnosis.equilibria.run import diagnose_static, is_static
+    from twin.diagnosis.equilibria.to_json import sentence_of
+    from twin.diagnosis.residuals.summary import summarise
+
+    if is_static(campaign):
+        rest = diagnose_static(campaign, data=data, model=options.model, say=options.say)
+        return Diagnosed(
+            verdict=rest.verdict,
+            sentence=sentence_of(rest),
+            causes=tuple(member.name for member in rest.members),
+            extended=rest.extended,
+            warnings=tuple(rest.warnings),
+            details=rest,
+            residuals=None,
+            where=where,
+        )
     result = pipeline.diagnose(campaign, options, data=data)
-    progress("what it gets wrong, before and after")
+    options.say("what it gets wrong, before and after")
     return Diagnosed(
         verdict=result.verdict,
         sentence=result.sentence,
@@ -162,26 +177,7 @@ def diagnose(
         extended=result.extended,
         warnings=result.warnings,
         details=result,
-        residuals=summarise(result, campaign.controller, quick=quick, seed=seed),
-        where=where,
-    )
-
-
-def _diagnosed_at_rest(
-    campaign: Campaign, reference: Model | None, data: Path | None, where: str, progress: Progress
-) -> Diagnosed:
-    from twin.diagnosis.equilibria.run import diagnose_static
-    from twin.diagnosis.equilibria.to_json import sentence_of
-
-    rest = diagnose_static(campaign, data=data, model=reference, say=progress)
-    return Diagnosed(
-        verdict=rest.verdict,
-        sentence=sentence_of(rest),
-        causes=tuple(member.name for member in rest.members),
-        extended=rest.extended,
-        warnings=tuple(rest.warnings),
-        details=rest,
-        residuals=None,
+        residuals=summarise(result, campaign.controller, quick=options.quick, seed=options.seed),
         where=where,
     )
 
@@ -284,41 +280,25 @@ def design(
 
     Raises:
         DataError: K_A or K_c of the model is a placeholder, or the file is missing.
-        UsageError: an argument is out of range; the operating point is not possible; the Riccati equation has no
-            solution for the weights; or a gain exceeds the board's format.
+        UsageError: an argument is out of range, the weights have no solution, or a gain exceeds the board's format.
     """
     import numpy as np
 
     from twin.control_design import design as work
-    from twin.control_design.gains import Weights, bryson, operating_point
 
-    if not SAMPLE_TIME_MIN_S <= sample_time_s <= SAMPLE_TIME_MAX_S:
-        raise UsageError(
-            f"--sample-time {sample_time_s:g} s",
-            remedy=f"Give {SAMPLE_TIME_MIN_S:g} to {SAMPLE_TIME_MAX_S:g} s; the board runs at 0.002",
-        )
-    if not (math.isfinite(u_max_v) and u_max_v > 0.0):
-        raise UsageError(f"--u-max {u_max_v:g} V", remedy="Give a positive voltage")
-    if seed < 0:
-        raise UsageError(f"--seed {seed}", remedy="Give a number from 0")
-    if with_observer and law != "lqi":
-        raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
-    if settling_time_s is not None and Q is not None and R is not None:
-        raise UsageError("--settling-time has no effect with --Q and --R", remedy="Leave out the one or the other")
-    known = _model(model)
-    work.require_known(known)
-    chosen = bryson(known, operating_point(known, x_m, u_max_v=u_max_v), settling_time_s=settling_time_s)
-    result = work.design(
-        known,
+    specification = work.Specification(
+        law=law,
         x_m=x_m,
         sample_time_s=sample_time_s,
-        law=law,
-        weights=Weights(Q=chosen.Q if Q is None else Q, R=chosen.R if R is None else R),
+        Q=Q,
+        R=R,
+        settling_time_s=settling_time_s,
         converters=converters,
         u_max_v=u_max_v,
         with_observer=with_observer,
         seed=seed,
     )
+    result = work.design(_model(model), specification)
     return Designed(
         gains=np.array(result.gains, dtype=np.float64),
         poles=result.board.poles,

@@ -58,8 +58,9 @@ def _campaign(folder: Path) -> Path:
 
     from protocol.campaign import Campaign, Recording
     from protocol.campaign_text import emit
+    from twin.diagnosis.experiments.closed_loop import TICK_S, Rig
     from twin.diagnosis.experiments.designed_law import designed
-    from twin.diagnosis.experiments.virtual_recordings import TICK_S, Schedule, simulate
+    from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
     from twin.inference.theta import Theta
     from twin.model.causes.catalogue import CATALOGUE
     from twin.model.nominal import nominal
@@ -88,7 +89,7 @@ def _campaign(folder: Path) -> Path:
     ]
     recordings = []
     for seed, schedule in enumerate(schedules):
-        (record,) = simulate(theta, model.plant, None, schedule, seed=seed)
+        (record,) = simulate(Rig(theta=theta, plant=model.plant), schedule, seed=seed)
         columns = {"t": record.t, "u_c": record.u_c, "i_c": record.i_c, "x": record.x, "x_ref": record.x_ref}
         known = {name: values for name, values in columns.items() if np.isfinite(values).any()}
         np.savetxt(

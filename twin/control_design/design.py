@@ -6,12 +6,13 @@ Rule: the analysis is of the gains after rounding to the board's format.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.errors import DataError
+from protocol.errors import DataError, UsageError
 from twin.control import linearise
 from twin.control_design.board import Converters, QuantisedGain, from_order_of, quantise
 from twin.control_design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
@@ -36,6 +37,43 @@ from twin.model.extension import sentences
 from twin.model.linear import delay_s
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
+
+SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Specification:
+    """The specification of a controller; `twin.design` explains the fields.
+
+    Raises:
+        UsageError: a value is out of range.
+    """
+
+    law: Law = "lqi"
+    x_m: float | None = None
+    sample_time_s: float = 2e-3
+    Q: tuple[float, float, float, float] | None = None
+    R: float | None = None
+    settling_time_s: float | None = None
+    converters: Converters | None = None
+    u_max_v: float = 5.0
+    with_observer: bool = False
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not SAMPLE_TIME_MIN_S <= self.sample_time_s <= SAMPLE_TIME_MAX_S:
+            raise UsageError(
+                f"--sample-time {self.sample_time_s:g} s",
+                remedy=f"Give {SAMPLE_TIME_MIN_S:g} to {SAMPLE_TIME_MAX_S:g} s; the board runs at 0.002",
+            )
+        if not (math.isfinite(self.u_max_v) and self.u_max_v > 0.0):
+            raise UsageError(f"--u-max {self.u_max_v:g} V", remedy="Give a positive voltage")
+        if self.seed < 0:
+            raise UsageError(f"--seed {self.seed}", remedy="Give a number from 0")
+        if self.with_observer and self.law != "lqi":
+            raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
+        if self.settling_time_s is not None and self.Q is not None and self.R is not None:
+            raise UsageError("--settling-time has no effect with --Q and --R", remedy="Leave out the one or the other")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,19 +119,7 @@ class Design:
         return self.loops[2]
 
 
-def design(
-    model: Model,
-    *,
-    x_m: float | None = None,
-    sample_time_s: float = 2e-3,
-    law: Law = "lqi",
-    weights: Weights | None = None,
-    settling_time_s: float | None = None,
-    converters: Converters | None = None,
-    u_max_v: float = 5.0,
-    with_observer: bool = False,
-    seed: int = 1,
-) -> Design:
+def design(model: Model, wanted: Specification | None = None) -> Design:
     """Design a controller and analyse its loop, as `twin.design` does (results: `README.md`).
 
     Raises:
@@ -101,9 +127,12 @@ def design(
         UsageError: the operating point is not possible, the weights have no solution, or a gain exceeds the format.
     """
     require_known(model)
-    converters = Converters() if converters is None else converters
-    point = operating_point(model, x_m, u_max_v=u_max_v)
-    weights = bryson(model, point, settling_time_s=settling_time_s) if weights is None else weights
+    wanted = Specification() if wanted is None else wanted
+    law, sample_time_s = wanted.law, wanted.sample_time_s
+    converters = Converters() if wanted.converters is None else wanted.converters
+    point = operating_point(model, wanted.x_m, u_max_v=wanted.u_max_v)
+    usual = bryson(model, point, settling_time_s=wanted.settling_time_s)
+    weights = Weights(Q=usual.Q if wanted.Q is None else wanted.Q, R=usual.R if wanted.R is None else wanted.R)
     K = design_gains(model, point, weights, sample_time_s=sample_time_s, law=law)
     gains = in_order_of(law, K)
     quantised = quantise(gains, law, converters, sample_time_s)
@@ -116,13 +145,13 @@ def design(
         ("backward difference", backward(K, sample_time_s)),
         ("the same, gains rounded", on_board),
     ]
-    filter_gain = kalman_gain(plant, noise) if with_observer else None
+    filter_gain = kalman_gain(plant, noise) if wanted.with_observer else None
     if filter_gain is not None:
         candidates.append(("Kalman filter", observer(K, plant, filter_gain, sample_time_s)))
     loops = tuple(_judge(model, point, name, controller, noise, sample_time_s) for name, controller in candidates)
 
     def robustness(controller: Controller) -> Robustness:
-        return over_intervals(model, controller, point.x_m, sample_time_s, seed=seed)
+        return over_intervals(model, controller, point.x_m, sample_time_s, seed=wanted.seed)
 
     box = robustness(on_board)
     return Design(
@@ -138,7 +167,7 @@ def design(
         robustness=box,
         observer_robustness=None if filter_gain is None else robustness(candidates[-1][1]),
         stable_range_m=stable_range_m(model, on_board, point.x_m, sample_time_s),
-        warnings=_unsure(model) + _warnings(loops[2], box, point, u_max_v),
+        warnings=_unsure(model) + _warnings(loops[2], box, point, wanted.u_max_v),
         causes=_changes(model, point, weights, K, sample_time_s, law),
     )
 

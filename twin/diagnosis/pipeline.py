@@ -29,6 +29,7 @@ from twin.diagnosis.options import Options, Progress
 from twin.diagnosis.report.sentences import change_sentence, outlier_sentence
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search.stepwise import select
+from twin.diagnosis.search.task import Search
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import Record
 from twin.evidence.checks.dead_channels import without_dead
@@ -187,7 +188,7 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
 
 def _search(criterion: Criterion, start: Theta, records: Sequence[Record], options: Options) -> SearchResult:
     """Fit the paper's model, select causes, and if more than noise is left, look for a change point."""
-    say, max_fits, budget = options.say, 3 if options.quick else 6, criterion.budget
+    say, budget = options.say, criterion.budget
     stages: dict[str, float] = {}
     with timed(stages, "base fit"):
         say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; fitting the paper's model")
@@ -201,18 +202,17 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
                 remedy="Give fewer or shorter recordings, or more with --budget",
             ) from None
         say(f"lacks {max(floor.excess(base.loglik), 0.0):.0f} of log-likelihood against sensor noise alone")
-    candidates = testable_causes(records)
+    search = Search(
+        criterion=criterion,
+        floor=floor,
+        candidates=testable_causes(records),
+        max_candidates=3 if options.quick else 6,
+        min_share=options.share,
+        quick=options.quick,
+        report=say,
+    )
     with timed(stages, "search"):
-        selection = select(
-            criterion,
-            base,
-            floor,
-            candidates=candidates,
-            max_candidates=max_fits,
-            quick=options.quick,
-            share=options.share,
-            report=say,
-        )
+        selection = select(search, base)
     with timed(stages, "what is left"):
         with criterion.free():
             is_adequate, why_not = adequate(criterion, selection.fit, floor.under(criterion, selection.fit.theta))
@@ -220,15 +220,7 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
     if not is_adequate and not options.quick:
         question = "whether an effect begins or ends in the middle of the campaign"
         with timed(stages, "change"), suppress(Spent), budget.question(question):
-            change = find_change(
-                criterion,
-                selection,
-                floor,
-                candidates=candidates,
-                max_candidates=max_fits,
-                workers=options.workers,
-                report=say,
-            )
+            change = find_change(search, selection, workers=options.workers)
     if change is not None:
         criterion, selection, is_adequate, why_not = change.criterion, change.selection, True, ""
     return SearchResult(

@@ -91,52 +91,27 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         low, high = stop_readings(
             [records[index] for index in retained], [visible[index] for index in retained], plant, notes
         )
+    departures = [point.i_c_a for point in lift_offs(list(records), plant)]
+    common = _Common(
+        plant=plant,
+        low_m=low,
+        high_m=high,
+        blind_m=blind,
+        noise_shows=noise_shows,
+        lifts_at_a=LIFTS_SHARE * min(departures) if departures else None,
+    )
     parts: list[Series] = []
     times: list[FloatArray] = []
     usages: list[Usage] = []
-    platform: list[Record] = []
-    departures = [point.i_c_a for point in lift_offs(list(records), plant)]
-    lifts_at = LIFTS_SHARE * min(departures) if departures else None
-    for number, (record, is_held) in enumerate(zip(records, held, strict=True)):
+    for number, (record, lost) in enumerate(rows):
         if record.kind == "equilibria":
             continue
-        on_stop = on_stops(record, visible[number], low, high, plant)
-        if lifted[number]:
-            platform.append(record)
-            on_stop = (on_stop[0] & False, on_stop[1] & False)
-        flies = record.kind == "sawtooth" and not lifted[number]
-        scale, shift = _rescaling(low, high, plant)
-        rescaled = replace(record, x=(record.x - shift) * scale, kind="prbs" if flies else record.kind)
-        # `prepare` finds contacts by the nominal travel.  Rescaled readings show it the stops there, and the original
-        # readings go into the series: a scale must stay for the causes to explain.
-        series, (usage,) = prepare([rescaled], plant)
-        usage.kind = record.kind
+        series, t, usage = _prepared(record, lost, held[number], lifted[number], common)
         usages.append(usage)
-        if not len(series):
-            continue
-        flags, i, x, t = series.flags.copy(), series.i.copy(), series.x.copy(), np.zeros(len(series))
-        n = len(record.t) if record.has("u_c", "i_c") and len(record.t) > 1 else 0
-        x[:n] = np.where(np.isfinite(record.x), record.x, 0.0)
-        t[:n] = np.where(np.isfinite(record.t), record.t, 0.0)
-        if n:
-            cut = at_converter_end(record.x) if noise_shows else np.zeros(n, np.bool_)
-            row_flags = flags[:n]
-            _flag(row_flags, record, rescaled.kind, is_held, blind, plant)
-            _flag_rest(row_flags, record, on_stop, cut)
-            if not lifted[number]:
-                row_flags[outside_range(record, is_held, blind) & (row_flags & FLIES == 0)] |= np.uint16(RESTS_UNSEEN)
-            if rescaled.kind in OPEN_LOOP:
-                # Between bounces the speed is unknown, and so is its effect on the current.
-                row_flags[row_flags & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint16(
-                    ~USE_I & 0xFFFF
-                )
-            mark(row_flags, rows[number][1])
-            for values in (x, i):
-                between(values[:n], rows[number][1])
-        if record.kind == "amplifier-step" and lifts_at is not None:
-            _until_lifted(flags, series, lifts_at)
-        parts.append(replace(series, flags=flags, i=i, x=x, recording=np.full(len(series), number, np.int32)))
-        times.append(t)
+        if len(series):
+            parts.append(replace(series, recording=np.full(len(series), number, np.int32)))
+            times.append(t)
+    platform = [record for record, is_lifted in zip(records, lifted, strict=True) if is_lifted]
     statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
     return Evidence(
         records=every_record,
@@ -148,6 +123,64 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         high_m=high,
         notes=tuple(notes),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Common:
+    """The findings on which all recordings agree."""
+
+    plant: Plant
+    low_m: float | None  # readings at the stops
+    high_m: float | None
+    blind_m: list[float]  # readings at the ends of the sensor's range
+    noise_shows: bool  # whether the noise of x is larger than a step of its converter
+    lifts_at_a: float | None  # i_c from which the ball may rise
+
+
+def _prepared(
+    record: Record, lost: BoolArray, is_held: BoolArray, is_lifted: bool, common: _Common
+) -> tuple[Series, FloatArray, Usage]:
+    """Return (the flagged samples of a recording, their times, how they are used).
+
+    Args:
+        record: with bridged rows.
+        lost: which of its rows were lost, shape (n,).
+        is_held: which of them have the ball held, shape (n,).
+        is_lifted: whether the ball is lifted off a platform.
+        common: of all recordings.
+    """
+    plant, low, high = common.plant, common.low_m, common.high_m
+    on_stop = on_stops(record, is_held & ~np.isin(record.x, common.blind_m), low, high, plant)
+    if is_lifted:
+        on_stop = (on_stop[0] & False, on_stop[1] & False)
+    flies = record.kind == "sawtooth" and not is_lifted
+    scale, shift = _rescaling(low, high, plant)
+    rescaled = replace(record, x=(record.x - shift) * scale, kind="prbs" if flies else record.kind)
+    # `prepare` finds contacts by the nominal travel.  Rescaled readings show it the stops there, and the original
+    # readings go into the series: a scale must stay for the causes to explain.
+    series, (usage,) = prepare([rescaled], plant)
+    usage.kind = record.kind
+    flags, i, x, t = series.flags.copy(), series.i.copy(), series.x.copy(), np.zeros(len(series))
+    n = len(record.t) if len(series) and record.has("u_c", "i_c") and len(record.t) > 1 else 0
+    if n:
+        x[:n] = np.where(np.isfinite(record.x), record.x, 0.0)
+        t[:n] = np.where(np.isfinite(record.t), record.t, 0.0)
+        cut = at_converter_end(record.x) if common.noise_shows else np.zeros(n, np.bool_)
+        row_flags = flags[:n]
+        _flag(row_flags, record, rescaled.kind, is_held, common.blind_m, plant)
+        _flag_rest(row_flags, record, on_stop, cut)
+        if not is_lifted:
+            unseen = outside_range(record, is_held, common.blind_m)
+            row_flags[unseen & (row_flags & FLIES == 0)] |= np.uint16(RESTS_UNSEEN)
+        if rescaled.kind in OPEN_LOOP:
+            # Between bounces the speed is unknown, and so is its effect on the current.
+            row_flags[row_flags & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint16(~USE_I & 0xFFFF)
+        mark(row_flags, lost)
+        for values in (x, i):
+            between(values[:n], lost)
+    if record.kind == "amplifier-step" and common.lifts_at_a is not None:
+        _until_lifted(flags, series, common.lifts_at_a)
+    return replace(series, flags=flags, i=i, x=x), t, usage
 
 
 def _flag(

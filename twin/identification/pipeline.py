@@ -26,24 +26,21 @@ from twin.estimation.whiteness import Whiteness, whiteness
 from twin.evidence.checks.dead_channels import without_dead
 from twin.evidence.checks.plausibility import inspect
 from twin.evidence.dead_time import delayed
-from twin.evidence.starting.levels import Levels, Shape, find_levels, find_shape
-from twin.evidence.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
-from twin.evidence.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
+from twin.evidence.starting.regression import BallStart
 from twin.identification import verdicts
 from twin.identification.horizon import Horizon, horizons
 from twin.identification.input_delay import input_delay
-from twin.identification.intervals import Interval, quadratic_or_profile
+from twin.identification.intervals import quadratic_or_profile
 from twin.identification.result import Identification, noise_of, provenance_of
-from twin.inference.nominal_fit import FLOORS, NAMES, PARAMETERS, Fit, Likelihood, Point, fit, gate, max_drag, sandwich
+from twin.identification.starts import find_starts
+from twin.inference.nominal_fit import FLOORS, NAMES, Fit, Likelihood, Point, fit, gate, max_drag, sandwich
 from twin.model.assumed import assumption_warning, mark
-from twin.model.parameters import Model, Parameter
+from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
 from twin.settings import identification as settings
 
-# The process noise starts large.  From a small value an incomplete model converges to a far lower maximum, which
-# attributes all its error to the noise of the position sensor (250 um instead of 4).
-_NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 5.0}
 _TICK_S = 2e-3
+_AT_REST = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")  # free if no recording has a flight
 
 
 def identify(
@@ -74,20 +71,11 @@ def identify_records(
 ) -> Identification:
     """Run `identify` with recordings in memory.  Raises DataError."""
     plant = campaign.plant
-    warnings = [assumption_warning(plant)] if plant.assumed else []
-    warnings += [note for record in records for note in record.notes]
-    messages = inspect(records, plant, campaign.controller)
-    records, left_out = without_dead(records, plant)
-    warnings += grouped(messages + left_out, [record.name for record in records])
-
+    records, warnings = _prepared(campaign, records)
     delays = [input_delay(record, plant) for record in records]
     records = _aligned(records, delays, warnings)
-    levels, shape = find_levels(records), find_shape(records)
-    points = lift_offs(records, plant)
-    force = force_constant(points, plant) or force_constant(equilibria(records, plant), plant)
-    amplifier = amplifier_start(records)
-    ball = ball_start(records, plant, amplifier)
-    progress("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
+    starts = find_starts(records, plant)
+    progress("start values: " + starts.text(plant.mass_kg))
 
     series, usages = prepare(records, plant, min_gap_m=settings.POLE_DISTANCE * plant.travel_m)
     for usage, samples in zip(usages, delays, strict=True):
@@ -97,34 +85,31 @@ def identify_records(
     white: Whiteness | None = None
     likelihood = Likelihood(series, plant, tick_s)
     flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
-    if amplifier is not None and amplifier.K_A > 0 and (series.flags & USE_I).any():
-        start, free = _start(amplifier, ball, force, flying, plant.mass_kg, tick_s)
-        likelihood, fitted = _fitted(likelihood, start, free, usages, progress)
+    if starts.amplifier is not None and starts.amplifier.K_A > 0 and (series.flags & USE_I).any():
+        free = NAMES if flying else _AT_REST
+        likelihood, fitted = _fitted(likelihood, starts.point(starts.amplifier, plant.mass_kg), free, usages, progress)
         if flying and fitted.point.b >= 0.999 * max_drag(plant) * plant.mass_kg:
-            fitted = _possible_drag(likelihood, fitted, ball, warnings)
+            fitted = _possible_drag(likelihood, fitted, starts.ball, warnings)
         white = whiteness(likelihood.series, likelihood.white(fitted.point))
         fitted = sandwich(likelihood, fitted, max(round(settings.RESIDUAL_MEMORY_S / tick_s), 1))
         progress("covariance and intervals")
-        if not fitted.converged:
-            warnings.append(
-                f"the fit has not converged after {fitted.passes} passes ({fitted.decrement:.2g} standard errors from "
-                "a maximum): these numbers are the best so far. Check the recordings named above"
-            )
+        warnings += _not_converged(fitted)
     warnings += _left_out(usages)
 
     coloured = white is not None and not white.white
     ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
-    intervals: dict[str, Interval] = {}
-    if fitted is not None:
-        intervals = quadratic_or_profile(likelihood, fitted, robust=coloured)
+    intervals = {} if fitted is None else quadratic_or_profile(likelihood, fitted, robust=coloured)
+    levels, shape, force, ball = starts.levels, starts.shape, starts.force, starts.ball
     parameters = {
         "K_A": verdicts.gain(fitted, intervals, levels, shape, warnings),
         "T_A": verdicts.time_constant(fitted, intervals, shape, tick_s, warnings),
         "K_c": verdicts.force_constant(fitted, intervals, force, ball, flying, plant, warnings),
         "b": verdicts.drag(fitted, intervals, ball, flying, plant, warnings, coloured=coloured),
     }
-    parameters = mark(parameters, plant)
-    model = _model(campaign, parameters, fitted, white, records, usages, warnings, levels, shape, force)
+    provenance = provenance_of(campaign, fitted, white, usages, warnings, starts)
+    model = Model(
+        plant=plant, parameters=mark(parameters, plant), noise=noise_of(fitted, records), provenance=provenance
+    )
     return Identification(
         model=model,
         converged=fitted is None or fitted.converged,
@@ -138,6 +123,15 @@ def identify_records(
         ahead=ahead,
         tick_s=tick_s,
     )
+
+
+def _prepared(campaign: Campaign, records: list[Record]) -> tuple[list[Record], list[str]]:
+    """Return (the recordings without dead channels, warnings)."""
+    warnings = [assumption_warning(campaign.plant)] if campaign.plant.assumed else []
+    warnings += [note for record in records for note in record.notes]
+    messages = inspect(records, campaign.plant, campaign.controller)
+    records, left_out = without_dead(records, campaign.plant)
+    return records, warnings + grouped(messages + left_out, [record.name for record in records])
 
 
 def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> list[Record]:
@@ -170,6 +164,15 @@ def _fitted(
         likelihood = Likelihood(gated, likelihood.plant, likelihood.tick_s)
         fitted = fit(likelihood, fitted.point, free)
     return likelihood, _parsimonious(likelihood, fitted)
+
+
+def _not_converged(fitted: Fit) -> list[str]:
+    if fitted.converged:
+        return []
+    return [
+        f"the fit has not converged after {fitted.passes} passes ({fitted.decrement:.2g} standard errors from "
+        "a maximum): these numbers are the best so far. Check the recordings named above"
+    ]
 
 
 def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
@@ -253,43 +256,6 @@ def _tick(records: list[Record]) -> float:
     return float(np.median(chosen)) if chosen else _TICK_S
 
 
-def _start_line(
-    amplifier: AmplifierStart | None, ball: BallStart | None, force: ForceConstant | None, mass_kg: float
-) -> str:
-    parts = []
-    if amplifier:
-        parts.append(f"K_A = {amplifier.K_A:.4g} A/V, T_A = {amplifier.T_A:.3g} s")
-    if ball:
-        parts.append(f"K_c = {ball.k * mass_kg:.4g}, b = {ball.d * mass_kg:.3g} (regression)")
-    if force:
-        parts.append(f"K_c = {force.K_c:.4g} (8)")
-    return "; ".join(parts) or "none"
-
-
-def _start(
-    amplifier: AmplifierStart,
-    ball: BallStart | None,
-    force: ForceConstant | None,
-    flying: bool,
-    mass_kg: float,
-    tick_s: float,
-) -> tuple[Point, tuple[str, ...]]:
-    k = ball.k if ball is not None and ball.k > 0 else force.K_c / mass_kg if force is not None else 1e-3
-    d = min(max(ball.d, 0.0), 50.0) if ball is not None else 2.0
-    point = Point(
-        K_A=amplifier.K_A,
-        T_A=amplifier.T_A,
-        K_c=k * mass_kg,
-        b=d * mass_kg,
-        sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-6),
-        sigma_x_m=_NOISE_START["sigma_x_m"],
-        process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-6),
-        process_a_m_s2=_NOISE_START["process_a_m_s2"],
-    )
-    free = NAMES if flying else ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
-    return point, free
-
-
 def _parsimonious(likelihood: Likelihood, fitted: Fit) -> Fit:
     """The fit without process noises that do not improve the likelihood significantly.
 
@@ -308,24 +274,3 @@ def _parsimonious(likelihood: Likelihood, fitted: Fit) -> Fit:
         if smaller.loglik > fitted.loglik - settings.PROCESS_NOISE_GAIN:
             fitted = smaller
     return fitted
-
-
-def _model(
-    campaign: Campaign,
-    parameters: dict[str, Parameter],
-    fitted: Fit | None,
-    white: Whiteness | None,
-    records: list[Record],
-    usages: list[Usage],
-    warnings: list[str],
-    levels: Levels | None,
-    shape: Shape | None,
-    force: ForceConstant | None,
-) -> Model:
-
-    return Model(
-        plant=campaign.plant,
-        parameters={name: parameters[name] for name in PARAMETERS},
-        noise=noise_of(fitted, records),
-        provenance=provenance_of(campaign, fitted, white, usages, warnings, levels, shape, force),
-    )

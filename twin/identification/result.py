@@ -13,6 +13,7 @@ from twin.estimation.whiteness import Whiteness
 from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.identification.horizon import Horizon
+from twin.identification.starts import Starts
 from twin.inference.nominal_fit import FLOORS, Fit
 from twin.model.parameters import NOISE, Model, Noise
 
@@ -67,9 +68,7 @@ def provenance_of(
     white: Whiteness | None,
     usages: list[Usage],
     warnings: list[str],
-    levels: Levels | None,
-    shape: Shape | None,
-    force: ForceConstant | None,
+    starts: Starts,
 ) -> dict[str, Any]:
     """The provenance of a model file: recordings, fit, residuals, warnings."""
     result: dict[str, Any] = {
@@ -87,7 +86,7 @@ def provenance_of(
         }
     if white is not None:
         result["residuals"] = {key: _finite(value) for key, value in asdict(white).items()}
-    if levels is not None:
+    if (levels := starts.levels) is not None:
         result["levels"] = {
             "K_A": levels.K_A,
             "K_A_std": levels.K_A_std,
@@ -96,9 +95,9 @@ def provenance_of(
             "bend_a": levels.bend_a,
             "count": len(levels.levels),
         }
-    if shape is not None:
-        result["amplifier_shape"] = asdict(shape)
-    if force is not None:
+    if starts.shape is not None:
+        result["amplifier_shape"] = asdict(starts.shape)
+    if (force := starts.force) is not None:
         result["rest"] = {
             "K_c": force.K_c,
             "std": force.std,

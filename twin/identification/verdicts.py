@@ -193,19 +193,7 @@ def drag(
     """
     joint = intervals.get("b")
     if flying and fitted is not None and joint is None and ball is not None:
-        why = "because the best fit has an impossible drag: the model lacks something that acts faster"
-        if fitted.point.b == 0.0:
-            return replace(_absent("b", 0.0, []), method=f"placeholder, {why}; board51 diagnose looks for it")
-        std = ball.d_std * plant.mass_kg
-        return Parameter(
-            value=fitted.point.b,
-            unit=PARAMETERS["b"][0],
-            std=std,
-            ci95=(max(fitted.point.b - 1.96 * std, 0.0), fitted.point.b + 1.96 * std),
-            verdict="not-identifiable",
-            method=f"regression over 60 ms windows, {why}; board51 diagnose looks for it",
-            equation="(5), (6)",
-        )
+        return _impossible_drag(fitted.point.b, ball.d_std * plant.mass_kg)
     if not flying or fitted is None or joint is None:
         return _absent("b", 0.0, warnings)
     value = fitted.point.b
@@ -237,6 +225,22 @@ def drag(
             f"To know it, {_HELP['b']}"
         )
     return parameter
+
+
+def _impossible_drag(b: float, std: float) -> Parameter:
+    """The drag by regression, or a placeholder, where the maximum of the likelihood has an impossible one."""
+    why = "because the best fit has an impossible drag: the model lacks something that acts faster"
+    if b == 0.0:
+        return replace(_absent("b", 0.0, []), method=f"placeholder, {why}; board51 diagnose looks for it")
+    return Parameter(
+        value=b,
+        unit=PARAMETERS["b"][0],
+        std=std,
+        ci95=(max(b - 1.96 * std, 0.0), b + 1.96 * std),
+        verdict="not-identifiable",
+        method=f"regression over 60 ms windows, {why}; board51 diagnose looks for it",
+        equation="(5), (6)",
+    )
 
 
 def _parameter(name: str, value: float, spread: Interval | float, method: str, equation: str) -> Parameter:

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from protocol.campaign import Campaign
-from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, strong
+from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, rig_of, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.judge.account import account_of
-from twin.diagnosis.judge.prediction_gain import gain
+from twin.diagnosis.judge.prediction_gain import Yardstick
 from twin.diagnosis.report.model_file import model_of
 from twin.diagnosis.report.sentences import finding_sentence, summary_sentence
 from twin.diagnosis.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
@@ -38,7 +38,7 @@ def steps(theta: Theta, *, seed: int, use: str = "fit", seconds: float = 12.0, s
     t = np.arange(round(seconds / TICK_S)) * TICK_S
     command = MIDDLE_M + size_m * np.where(t % 1.2 < 0.6, 1.0, -1.0)
     schedule = Schedule(name=f"steps_{seed}", kind="closed-loop", command=command, closed_loop=True)
-    (record,) = simulate(theta, PLANT, controller(), schedule, seed=seed)
+    (record,) = simulate(rig_of(theta), schedule, seed=seed)
     return replace(record, use="judge" if use == "judge" else "fit")
 
 
@@ -92,7 +92,8 @@ def diagnosis(
     records = fit.records
     gains = []
     if judge is not None:
-        made = (gain(judge, baseline, after, floor, PLANT, TICK_S, max(round(h / TICK_S), 1), 0) for h in HORIZONS_S)
+        yardstick = Yardstick(judge=judge, floor=floor, plant=PLANT, tick_s=TICK_S, seed=0)
+        made = (yardstick.gain(baseline, after, max(round(h / TICK_S), 1)) for h in HORIZONS_S)
         gains = [one for one in made if one is not None]
     found = Diagnosis(
         verdict="causes-found" if extended else "unknown-cause",

@@ -6,17 +6,22 @@ import numpy as np
 
 from protocol.campaign import Controller, OperatingPoint, Plant
 from protocol.experiments import Experiment
+from twin.diagnosis.experiments.closed_loop import Rig
 from twin.diagnosis.experiments.designed_law import lift_off_input
 from twin.diagnosis.experiments.schedules import MENU, schedule_of
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.search.score_test import probed
+from twin.diagnosis.search.task import Search
 from twin.estimation.record import Record
 from twin.evidence.gather import gather
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import floor_of
 from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause
 from twin.model.equilibrium import at_rest
+from twin.settings import diagnosis as settings
 
 PLANT = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=8.1e-3, gravity_m_s2=9.81)
 THETA = Theta(
@@ -44,6 +49,11 @@ def controller(theta: Theta = THETA) -> Controller:
     )
 
 
+def rig_of(theta: Theta) -> Rig:
+    """The rig and the emulated board's law."""
+    return Rig(theta=theta, plant=PLANT, controller=controller())
+
+
 def strong(cause: str, value: float, theta: Theta = THETA) -> Theta:
     """The rig with that strength of a cause."""
     return probed(theta, BY_NAME[cause], value)
@@ -52,7 +62,7 @@ def strong(cause: str, value: float, theta: Theta = THETA) -> Theta:
 def made(item: Experiment, theta: Theta, *, seed: int = 3) -> list[Record]:
     """An experiment of the menu, as short as it is computed."""
     schedule, _ = schedule_of(item, lift_off_v=lift_off_input(theta, PLANT), travel_m=PLANT.travel_m, tick_s=TICK_S)
-    return simulate(theta, PLANT, controller(), schedule, seed=seed)
+    return simulate(rig_of(theta), schedule, seed=seed)
 
 
 def narrow(theta: Theta, *, seed: int = 1, seconds: float = 6.0) -> list[Record]:
@@ -66,8 +76,8 @@ def narrow(theta: Theta, *, seed: int = 1, seconds: float = 6.0) -> list[Record]
     )
     bursts = Schedule(name="bursts", kind="amplifier-step", command=np.empty(0), bursts=((0.3, 1.5), (1.5, 2.5)))
     return [
-        *simulate(theta, PLANT, controller(), bursts, seed=seed),
-        *simulate(theta, PLANT, controller(), steps, seed=seed + 1),
+        *simulate(rig_of(theta), bursts, seed=seed),
+        *simulate(rig_of(theta), steps, seed=seed + 1),
     ]
 
 
@@ -79,3 +89,9 @@ def fitted(criterion: Criterion, start: Theta, *causes: str) -> Fit:
     """The maximum with these causes, from that start."""
     free = BASE + tuple(name for cause in causes for name in coordinates_of(cause))
     return climb(criterion, start, free)
+
+
+def trusting(criterion: Criterion, base: Fit, candidate: Cause) -> Search:
+    """A search for one candidate that takes the selected causes as right: it asks for another share than usual."""
+    floor, share = floor_of(criterion, base.theta), 0.5 * settings.MIN_SHARE
+    return Search(criterion=criterion, floor=floor, candidates=(candidate,), max_candidates=3, min_share=share)

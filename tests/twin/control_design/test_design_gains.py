@@ -14,7 +14,7 @@ from protocol.errors import UsageError
 from tests.harness.twin.one_tick import tick
 from twin.control import law, law_numbers, linearise
 from twin.control_design.board import Converters
-from twin.control_design.design import Design, design
+from twin.control_design.design import Design, Specification, design
 from twin.control_design.gains import Weights, in_order_of
 from twin.control_design.loop import backward, closed_loop
 from twin.control_design.margins import delayed_plant
@@ -85,7 +85,7 @@ def test_gains_are_those_of_the_riccati_equation() -> None:
 def test_the_gains_settle_a_step_of_half_a_millimetre(law_name: str, plant: str, designed_on: str) -> None:
     models = {"nominal": nominal(), "coil higher": coil_higher()}
     models["coil higher, K_c kept"] = dataclasses.replace(models["nominal"], plant=models["coil higher"].plant)
-    found = design(models[designed_on], law="pid" if law_name == "pid" else "lqi")
+    found = design(models[designed_on], Specification(law="pid" if law_name == "pid" else "lqi"))
     c = law_numbers(
         pb.Parameters(
             law=pb.LAW_PID if law_name == "pid" else pb.LAW_LQI,
@@ -175,7 +175,7 @@ def test_phase_margin_is_the_one_of_python_control() -> None:
 @pytest.mark.parametrize("which", [2, 3])
 def test_rms_is_what_a_simulation_with_that_noise_shows(which: int) -> None:
     model, converters = nominal(), Converters()
-    found = design(model, with_observer=True)
+    found = design(model, Specification(with_observer=True))
     phi, gamma = plant_at(model, found.point.x_m, T_S)
     K = np.array([gain.value for gain in found.quantised] if which == 2 else found.gains)
     rng = np.random.default_rng(5)
@@ -221,7 +221,7 @@ def test_pid_counts_its_integral_positive() -> None:
 
 def test_a_gain_beyond_the_format_is_refused() -> None:
     with pytest.raises(UsageError, match="board's largest"):
-        design(nominal(), converters=Converters(u_lsb_v=1e-9))
+        design(nominal(), Specification(converters=Converters(u_lsb_v=1e-9)))
 
 
 @pytest.mark.parametrize(

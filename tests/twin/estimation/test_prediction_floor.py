@@ -11,9 +11,9 @@ import pytest
 from gateway.emulator.plant.effects import EFFECTS
 from tests.harness.diagnose.known_diagnosis import campaign, fit_of
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, strong
-from twin.diagnosis.experiments.closed_loop import Converters
+from twin.diagnosis.experiments.closed_loop import Converters, Rig
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnosis.judge.prediction_gain import gain, predictions
+from twin.diagnosis.judge.prediction_gain import Yardstick, predictions
 from twin.diagnosis.report.model_file import model_of
 from twin.estimation.prediction_floor import floor_rmse
 from twin.evidence.gather import Evidence, gather
@@ -45,7 +45,7 @@ def flown(theta: Theta, *, seed: int, seconds: float = 40.0) -> Evidence:
     t = np.arange(round(seconds / TICK_S)) * TICK_S
     command = MIDDLE_M + np.where(t % 1.2 < 0.6, 0.9e-3, -0.9e-3)
     schedule = Schedule(name=f"steps_{seed}", kind="closed-loop", command=command, closed_loop=True)
-    return gather(simulate(theta, PLANT, None, schedule, seed=seed, converters=Converters()), PLANT)
+    return gather(simulate(Rig(theta=theta, plant=PLANT, converters=Converters()), schedule, seed=seed), PLANT)
 
 
 def compared(theta: Theta, evidence: Evidence, samples: int) -> tuple[float, float]:
@@ -114,7 +114,8 @@ def test_diagnose_and_validate_print_the_same_floor(cause: str) -> None:
     assert judged is not None
     for row in multi_step([judged]):
         samples = round(row.horizon_s / TICK_S)
-        told = gain(evidence, theta, theta, floor, PLANT, TICK_S, samples, 0)
+        yardstick = Yardstick(judge=evidence, floor=floor, plant=PLANT, tick_s=TICK_S, seed=0)
+        told = yardstick.gain(theta, theta, samples)
         assert told is not None
         assert row.floor_m == pytest.approx(told.floor_m, rel=2e-3)
 

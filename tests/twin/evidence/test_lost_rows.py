@@ -16,6 +16,7 @@ from tests.harness.diagnose.simulated_rig import (
     controller,
     criterion_of,
     fitted,
+    rig_of,
     strong,
 )
 from tests.harness.twin.emulated_campaign import Lab
@@ -38,7 +39,7 @@ def flight(theta: Theta, *, seed: int, seconds: float = 20.0) -> Record:
     t = np.arange(round(seconds / TICK_S)) * TICK_S
     command = MIDDLE_M + 1.2e-3 * np.sin(2.0 * np.pi * 0.31 * t) + np.where(t % 2.0 < 1.0, 0.3e-3, -0.3e-3)
     schedule = Schedule(name=f"flight {seed}", kind="closed-loop", command=command, closed_loop=True)
-    (record,) = simulate(theta, PLANT, controller(theta), schedule, seed=seed)
+    (record,) = simulate(replace(rig_of(theta), controller=controller(theta)), schedule, seed=seed)
     return record
 
 

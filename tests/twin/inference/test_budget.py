@@ -22,6 +22,7 @@ from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.search.periodic import AMPLITUDE, CAUSE, FREQUENCY
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
+from twin.diagnosis.search.task import Search
 from twin.estimation.pace import Reuse, pace_of
 from twin.evidence.gather import gather
 from twin.evidence.shorten import ALL_SAMPLES, FLIGHT_SAMPLES, shortened
@@ -173,7 +174,7 @@ def searched(criterion: Criterion) -> Selection:
         base = climb(criterion, QUIET, BASE)
         floor = floor_of(criterion, base.theta)
     candidates = tuple(BY_NAME[name] for name in (CAUSE.name, LAG, FORCE))
-    return select(criterion, base, floor, candidates=candidates, max_candidates=3)
+    return select(Search(criterion=criterion, floor=floor, candidates=candidates, max_candidates=3), base)
 
 
 @pytest.mark.slow

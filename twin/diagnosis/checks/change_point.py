@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from twin.diagnosis.search.probes import probes_of
 from twin.diagnosis.search.score_test import probed
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
+from twin.diagnosis.search.task import Search
 from twin.estimation.innovations import information
 from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
@@ -30,7 +31,6 @@ from twin.inference.adequacy import adequate
 from twin.inference.budget import Spent
 from twin.inference.fisher_scoring import climb
 from twin.inference.likelihood import Criterion
-from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta, derivative_step, moved
 from twin.model.causes.cause import Cause
 from twin.model.extended import STATES
@@ -90,61 +90,39 @@ class Switched(Criterion):
         return room_for(0, 0)._replace(innovations=self.outputs(theta))
 
 
-def find_change(
-    criterion: Criterion,
-    selection: Selection,
-    floor: Floor,
-    *,
-    candidates: Sequence[Cause],
-    max_candidates: int,
-    workers: int = 2,
-    report: Callable[[str], None] = lambda line: None,
-) -> Change | None:
+def find_change(search: Search, selection: Selection, *, workers: int = 2) -> Change | None:
     """Find the change between two recordings that leaves only noise; None if there is none.
 
     Args:
-        criterion: of the recordings for fitting.
-        selection: result of the search without a change.
-        floor: what sensor noise alone leaves.
-        candidates: the causes to try.
-        max_candidates: number of candidates that are fitted in a round, at most.
+        search: the search without a change.
+        selection: its result.
         workers: threads.
-        report: receives lines of progress.
 
     Raises:
         Spent: the budget ended before the answer.
     """
+    criterion = search.criterion
     records = criterion.evidence.records
     # Points of rest do not belong to a recording, so they cannot be divided at a change.
     if criterion.evidence.statics or len(records) < 2:
         return None
     order = in_time(records)
     # A periodic force has a phase in each recording anyway.
-    candidates = [cause for cause in candidates if cause.detector != "spectral-line"]
+    candidates = [cause for cause in search.candidates if cause.detector != "spectral-line"]
     # Only cuts between recordings: within one, `consistency.beginnings` looks.  A fit for each cause and cut would be
     # far too many; the score sums of the recordings give the promising ones from one set of derivatives.
     for cut, begins in _promising_cuts(criterion, selection, candidates, order):
         first, second = order[:cut], order[cut:]
         names = records[first[-1]].name, records[second[0]].name
         side = second if begins else first
-        report(f"did something change between {names[0]} and {names[1]}?")
+        search.report(f"did something change between {names[0]} and {names[1]}?")
         switched = Switched(criterion, [n in side for n in range(len(records))], workers=workers)
-        chosen = select(
-            switched,
-            selection.base,
-            floor,
-            candidates=candidates,
-            max_candidates=max_candidates,
-            share=settings.CHANGE_SHARE,
-            classes=False,
-            report=report,
-        )
+        one_sided = replace(search, criterion=switched, candidates=candidates, min_share=settings.CHANGE_SHARE)
+        chosen = select(one_sided, selection.base, classes=False)
         if criterion.budget.closed:
             raise Spent
-        if chosen.causes and adequate(switched, chosen.fit, floor.under(switched, chosen.fit.theta))[0]:
-            chosen = find_classes(
-                switched, chosen, candidates=candidates, max_candidates=max_candidates, quick=True, report=report
-            )
+        if chosen.causes and adequate(switched, chosen.fit, search.floor.under(switched, chosen.fit.theta))[0]:
+            chosen = find_classes(replace(one_sided, quick=True), chosen)
             # The rival is the same cause all the time, fitted anew.  Without it a cause that was merely missed by the
             # search would count as a change.
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=settings.PASSES)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.campaign import Plant
+from protocol.campaign import Controller, Plant
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law, rounded
 from twin.estimation.propagate import propagate, see_delays
@@ -36,6 +36,7 @@ from twin.model.extended import (
     sensor_lag_s,
 )
 
+TICK_S = 2e-3  # of the board (15)
 _NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
 
 
@@ -49,66 +50,73 @@ class Converters:
     i_from_zero: bool = True  # whether i_c below 0 A reads 0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """A simulated rig and its board."""
+
+    theta: Theta
+    plant: Plant
+    controller: Controller | None = None  # of the board; None: LQI for `theta`
+    tick_s: float = TICK_S  # T_s of the board, and the interval of the process noise
+    u_max_v: float = math.inf  # upper limit of u_c in closed loop; the lower is 0
+    converters: Converters | None = None  # of the board; None: `twelve_bits`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """The commands of a simulation, and how the ball is held."""
+
+    t: FloatArray  # s, shape (n,)
+    command: FloatArray  # x_ref in m under a law, otherwise u_c in V, shape (n,)
+    law: LawNumbers | None = None  # None: open loop
+    clamped: bool = False  # whether the ball is held at its position
+    floor_m: float | None = None  # position of a support above the lower stop; None: the ball rests on the stop
+    captured: bool = False  # whether it is a capture
+
+
 def run(
-    theta: Theta,
-    plant: Plant,
-    numbers: LawNumbers | None,
-    steps: Converters,
-    t: FloatArray,
-    command: FloatArray,
-    y: NDArray[np.float64],
-    s: float,
-    speed: float,
-    tick_s: float,
-    rng: np.random.Generator,
-    out: FloatArray,
-    *,
-    clamped: bool = False,
-    floor_m: float | None = None,
-    captured: bool = False,
-) -> None:
-    """Run `play` with the noise of theta; out, shape (n, 4), receives u_c, the readings of i_c and x, and the true x.
+    rig: Rig, course: Course, y: NDArray[np.float64], rng: np.random.Generator, *, s: float = 0.0, speed: float = 0.0
+) -> FloatArray:
+    """Run `play` with the noise of the rig.
 
     Args:
-        theta: the rig.
-        plant: mass, travel, x_max, gravity.
-        numbers: the law; None: open loop.
-        steps: of the converters.
-        t: times, s, shape (n,).
-        command: x_ref in m under a law, otherwise u_c in V, shape (n,).
+        rig: the rig.
+        course: the commands, n samples.
         y: the state at the first sample, shape (STATES,), changed in place.
+        rng: random generator of 4 n normal numbers.
         s: the integral of the law at the first sample, m s.
         speed: of the reading at the first sample, m/s.
-        tick_s: interval of the process noise, s.
-        rng: random generator of 4 n normal numbers.
-        out: receives the result.
-        clamped: whether the ball is held at its position.
-        floor_m: position of a support above the lower stop, m; None: the ball rests on the stop.
-        captured: whether it is a capture.
+
+    Returns:
+        u_c, the readings of i_c and x, and the true x, shape (n, 4).
     """
+    theta, plant, t = rig.theta, rig.plant, course.t
+    steps = twelve_bits(theta, plant) if rig.converters is None else rig.converters
     c = theta.vector()
-    see_delays(c, c, captured)
+    see_delays(c, c, course.captured)
     step = np.diff(t, prepend=t[0])
     scale = np.empty((4, len(t)))
     scale[0], scale[1] = _without_step(theta.sigma_i_c_a, steps.i_lsb_a), _without_step(theta.sigma_x_m, steps.x_lsb_m)
-    scale[2], scale[3] = theta.process_i_c_a * np.sqrt(step / tick_s), theta.process_a_m_s2
+    scale[2], scale[3] = theta.process_i_c_a * np.sqrt(step / rig.tick_s), theta.process_a_m_s2
+    out = np.empty((len(t), 4))
     play(
         tuple(theta.base(plant)),
         c,
-        _NO_LAW if numbers is None else tuple(numbers),
-        numbers is not None,
-        clamped,
-        (theta.stop_low_m if floor_m is None else floor_m, plant.travel_m + theta.stop_high_m),
+        _NO_LAW if course.law is None else tuple(course.law),
+        course.law is not None,
+        course.clamped,
+        (theta.stop_low_m if course.floor_m is None else course.floor_m, plant.travel_m + theta.stop_high_m),
         (steps.i_lsb_a, steps.x_lsb_m, steps.u_lsb_v, 0.0 if steps.i_from_zero else -math.inf),
         t,
         step,
-        command,
+        course.command,
         scale * rng.standard_normal((4, len(t))),
         y,
         s,
         speed,
         out,
     )
+    return out
 
 
 def _without_step(sigma: float, lsb: float) -> float:

@@ -28,7 +28,7 @@ import numpy as np
 
 from protocol.campaign import Controller
 from protocol.experiments import Experiment
-from twin.diagnosis.experiments.closed_loop import converters_of
+from twin.diagnosis.experiments.closed_loop import Rig, converters_of
 from twin.diagnosis.experiments.designed_law import lift_off_input
 from twin.diagnosis.experiments.external_measurements import measurement_for
 from twin.diagnosis.experiments.schedules import MENU, schedule_of, sentence
@@ -148,9 +148,16 @@ def rank(
     """
     plant = criterion.plant
     lift_off_v = lift_off_input(fit.theta, plant)
-    steps = converters_of(criterion.evidence.records)
     u_max_v = min(
         (input_limit(record) for record in criterion.evidence.records if record.kind == "closed-loop"), default=math.inf
+    )
+    rig = Rig(
+        theta=fit.theta,
+        plant=plant,
+        controller=controller,
+        tick_s=criterion.tick_s,
+        u_max_v=u_max_v,
+        converters=converters_of(criterion.evidence.records),
     )
     causes = {name.partition(".")[0] for fitted in (fit, *members) for name, _ in fitted.theta.causes}
     held = [_information_on(fit, member) for member in members]
@@ -163,16 +170,7 @@ def rank(
         )
         if not np.isfinite(schedule.command).all() or not np.isfinite(schedule.bursts).all():
             continue
-        records = simulate(
-            fit.theta,
-            plant,
-            controller,
-            schedule,
-            seed=_SEED,
-            tick_s=criterion.tick_s,
-            converters=steps,
-            u_max_v=u_max_v,
-        )
+        records = simulate(rig, schedule, seed=_SEED)
         if experiment.closed_loop and not _floats(records[0], criterion):
             continue
         evidence = _gathered(records, criterion, experiment)

@@ -1,7 +1,7 @@
 """Virtual recordings: simulations of the extended model under the board's law, with its noise and converters.
 
-    simulate(theta, plant, controller, schedule, seed=1)        a new experiment
-    resimulate(theta, plant, controller, records, seed=1)       the experiments of a campaign again
+    simulate(rig, schedule, seed=1)        a new experiment
+    resimulate(rig, records, seed=1)       the experiments of a campaign again
 
 Rule 1: a repeated experiment uses the recorded commands only (x_ref in closed loop, otherwise u_c) and the state of the
         first samples.
@@ -19,9 +19,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.campaign import Controller, Kind, Plant, Use
+from protocol.campaign import Kind, Plant
 from twin.control import LawNumbers, law
-from twin.diagnosis.experiments.closed_loop import Converters, converters_of, run, twelve_bits
+from twin.diagnosis.experiments.closed_loop import TICK_S, Course, Rig, converters_of, run, twelve_bits
 from twin.diagnosis.experiments.designed_law import law_of
 from twin.estimation.record import Capture, FloatArray, Record, intervals
 from twin.evidence import sample_loss
@@ -42,7 +42,6 @@ from twin.model.extended import (
     position_reading,
 )
 
-TICK_S = 2e-3  # of the board (15)
 PLATFORM_SHARE = 0.06  # of the travel: a ball that begins a ramp higher rests on a support
 BRIDGING_S = 0.2  # shorter gaps are simulated; after a longer gap the state is taken from the recording
 CAPTURE_S, CAPTURE_PRE, CAPTURE_COUNT = 40e-6, 100, 1000
@@ -64,57 +63,43 @@ class Schedule:
     bursts: tuple[tuple[float, float], ...] = ()  # 25 kHz captures: u_c from, to; V
 
 
-def simulate(
-    theta: Theta,
-    plant: Plant,
-    controller: Controller | None,
-    schedule: Schedule,
-    *,
-    seed: int,
-    tick_s: float = TICK_S,
-    converters: Converters | None = None,
-    u_max_v: float = math.inf,
-    use: Use = "fit",
-) -> list[Record]:
-    """Simulate an experiment; the list has one recording.
+def simulate(rig: Rig, schedule: Schedule, *, seed: int) -> list[Record]:
+    """Simulate an experiment; the list has one recording for fitting.
 
     Args:
-        theta: the rig.
-        plant: mass, travel, x_max, gravity.
-        controller: of the board; None: LQI for `theta`.
+        rig: the rig and its board.
         schedule: the commands.
         seed: of the noise, and of lost samples.
-        tick_s: T_s of the board, s.
-        converters: of the board; None: `twelve_bits`.
-        u_max_v: upper limit of u_c in closed loop, V; the lower is 0.
-        use: of the records.
     """
     rng = np.random.default_rng([seed, 0])
-    steps = twelve_bits(theta, plant) if converters is None else converters
+    theta, plant = rig.theta, rig.plant
+    steps = twelve_bits(theta, plant) if rig.converters is None else rig.converters
+    rig = replace(rig, converters=steps)
     command, clamped = schedule.command, schedule.clamped_m
-    captures = tuple(_capture(theta, plant, steps, u_from, u_to, clamped, rng) for u_from, u_to in schedule.bursts)
+    captures = tuple(_capture(rig, u_from, u_to, rng, clamped_m=clamped) for u_from, u_to in schedule.bursts)
     n = len(command)
-    t = tick_s * np.arange(n, dtype=np.float64)
+    t = rig.tick_s * np.arange(n, dtype=np.float64)
     out = np.empty((n, 4))
     if n:
         first = float(command[0])
         y, s, numbers = np.zeros(STATES), 0.0, None
         if schedule.closed_loop:
-            numbers = law_of(controller, theta, plant, tick_s, u_max_v)
+            numbers = law_of(rig.controller, theta, plant, rig.tick_s, rig.u_max_v)
             y, u = at_rest(theta.base(plant), theta.vector(), first, as_reading=True)
             s = integral_at(numbers, theta, plant, y, first, u)
         else:
             y[X] = theta.stop_low_m if clamped is None else clamped
             y[I_C] = y[FIELD] = steady_current(theta.base(plant), theta.vector(), first)
             y[WARMTH] = y[I_C] ** 2
-        run(theta, plant, numbers, steps, t, command, y, s, 0.0, tick_s, rng, out, clamped=clamped is not None)
+        course = Course(t=t, command=command, law=numbers, clamped=clamped is not None)
+        out = run(rig, course, y, rng, s=s)
     is_received = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.index]
     x_ref = command if schedule.closed_loop else np.full(n, np.nan)
     return [
         Record(
             name=schedule.name,
             kind=schedule.kind,
-            use=use,
+            use="fit",
             t=t[is_received],
             u_c=out[is_received, 0],
             i_c=out[is_received, 1],
@@ -126,46 +111,23 @@ def simulate(
     ]
 
 
-def resimulate(
-    theta: Theta,
-    plant: Plant,
-    controller: Controller | None,
-    records: Sequence[Record],
-    *,
-    seed: int,
-    tick_s: float = TICK_S,
-) -> list[Record]:
-    """Simulate recordings again with the rig `theta`; same samples, and missing channels stay missing.
+def resimulate(rig: Rig, records: Sequence[Record], *, seed: int) -> list[Record]:
+    """Simulate recordings again with another rig; same samples, and missing channels stay missing.
 
     Args:
-        theta: the rig.
-        plant: mass, travel, x_max, gravity.
-        controller: of the closed-loop recordings; None: LQI for `theta`.
+        rig: the rig; its converters and the limit of u_c are those of the recordings.
         records: the recordings to repeat.
         seed: of the noise.
-        tick_s: interval of the process noise, s.
     """
-    steps = converters_of(records)
-    return [
-        _again(theta, plant, controller, record, steps, tick_s, np.random.default_rng([seed, number]))
-        for number, record in enumerate(records)
-    ]
+    rig = replace(rig, converters=converters_of(records))
+    return [_again(rig, record, np.random.default_rng([seed, number])) for number, record in enumerate(records)]
 
 
-def _again(
-    theta: Theta,
-    plant: Plant,
-    controller: Controller | None,
-    record: Record,
-    steps: Converters,
-    tick_s: float,
-    rng: np.random.Generator,
-) -> Record:
+def _again(rig: Rig, record: Record, rng: np.random.Generator) -> Record:
+    theta, plant = rig.theta, rig.plant
     if record.kind == "equilibria":
         return _steady(theta, plant, record, rng)
-    captures = tuple(
-        _capture(theta, plant, steps, old.u_from_v, old.u_to_v, None, rng, like=old) for old in record.captures
-    )
+    captures = tuple(_capture(rig, old.u_from_v, old.u_to_v, rng, like=old) for old in record.captures)
     if len(record.t) < 2 or not record.has("u_c", "i_c"):
         return replace(record, captures=captures)
     clamped = record.kind == "amplifier-step"
@@ -180,11 +142,11 @@ def _again(
         y, speed = _start(theta, plant, record, piece, clamped)
         numbers, s = None, 0.0
         if closed_loop:
-            numbers = law_of(controller, theta, plant, record.interval_s, input_limit(record))
+            numbers = law_of(rig.controller, theta, plant, record.interval_s, input_limit(record))
             s = _recorded_integral(numbers, record, piece)
-        out = np.empty((len(grid), 4))
         floor = float(y[X]) if record.kind == "sawtooth" and y[X] > PLATFORM_SHARE * plant.travel_m else None
-        run(theta, plant, numbers, steps, grid, command, y, s, speed, tick_s, rng, out, clamped=clamped, floor_m=floor)
+        course = Course(t=grid, command=command, law=numbers, clamped=clamped, floor_m=floor)
+        out = run(rig, course, y, rng, s=s, speed=speed)
         i_c[piece], x[piece] = out[rows, 1], out[rows, 2]
         if closed_loop:
             u_c[piece] = out[rows, 0]
@@ -198,14 +160,12 @@ def _again(
 
 
 def _capture(
-    theta: Theta,
-    plant: Plant,
-    steps: Converters,
+    rig: Rig,
     u_from: float,
     u_to: float,
-    clamped_m: float | None,
     rng: np.random.Generator,
     *,
+    clamped_m: float | None = None,
     like: Capture | None = None,
 ) -> Capture:
     """Simulate one 25 kHz capture of a step with the ball at rest and i_c settled before it."""
@@ -214,12 +174,11 @@ def _capture(
         sample_s, pre, count = like.sample_time_s, like.step_index, len(like.i_c_a)
     n = np.arange(count, dtype=np.float64)
     y = np.zeros(STATES)
-    y[X] = theta.stop_low_m if clamped_m is None else clamped_m
-    y[I_C] = y[FIELD] = steady_current(theta.base(plant), theta.vector(), u_from)
+    y[X] = rig.theta.stop_low_m if clamped_m is None else clamped_m
+    y[I_C] = y[FIELD] = steady_current(rig.theta.base(rig.plant), rig.theta.vector(), u_from)
     y[WARMTH] = y[I_C] ** 2
-    out = np.empty((count, 4))
-    command = np.where(n < pre, u_from, u_to)
-    run(theta, plant, None, steps, sample_s * n, command, y, 0.0, 0.0, TICK_S, rng, out, clamped=True, captured=True)
+    course = Course(t=sample_s * n, command=np.where(n < pre, u_from, u_to), clamped=True, captured=True)
+    out = run(replace(rig, tick_s=TICK_S), course, y, rng)
     return Capture(sample_time_s=sample_s, u_from_v=u_from, u_to_v=u_to, step_index=pre, i_c_a=out[:, 1])
 
 

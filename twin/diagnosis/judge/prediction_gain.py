@@ -16,7 +16,7 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.estimation.prediction_floor import floor_rmse
-from twin.estimation.record import BoolArray, FloatArray
+from twin.estimation.record import FloatArray
 from twin.estimation.rollout import within_reach
 from twin.estimation.rollout_periodic import predict
 from twin.evidence.gather import Evidence
@@ -67,32 +67,40 @@ def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, s
     return within_reach(x_hat, theta.base(plant), system.c, system.stops)
 
 
-def gain(
-    evidence: Evidence, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, samples: int, seed: int
-) -> Gain | None:
-    """The gain on these recordings; None if nothing can be predicted."""
-    x = evidence.series.x
-    errors = [predictions(evidence, theta, plant, tick_s, samples) - x for theta in (before, after)]
-    both = np.isfinite(errors[0]) & np.isfinite(errors[1])
-    if both.sum() < 50:
-        return None
-    first, second = errors[0][both] ** 2, errors[1][both] ** 2
-    block = max(round(settings.ERROR_BLOCK_S / tick_s), 1)
-    floor_m = _floor_m(evidence, after, floor, plant, tick_s, samples, both)
-    over = (math.nan, math.nan)
-    if math.isfinite(floor_m) and len(second) >= settings.ERROR_BLOCKS * block:
-        over = bootstrap(np.full_like(second, floor_m**2), second, block, seed)
-    return Gain(
-        samples=samples,
-        horizon_s=samples * tick_s,
-        baseline_rmse_m=math.sqrt(float(first.mean())),
-        extended_rmse_m=math.sqrt(float(second.mean())),
-        floor_m=floor_m,
-        ci95_ratio=bootstrap(first, second, block, seed),
-        ci95_floor=over,
-        count=int(both.sum()),
-        errors_m=np.where(both, errors, np.nan),
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Yardstick:
+    """The judge recordings and the data that a prediction needs besides a model."""
+
+    judge: Evidence
+    floor: Floor
+    plant: Plant
+    tick_s: float
+    seed: int  # of the bootstrap
+
+    def gain(self, before: Theta, after: Theta, samples: int) -> Gain | None:
+        """The gain at one horizon, which is not charged to a budget; None if nothing can be predicted."""
+        x, tick_s, plant, seed = self.judge.series.x, self.tick_s, self.plant, self.seed
+        errors = [predictions(self.judge, theta, plant, tick_s, samples) - x for theta in (before, after)]
+        both = np.isfinite(errors[0]) & np.isfinite(errors[1])
+        if both.sum() < 50:
+            return None
+        first, second = errors[0][both] ** 2, errors[1][both] ** 2
+        block = max(round(settings.ERROR_BLOCK_S / tick_s), 1)
+        floor_m = floor_rmse(self.floor.quiet(after).system(plant, tick_s), self.judge.samples, samples, both)
+        over = (math.nan, math.nan)
+        if math.isfinite(floor_m) and len(second) >= settings.ERROR_BLOCKS * block:
+            over = bootstrap(np.full_like(second, floor_m**2), second, block, seed)
+        return Gain(
+            samples=samples,
+            horizon_s=samples * tick_s,
+            baseline_rmse_m=math.sqrt(float(first.mean())),
+            extended_rmse_m=math.sqrt(float(second.mean())),
+            floor_m=floor_m,
+            ci95_ratio=bootstrap(first, second, block, seed),
+            ci95_floor=over,
+            count=int(both.sum()),
+            errors_m=np.where(both, errors, np.nan),
+        )
 
 
 def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> tuple[float, float]:
@@ -105,9 +113,3 @@ def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> t
     ratios = np.sqrt(totals[:, 1] / np.maximum(totals[:, 0], 1e-300))
     low, high = np.quantile(ratios, (0.025, 0.975))
     return float(low), float(high)
-
-
-def _floor_m(
-    evidence: Evidence, theta: Theta, floor: Floor, plant: Plant, tick_s: float, samples: int, predicted: BoolArray
-) -> float:
-    return floor_rmse(floor.quiet(theta).system(plant, tick_s), evidence.samples, samples, predicted)

@@ -6,27 +6,20 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
-from protocol.campaign import Plant
-from twin.diagnosis.judge.prediction_gain import Gain, gain
+from twin.diagnosis.judge.prediction_gain import Gain, Yardstick
 from twin.estimation.pace import pace_of
-from twin.evidence.gather import Evidence
 from twin.identification.horizon import HORIZONS_S
 from twin.inference.budget import Budget, Spent
-from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta
 from twin.settings import diagnosis as settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bench:
-    """The judge recordings and the data that a prediction needs besides a model."""
+class Bench(Yardstick):
+    """A yardstick that is paid from a budget."""
 
-    judge: Evidence
-    floor: Floor
-    plant: Plant
-    tick_s: float
-    seed: int  # of the bootstrap
     workers: int
     budget: Budget
 
@@ -36,16 +29,9 @@ class Bench:
         horizons = sorted({max(round(horizon / self.tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
         horizons = self._affordable(horizons, (before, after))
 
-        def at(samples: int) -> Gain | None:
-            return self.gain(before, after, samples)
-
         with ThreadPoolExecutor(max_workers=self.workers) as pool:
-            gains = [result for result in pool.map(at, horizons) if result is not None]
-        return gains[::-1]
-
-    def gain(self, before: Theta, after: Theta, samples: int) -> Gain | None:
-        """The gain at one horizon, which is not charged to the budget; None if nothing can be predicted."""
-        return gain(self.judge, before, after, self.floor, self.plant, self.tick_s, samples, self.seed)
+            gains = pool.map(partial(self.gain, before, after), horizons)
+            return [result for result in gains if result is not None][::-1]
 
     def _affordable(self, horizons: Sequence[int], thetas: Sequence[Theta]) -> list[int]:
         """The horizons within the budget; that of the answer has priority."""

@@ -36,7 +36,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     figure, ax = _panel()
     h = np.array([row.horizon_s for row in rows]) * 1e3
     for name, colour, estimates in _sides([row.baseline for row in rows], [row.extended for row in rows]):
-        _bars(ax, h, estimates, 1e6, name, colour, joined=True)
+        _bars(ax, h, estimates, 1e6, name, colour)
     ax.plot(h, [row.floor_m * 1e6 for row in rows], color=FLOOR, ls="--", lw=1.2, label="noise floor")
     ax.set_xscale("log")
     ax.set_yscale("log")
@@ -100,7 +100,7 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
                 sideways=True,
             )
         else:
-            _bars(ax, np.array([bin_.at for bin_ in regime.bins]) * factor, estimates, 1e6, name, colour, joined=True)
+            _bars(ax, np.array([bin_.at for bin_ in regime.bins]) * factor, estimates, 1e6, name, colour)
     line = ax.axvline if named else ax.axhline
     if np.isfinite(floor_m):
         line(floor_m * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
@@ -126,7 +126,7 @@ def curve_figure(curve: Curve) -> Figure:
     at = np.array([point.at for point in curve.points]) * factor
     ax.axhline(0.0, color="black", lw=0.6)
     for name, colour, estimates in _sides([p.baseline for p in curve.points], [p.extended for p in curve.points]):
-        _bars(ax, at, estimates, up, name, colour, joined=True)
+        _bars(ax, at, estimates, up, name, colour)
     ax.set_xlabel(f"{curve.title} [{unit}]")
     ax.set_ylabel(what)
     legend_above(ax)
@@ -241,14 +241,13 @@ def _bars(
     name: str,
     colour: str,
     *,
-    joined: bool = False,
     sideways: bool = False,
 ) -> None:
     middle = np.array([estimate.value for estimate in values]) * factor
     low = np.maximum(middle - np.array([estimate.low for estimate in values]) * factor, 0.0)
     high = np.maximum(np.array([estimate.high for estimate in values]) * factor - middle, 0.0)
     style: dict[str, Any] = {"color": colour, "marker": "o", "ms": 4, "elinewidth": 1.2, "capsize": 3}
-    style["lw"] = 1.0 if joined else 0.0
+    style["lw"] = 0.0 if sideways else 1.0
     if sideways:
         ax.errorbar(middle, at, xerr=[low, high], label=name, **style)
     else:

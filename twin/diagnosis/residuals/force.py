@@ -15,7 +15,8 @@ Rule 3: a periodic force is left in the residual, because it is not a function o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ class Curve:
     title: str
     unit: str  # of `at`
     residual_unit: str
-    points: tuple[Point, ...]
+    points: tuple[Point, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,17 +240,17 @@ def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: 
     s = evidence.series
     x, v, i = s.x, models[1].slope_m_s, s.i
     flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
-    in_flight = [np.where(flown, values, np.nan) for values in (x, v, i)]
+    x, v, i = (np.where(flown, values, np.nan) for values in (x, v, i))
+    residuals = [model.force_n for model in models]
+    curves = (
+        (Curve(name="x", title="position x", unit="m", residual_unit="N"), x, even_edges(x, GROUPS)),
+        (Curve(name="v", title="speed x'", unit="m/s", residual_unit="N"), v, quantile_edges(v, _SPEED_SHARES)),
+        (Curve(name="i", title="current i_c", unit="A", residual_unit="N"), i, even_edges(i, GROUPS)),
+    )
     return [
         curve
-        for curve in (
-            _curve("x", "position x", "m", "N", in_flight[0], even_edges(in_flight[0], GROUPS), models, blocks),
-            _curve(
-                "v", "speed x'", "m/s", "N", in_flight[1], quantile_edges(in_flight[1], _SPEED_SHARES), models, blocks
-            ),
-            _curve("i", "current i_c", "A", "N", in_flight[2], even_edges(in_flight[2], GROUPS), models, blocks),
-        )
-        if curve is not None
+        for empty, values, edges in curves
+        if (curve := _filled(empty, values, edges, residuals, blocks)) is not None
     ]
 
 
@@ -263,33 +264,32 @@ def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s
     before = np.concatenate(([False], linked[:-1]))
     known = usual & np.isfinite(models[0].unforeseen_i_a) & np.isfinite(models[1].unforeseen_i_a)
     u, change = np.where(known, u, np.nan), np.where(known & before, change, np.nan)
+    residuals = [model.unforeseen_i_a for model in models]
+    curves = (
+        (Curve(name="u", title="input u_c", unit="V", residual_unit="A"), u, quantile_edges(u, _INPUT_SHARES)),
+        (
+            Curve(name="du", title="change of u_c", unit="V", residual_unit="A"),
+            change,
+            quantile_edges(change, _CHANGE_SHARES),
+        ),
+    )
     return [
         curve
-        for curve in (
-            _curve("u", "input u_c", "V", "A", u, quantile_edges(u, _INPUT_SHARES), models, blocks),
-            _curve("du", "change of u_c", "V", "A", change, quantile_edges(change, _CHANGE_SHARES), models, blocks),
-        )
-        if curve is not None
+        for empty, values, edges in curves
+        if (curve := _filled(empty, values, edges, residuals, blocks)) is not None
     ]
 
 
-def _curve(
-    name: str,
-    title: str,
-    unit: str,
-    residual_unit: str,
-    values: FloatArray,
-    edges: FloatArray,
-    models: tuple[Filtered, Filtered],
-    blocks: Blocks,
+def _filled(
+    curve: Curve, values: FloatArray, edges: FloatArray, residuals: Sequence[FloatArray], blocks: Blocks
 ) -> Curve | None:
+    """Return a curve with its points, the mean residuals of both models in each group; None with too few."""
     if len(edges) < 3:
         return None
     labels, groups = bin_labels(values, edges), len(edges) - 1
     where, _, samples, pieces = means(np.where(labels >= 0, values, 0.0), labels, groups, blocks)
     sides = []
-    for model in models:
-        residual = model.force_n if residual_unit == "N" else model.unforeseen_i_a
+    for residual in residuals:
         mean, drawn, _, _ = means(np.where(labels >= 0, residual, 0.0), labels, groups, blocks)
         sides.append((mean, drawn))
     points = tuple(
@@ -302,4 +302,4 @@ def _curve(
     )
     if len(points) < 2:
         return None
-    return Curve(name=name, title=title, unit=unit, residual_unit=residual_unit, points=points)
+    return replace(curve, points=points)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.campaign import Controller, Plant
+from twin.diagnosis.experiments.closed_loop import Rig
 from twin.diagnosis.experiments.virtual_recordings import resimulate
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.step_figures import Compared, LoopRun, compare_steps, responses
@@ -57,7 +58,7 @@ def step_responses(
     if controller is None:
         return "the campaign has no [controller]: the law that ran on the board is unknown"
     sigma = floor.sigma_x_m
-    rigs = [
+    models = [
         replace(
             theta,
             sigma_i_c_a=floor.sigma_i_c_a,
@@ -67,7 +68,7 @@ def step_responses(
         )
         for theta in (before, after)
     ]
-    loops = [_runs(flown, rig, plant, controller, tick_s) for rig in rigs]
+    loops = [_runs(flown, Rig(theta=theta, plant=plant, controller=controller, tick_s=tick_s)) for theta in models]
     shares = [responses(runs, sigma) for runs in loops]
     if not shares[0]:
         return "the reference has no step after which it stays for 0.15 s"
@@ -87,10 +88,8 @@ def step_responses(
     )
 
 
-def _runs(
-    records: Sequence[Record], theta: Theta, plant: Plant, controller: Controller, tick_s: float
-) -> list[LoopRun]:
-    again = resimulate(theta, plant, controller, records, seed=0, tick_s=tick_s)
+def _runs(records: Sequence[Record], rig: Rig) -> list[LoopRun]:
+    again = resimulate(rig, records, seed=0)
     return [
         LoopRun(
             name=record.name,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protocol.campaign import Controller, Plant
-from twin.diagnosis.judge.prediction_gain import Gain, gain
+from twin.diagnosis.judge.prediction_gain import Gain, Yardstick
 from twin.diagnosis.residuals.force import Curve, Filtered, current_curves, filtered, force_curves
 from twin.diagnosis.residuals.groups import sorted_errors
 from twin.diagnosis.residuals.regimes import Blocks, Estimate, Regime, blocks_of, estimate, means
@@ -145,8 +145,9 @@ def _models(diagnosis: Diagnosis, evidence: Evidence, plant: Plant) -> tuple[Fil
 
 
 def _gains_on(diagnosis: Diagnosis, evidence: Evidence, plant: Plant, seed: int) -> tuple[Gain, ...]:
+    yardstick = Yardstick(judge=evidence, floor=diagnosis.floor, plant=plant, tick_s=diagnosis.tick_s, seed=seed)
     results = (
-        gain(evidence, diagnosis.before, diagnosis.after, diagnosis.floor, plant, diagnosis.tick_s, samples, seed)
+        yardstick.gain(diagnosis.before, diagnosis.after, samples)
         for samples in sorted({1, max(round(HORIZON_S / diagnosis.tick_s), 1)})
     )
     return tuple(result for result in results if result is not None)

@@ -8,55 +8,41 @@ Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likeliho
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, renamed, same_as, steepness, within_range
 from twin.diagnosis.search.candidate_starts import substitute_start
-from twin.diagnosis.search.forward_step import Reporter
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
+from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
-from twin.inference.noise_floor import Floor
 from twin.inference.theta import parameter_of, prior_spread, reinitialised
-from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-from twin.model.causes.cause import Cause
+from twin.model.causes.catalogue import BY_NAME
 from twin.settings import diagnosis as settings
 
 
-def find_classes(
-    criterion: Criterion,
-    selection: Selection,
-    floor: Floor | None = None,
-    *,
-    candidates: Sequence[Cause] = CATALOGUE,
-    max_candidates: int = settings.CANDIDATES,
-    quick: bool = False,
-    report: Reporter = lambda line: None,
-) -> Selection:
-    """Find the class of each selected cause and the best candidate outside it; the arguments are those of `select`.
+def find_classes(search: Search, selection: Selection) -> Selection:
+    """Find the class of each selected cause and the best candidate outside it.
 
     With `quick` and several causes, the last cause has the equals of its forward step.  Few candidates are tried
     instead of each other cause, because these were selected when the later ones were missing.
 
-    With `floor`, one of several causes may be false if they leave more than noise.  Then the last is examined first,
-    and all candidates are fitted, whatever their score.  Next to an incomplete friction a true cause had a
+    In a thorough search, one of several causes may be false if they leave more than noise.  Then the last is examined
+    first, and all candidates are fitted, whatever their score.  Next to an incomplete friction a true cause had a
     fifteenth of its gain.
     """
-
-    def doubtful() -> bool:
-        return floor is not None and len(selection.causes) > 1 and material(criterion, selection, floor)
-
+    criterion = search.criterion
     selection = replace(selection, classes={}, runner_up={})
-    if 1 < len(selection.causes) <= settings.MAX_TOGETHER and not quick:
+    if 1 < len(selection.causes) <= settings.MAX_TOGETHER and not search.quick:
         selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection), selection.causes))
-    for cause in selection.causes[::-1] if doubtful() else selection.causes:
-        if quick and len(selection.causes) > 1 and _is_last(selection, cause):
+    for cause in selection.causes[::-1] if _doubtful(search, selection) else selection.causes:
+        if search.quick and len(selection.causes) > 1 and _is_last(selection, cause):
             selected = Trial(cause=cause, fit=selection.fit, gain=selection.gains[cause])
-            same = same_as(cause) & {entry.name for entry in candidates}
+            same = same_as(cause) & {entry.name for entry in search.candidates}
             equals = [renamed(selected, other) for other in sorted(same)] + _equals_at_selection(selection, cause, same)
             selection = replace(
                 selection,
@@ -64,23 +50,17 @@ def find_classes(
                 runner_up={**selection.runner_up, cause: selection.gains[cause]},
             )
             continue
-        candidate_limit = 1 if quick else max_candidates
-        selection, changed = _class_of(
-            criterion, selection, floor, cause, candidates, candidate_limit, doubtful(), report
-        )
+        selection, changed = _class_of(search, selection, cause)
         # Every class was found with the other causes fixed, so a change makes all of them stale.  Repairing only the
         # affected ones would need to know which causes interact.
         if changed:
-            return find_classes(
-                criterion,
-                selection,
-                floor,
-                candidates=candidates,
-                max_candidates=max_candidates,
-                quick=quick,
-                report=report,
-            )
+            return find_classes(search, selection)
     return selection
+
+
+def _doubtful(search: Search, selection: Selection) -> bool:
+    """Tell whether one of several causes may be false."""
+    return search.thorough and len(selection.causes) > 1 and material(search, selection.fit)
 
 
 def _refit_from_usual_forms(criterion: Criterion, fit: Fit, cause: str) -> Fit:
@@ -111,9 +91,7 @@ def _equals_at_selection(selection: Selection, cause: str, same: Collection[str]
     return [trial for trial in rivals if trial.gain > min_gain and within_range(trial)]
 
 
-def _replace_two(
-    criterion: Criterion, selection: Selection, cause: str, trial: Trial, report: Reporter
-) -> Selection | None:
+def _replace_two(search: Search, selection: Selection, cause: str, trial: Trial) -> Selection | None:
     """Let `trial` replace `cause` and a second cause if it explains as much as both together; None if it does not.
 
     Two causes that imitate a third are never found superfluous one by one.
@@ -125,14 +103,14 @@ def _replace_two(
 
     def less(other: str) -> Fit:
         free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
-        return climb(criterion, reinitialised(trial.fit.theta.without(other)), free)
+        return climb(search.criterion, reinitialised(trial.fit.theta.without(other)), free)
 
-    for other, fit in zip(remaining, criterion.each(less, remaining), strict=True):
+    for other, fit in zip(remaining, search.criterion.each(less, remaining), strict=True):
         if fit.loglik > min_loglik:
             if trial.cause == cause:
-                report(f"dropped: {other} ({cause} explains it)")
+                search.report(f"dropped: {other} ({cause} explains it)")
             else:
-                report(f"{trial.cause} explains as much as {cause} and {other} together: it replaces them")
+                search.report(f"{trial.cause} explains as much as {cause} and {other} together: it replaces them")
             causes = tuple(trial.cause if name == cause else name for name in selection.causes if name != other)
             gain = fit.loglik - selection.base.loglik
             gains = {name: selection.gains.get(name, gain) for name in causes}
@@ -140,106 +118,109 @@ def _replace_two(
     return None
 
 
-def _class_of(
-    criterion: Criterion,
-    selection: Selection,
-    floor: Floor | None,
-    cause: str,
-    candidates: Sequence[Cause],
-    max_candidates: int,
-    all_scores: bool,
-    report: Reporter,
-) -> tuple[Selection, bool]:
+def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selection, bool]:
     """Find the class of `cause` with the other causes fixed; a candidate that explains more replaces it.
-
-    With `all_scores`, candidates are fitted whatever their score.
 
     Returns the selection, and True if two causes were replaced by one or if `cause` is superfluous; then all classes
     are found again.
     """
-    original = cause
+    criterion, fit_all = search.criterion, _doubtful(search, selection)
     if len(selection.causes) == 1:
-        # A single cause was chosen from the model without it, so the trials of that round are already this comparison.
-        current, known = selection.base, {trial.cause: trial for trial in selection.rounds[0].trials}
+        current = selection.base
     else:
-        current, known = fit_without(criterion, selection, cause), {}
+        current = fit_without(criterion, selection, cause)
         selection = selection.with_fits([current])
     selected = Trial(cause=cause, fit=selection.fit, gain=selection.fit.loglik - current.loglik)
-    is_needless = (
-        selected.gain < settings.MIN_GAIN if floor is None else superfluous(criterion, selection, floor, current)
-    )
+    is_needless = superfluous(search, selection, current) if search.thorough else selected.gain < settings.MIN_GAIN
     if is_needless and len(selection.causes) > 1:
-        report(f"dropped: {cause} (the others explain it)")
+        search.report(f"dropped: {cause} (the others explain it)")
         return selection.dropping(cause, current), True
-    remaining = [entry for entry in candidates if entry.name not in selection.causes]
-    scores = screen(criterion, current.theta, current.free, [*remaining, BY_NAME[cause]])
-    score_gains = {score.cause: score.gain for score in scores}
-    # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only
-    # sorts out candidates that cannot reach the class even then.  `all_scores` pays for fits of all of them.
-    comparable = settings.COMPARABLE_SCORE * score_gains.get(cause, 0.0)
-    similar = {
-        name for name, gain in score_gains.items() if gain > settings.SIMILAR_SCORE * score_gains.get(cause, 0.0)
-    }
-    # Causes of one family are similar by their physics, whatever their scores at this fit are.
-    similar |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
-    # A cause with the same effect on the samples is an equal without a fit.
-    same = same_as(cause) & {entry.name for entry in remaining}
-    scores = [score for score in scores if score.cause not in (*known, cause, *same) and score.testable]
-    scores = [score for score in scores if score.gain > 0.3 * settings.MIN_GAIN]
-    if not all_scores:
-        scores = [
-            score
-            for score in scores
-            if score.gain > comparable
-            # Either condition suffices: a similar signature, or a gain that could still reach the class.
-            if score.cause in similar
-            or score.gain * steepness(score.cause) > selected.gain - settings.OUT_OF_CLASS_GAIN
-        ][: max(max_candidates - len(known), 2)]
-    trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
-    trials += [renamed(selected, other) for other in same]
-    # Candidates far behind the class are not fitted to the end: only the lead in `runner_up` depends on them.
-    trials += fit_candidates(
-        criterion, current, scores, cutoff_gain=-math.inf if all_scores else selected.gain - settings.OUT_OF_CLASS_GAIN
-    )
-    # A fit from the model without the cause may end in a worse maximum than one from the fit of the cause itself.
-    trials = criterion.each(
-        lambda trial: _refit_from(criterion, selected, trial) if trial.cause in similar else trial, trials
-    )
-    trials = sorted((trial for trial in trials if within_range(trial)), key=lambda trial: -trial.gain)
-    periodic_gain = selection.gains.get(periodic.CAUSE.name, 0.0) if periodic.AMPLITUDE in current.free else 0.0
-    _rephase(criterion, selected, trials, similar, periodic_gain)
-    trials.sort(key=lambda trial: -trial.gain)
+    trials = _rivals(search, selection, current, selected, fit_all=fit_all)
     # Fair to both: the selected cause, too, may be at a worse maximum, so it is fitted from the candidate's parameters
     # before the candidate replaces it.
     if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
         selected = _refit_from(criterion, trials[0], selected)
         selection = replace(selection, fit=selected.fit)
     if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
-        report(f"{trials[0].cause} explains more than {cause} next to the others: it replaces it")
-        best = trials[0]
-        causes = tuple(best.cause if name == cause else name for name in selection.causes)
-        if periodic.CAUSE.name in causes:
-            fit = periodic.fit_phases(criterion, best.fit, settings.PASSES)
-        else:
-            fit = _refit_from_usual_forms(criterion, best.fit, best.cause)
-        gains = {name: gain for name, gain in {**selection.gains, best.cause: best.gain}.items() if name != cause}
-        selection = replace(selection, causes=causes, fit=fit, gains=gains)
-        trials = [selected, *trials[1:]]
-        selected, cause = best, best.cause
+        search.report(f"{trials[0].cause} explains more than {cause} next to the others: it replaces it")
+        selection = _exchanged(criterion, selection, cause, trials[0])
+        trials, selected = [selected, *trials[1:]], trials[0]
     equals = tuple(trial for trial in trials if selected.gain - trial.gain < settings.EQUIVALENT_GAIN)
     behind = [trial.gain for trial in trials if selected.gain - trial.gain >= settings.EQUIVALENT_GAIN]
     selection = replace(
         selection,
-        classes={**selection.classes, cause: equals},
-        runner_up={**selection.runner_up, cause: selected.gain - max(behind, default=0.0)},
-        gains={**selection.gains, cause: selected.gain},
+        classes={**selection.classes, selected.cause: equals},
+        runner_up={**selection.runner_up, selected.cause: selected.gain - max(behind, default=0.0)},
+        gains={**selection.gains, selected.cause: selected.gain},
     )
     # Equals are examined, too: one of them may replace two causes where the selected one does not.
     for trial in (selected, *equals):
-        smaller = None if trial.cause in (original, *same) else _replace_two(criterion, selection, cause, trial, report)
+        smaller = (
+            None if trial.cause in (cause, *same_as(cause)) else _replace_two(search, selection, selected.cause, trial)
+        )
         if smaller is not None:
             return smaller, True
     return selection, False
+
+
+def _exchanged(criterion: Criterion, selection: Selection, cause: str, best: Trial) -> Selection:
+    """Return the selection with the candidate of `best` in the place of a cause."""
+    causes = tuple(best.cause if name == cause else name for name in selection.causes)
+    if periodic.CAUSE.name in causes:
+        fit = periodic.fit_phases(criterion, best.fit, settings.PASSES)
+    else:
+        fit = _refit_from_usual_forms(criterion, best.fit, best.cause)
+    gains = {name: gain for name, gain in {**selection.gains, best.cause: best.gain}.items() if name != cause}
+    return replace(selection, causes=causes, fit=fit, gains=gains)
+
+
+def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial, *, fit_all: bool) -> list[Trial]:
+    """Fit the candidates that may be in the class of a selected cause; best first.
+
+    Args:
+        search: the data and the candidates.
+        selection: all causes.
+        current: the model without the selected cause.
+        selected: the cause.
+        fit_all: whether candidates are fitted whatever their score.
+    """
+    criterion, cause = search.criterion, BY_NAME[selected.cause]
+    # A single cause was chosen from the model without it, so the trials of that round are already this comparison.
+    known = selection.rounds[0].trials if len(selection.causes) == 1 else ()
+    remaining = [entry for entry in search.candidates if entry.name not in selection.causes]
+    # A cause with the same effect on the samples is an equal without a fit.
+    same = same_as(cause.name) & {entry.name for entry in remaining}
+    scores = screen(criterion, current.theta, current.free, [*remaining, cause])
+    gain = next((score.gain for score in scores if score.cause == cause.name), 0.0)
+    similar = {score.cause for score in scores if score.gain > settings.SIMILAR_SCORE * gain}
+    # Causes of one family are similar by their physics, whatever their scores at this fit are.
+    similar |= {entry.name for entry in search.candidates if entry.family == cause.family}
+    decided = {cause.name, *same, *(trial.cause for trial in known)}
+    scores = [score for score in scores if score.cause not in decided and score.testable]
+    scores = [score for score in scores if score.gain > 0.3 * settings.MIN_GAIN]
+    cutoff_gain = -math.inf if fit_all else selected.gain - settings.OUT_OF_CLASS_GAIN
+    if not fit_all:
+        # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only
+        # sorts out candidates that cannot reach the class even then.  `fit_all` pays for fits of all of them.
+        scores = [
+            score
+            for score in scores
+            if score.gain > settings.COMPARABLE_SCORE * gain
+            # Either condition suffices: a similar signature, or a gain that could still reach the class.
+            if score.cause in similar or score.gain * steepness(score.cause) > cutoff_gain
+        ][: max((1 if search.quick else search.max_candidates) - len(known), 2)]
+    trials = [trial for trial in known if trial.cause not in (cause.name, *same)]
+    trials += [renamed(selected, other) for other in same]
+    # Candidates far behind the class are not fitted to the end: only the lead in `runner_up` depends on them.
+    trials += fit_candidates(criterion, current, scores, cutoff_gain=cutoff_gain)
+    # A fit from the model without the cause may end in a worse maximum than one from the fit of the cause itself.
+    trials = criterion.each(
+        lambda trial: _refit_from(criterion, selected, trial) if trial.cause in similar else trial, trials
+    )
+    trials = sorted((trial for trial in trials if within_range(trial)), key=lambda trial: -trial.gain)
+    if periodic.AMPLITUDE in current.free:
+        _rephase(criterion, selected, trials, similar, selection.gains.get(periodic.CAUSE.name, 0.0))
+    return sorted(trials, key=lambda trial: -trial.gain)
 
 
 def _rephase(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,16 +13,15 @@ from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, steepness, within_range
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import Score, probed, screen
+from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor, part_logliks
 from twin.model.causes.catalogue import BY_NAME, with_trait
-from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
 
 # A ball held by friction is predicted well whatever the model lacks, so prediction is not evidence for friction.
 HOLDS = with_trait("sticks")
-Reporter = Callable[[str], None]
 Refusal = Literal["", "chance", "outside its range", "minor", "minor beside noise", "small share"]
 
 
@@ -39,34 +38,21 @@ class Round:
     on_trial: bool = False  # selected on trial instead of a candidate that gains more
 
 
-def forward(
-    criterion: Criterion,
-    base: Fit,
-    current: Fit,
-    floor: Floor,
-    candidates: Sequence[Cause],
-    max_candidates: int,
-    min_share: float,
-    report: Reporter,
-) -> Round:
+def forward(search: Search, base: Fit, current: Fit) -> Round:
     """Find the best candidate and decide whether to select it.
 
     Args:
-        criterion: of the recordings for fitting.
+        search: the data and the candidates.
         base: the model without causes.
         current: the model so far, at its best.
-        floor: noise floor of the log-likelihood.
-        candidates: the causes to try.
-        max_candidates: number of candidates to fit, at most.
-        min_share: share of the unexplained rest that a cause must explain.
-        report: receives lines of progress.
     """
+    criterion, min_share = search.criterion, search.min_share
     with criterion.budget.question("what else of the catalogue explains what is left"):
-        scores = screen(criterion, current.theta, current.free, candidates)
-        if any(cause.name == periodic.CAUSE.name for cause in candidates):
+        scores = screen(criterion, current.theta, current.free, search.candidates)
+        if any(cause.name == periodic.CAUSE.name for cause in search.candidates):
             scores = _with_line(criterion, current, scores)
         scores = _with_dead_time(criterion, current, scores)
-        floor = floor.under(criterion, current.theta)
+        floor = search.floor.under(criterion, current.theta)
     excess, material, gained = (
         floor.excess(current.loglik),
         floor.material(current.loglik),
@@ -83,8 +69,8 @@ def forward(
         score
         for score in scores
         if score.testable and score.gain - score.chance > max(min_score, min_gain / steepness(score.cause))
-    ][:max_candidates]
-    report("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in chosen) or "nothing"))
+    ][: search.max_candidates]
+    search.report("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in chosen) or "nothing"))
     names = ", ".join(score.cause for score in chosen)
     with criterion.budget.question(f"the fit of {len(chosen)} candidates ({names})"):
         parts = floor.lacking(part_logliks(criterion, current.theta)[0], len(criterion.evidence.statics))

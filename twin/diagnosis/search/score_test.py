@@ -23,11 +23,14 @@ from twin.diagnosis.search.probes import probes_of
 from twin.estimation.innovations import information
 from twin.estimation.optimiser import inverse
 from twin.estimation.pace import Reuse
+from twin.estimation.record import FloatArray
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
+
+_Probe = tuple[Cause, float, tuple[tuple[str, float], ...]]  # a cause, its strength, values of its other parameters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,25 +78,8 @@ def screen(
         for probe in probes_of(cause, criterion.evidence.series)
         for shape in shapes_of(cause)
     ]
-    run = criterion.run(theta)
-    base, free_change = criterion.derivatives(theta, free, run, rough=True)
-    k, count = len(free), len(free) + len(trials)
-    change = np.empty((count, *base.shape))
-    change[:k] = free_change
-    models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
-    # The slopes of a ball that may stick are not those of one that cannot.
-    # Slopes of the model without a cause serve for its probe: the probe is small, and a run with known slopes is cheap.
-    reuse = [Reuse.NONE if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
-    outs = criterion.outputs_reusing(models, run, reuse)
-    for index, out in enumerate(outs, k):
-        np.subtract(out, base, out=change[index])
-    del outs
-    fisher, each = np.zeros((count, count)), np.empty((len(base), count))
-    information(base, change, each, fisher)
-    steps = [derivative_step(theta, name, criterion.plant) for name in free]
-    free_models = [moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True)]
-    score, curvature = criterion.outside_slopes(theta, [*free_models, *models], [*steps, *(1.0 for _ in trials)])
-    score, fisher = each.sum(axis=0) + score, fisher + curvature
+    score, fisher = _sums(criterion, theta, free, trials)
+    k = len(free)
     # Schur complement: the information on a candidate that the free parameters of the model cannot take up.
     inner = inverse(fisher[:k, :k])
     best: dict[str, Score] = {}
@@ -124,6 +110,29 @@ def screen(
         if cause.name not in best or entry.gain > best[cause.name].gain:
             best[cause.name] = entry
     return sorted(best.values(), key=lambda entry: -entry.gain)
+
+
+def _sums(
+    criterion: Criterion, theta: Theta, free: Sequence[str], trials: Sequence[_Probe]
+) -> tuple[FloatArray, FloatArray]:
+    """The score, shape (k,), and the Fisher information, shape (k, k), of the free parameters and the probes."""
+    run = criterion.run(theta)
+    base, free_change = criterion.derivatives(theta, free, run, rough=True)
+    k, count = len(free), len(free) + len(trials)
+    change = np.empty((count, *base.shape))
+    change[:k] = free_change
+    models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
+    # The slopes of a ball that may stick are not those of one that cannot.
+    # Slopes of the model without a cause serve for its probe: the probe is small, and a run with known slopes is cheap.
+    reuse = [Reuse.NONE if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
+    for index, out in enumerate(criterion.outputs_reusing(models, run, reuse), k):
+        np.subtract(out, base, out=change[index])
+    fisher, each = np.zeros((count, count)), np.empty((len(base), count))
+    information(base, change, each, fisher)
+    steps = [derivative_step(theta, name, criterion.plant) for name in free]
+    free_models = [moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True)]
+    score, curvature = criterion.outside_slopes(theta, [*free_models, *models], [*steps, *(1.0 for _ in trials)])
+    return each.sum(axis=0) + score, fisher + curvature
 
 
 def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:

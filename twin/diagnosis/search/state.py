@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.forward_step import Round
+from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
-from twin.inference.noise_floor import Floor
 from twin.inference.theta import reinitialised
 from twin.settings import diagnosis as settings
 
@@ -46,18 +46,16 @@ class Selection:
         return replace(self, causes=causes, gains=gains, fit=fit)
 
 
-def material(criterion: Criterion, selection: Selection, floor: Floor) -> bool:
+def material(search: Search, fit: Fit) -> bool:
     """Tell whether the model leaves more than noise."""
-    return floor.under(criterion, selection.fit.theta).material(selection.fit.loglik)
+    return search.floor.under(search.criterion, fit.theta).material(fit.loglik)
 
 
-def superfluous(criterion: Criterion, selection: Selection, floor: Floor, smaller: Fit) -> bool:
+def superfluous(search: Search, selection: Selection, smaller: Fit) -> bool:
     """Tell whether `smaller`, the model without one cause, does as well by the criteria of a forward step."""
     loss = selection.fit.loglik - smaller.loglik
     minor_effect = loss < settings.MINOR_SHARE_AT_NOISE * (selection.fit.loglik - selection.base.loglik)
-    return loss < settings.MIN_GAIN or (
-        minor_effect and not floor.under(criterion, smaller.theta).material(smaller.loglik)
-    )
+    return loss < settings.MIN_GAIN or (minor_effect and not material(search, smaller))
 
 
 def fit_without(criterion: Criterion, selection: Selection, cause: str, passes: int = settings.PASSES) -> Fit:

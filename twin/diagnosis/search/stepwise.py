@@ -20,51 +20,28 @@ from functools import partial
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import deserves_full_fit, refine, within_range
 from twin.diagnosis.search.equivalence import find_classes
-from twin.diagnosis.search.forward_step import Reporter, Round, decide, forward
+from twin.diagnosis.search.forward_step import Round, decide, forward
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
+from twin.diagnosis.search.task import Search
 from twin.inference.budget import Spent
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
-from twin.inference.noise_floor import Floor
 from twin.inference.theta import reinitialised
-from twin.model.causes.catalogue import CATALOGUE
-from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
 
 
-def select(
-    criterion: Criterion,
-    base: Fit,
-    floor: Floor,
-    *,
-    candidates: Sequence[Cause] = CATALOGUE,
-    max_candidates: int = settings.CANDIDATES,
-    quick: bool = False,
-    share: float = settings.MIN_SHARE,
-    classes: bool = True,
-    report: Reporter = lambda line: None,
-) -> Selection:
+def select(search: Search, base: Fit, *, classes: bool = True) -> Selection:
     """Select causes: forward steps, backward steps, equivalence classes.
 
     Args:
-        criterion: of the recordings for fitting.
+        search: the data and the candidates.
         base: the model without causes, at its best.
-        floor: what sensor noise alone leaves, under any model.
-        candidates: the causes to try.
-        max_candidates: number of candidates that are fitted in a round, at most.
-        quick: skip combinations of causes that explain too little alone, and most of the class search where several
-            causes were found.
-        share: smallest part of the unexplained rest that a cause must explain; below MIN_SHARE more causes are
-            selected, too.
         classes: whether to find the equivalence classes; otherwise `find_classes` can do so later.
-        report: receives lines of progress.
     """
     selection = Selection(base=base, fit=base)
-    unanswered = criterion.budget.unanswered
+    unanswered = search.criterion.budget.unanswered
     try:
-        for step_result in _search(
-            criterion, selection, floor, candidates, max_candidates, quick, share, classes, report
-        ):
+        for step_result in _steps(search, selection, classes):
             selection = step_result
     except Spent:
         rest = [cause for cause in selection.causes if cause not in selection.classes]
@@ -77,86 +54,54 @@ def _confounder_question(causes: Sequence[str]) -> str:
     return f"whether other causes explain as much as {' or '.join(causes)}"
 
 
-def _search(
-    criterion: Criterion,
-    selection: Selection,
-    floor: Floor,
-    candidates: Sequence[Cause],
-    max_candidates: int,
-    quick: bool,
-    share: float,
-    classes: bool,
-    report: Reporter,
-) -> Iterator[Selection]:
+def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Selection]:
     """Yield the selection after each step."""
-    max_causes = settings.MAX_CAUSES if share >= settings.MIN_SHARE else len(candidates)
-    thorough = share == settings.MIN_SHARE and not quick
+    max_causes = settings.MAX_CAUSES if search.min_share >= settings.MIN_SHARE else len(search.candidates)
     # Forward and backward steps alone are greedy: a false first name stays if the later ones lean on it.  The class
     # search may replace it, and then the forward steps are worth another try.  The number of round trips is limited,
     # as two causes of one class could replace each other for ever.
-    for _ in range(settings.ROUND_TRIPS if thorough and classes else 1):
-        passes = settings.PASSES_QUICK if quick else settings.PASSES
+    for _ in range(settings.ROUND_TRIPS if search.thorough and classes else 1):
         while len(selection.causes) < max_causes:
-            for step_result in _add(criterion, selection, floor, candidates, max_candidates, share, report, passes):
+            for step_result in _add(search, selection):
                 yield (selection := step_result)
             if not selection.rounds[-1].selected:
                 break
         # `_together` continues from a refused step; with MAX_CAUSES there is none.
-        if thorough and len(selection.causes) < max_causes and material(criterion, selection, floor):
-            yield (selection := _together(criterion, selection, floor, candidates, max_candidates, report))
+        if search.thorough and len(selection.causes) < max_causes and material(search, selection.fit):
+            yield (selection := _together(search, selection))
         if not classes:
             break
         before = set(selection.causes)
-        yield (selection := _refine_phases(criterion, selection, thorough))
-        with criterion.budget.question(_confounder_question(selection.causes)):
-            # Without the floor the class search trusts the selected causes, and fits only similar candidates.
-            doubt = floor if thorough else None
-            selection = find_classes(
-                criterion,
-                selection,
-                doubt,
-                candidates=candidates,
-                max_candidates=max_candidates,
-                quick=quick,
-                report=report,
-            )
+        yield (selection := _refine_phases(search, selection))
+        with search.criterion.budget.question(_confounder_question(selection.causes)):
+            selection = find_classes(search, selection)
         yield selection
-        yield (selection := _refine_phases(criterion, selection, thorough))
+        yield (selection := _refine_phases(search, selection))
         # A cause that was refused next to a false name may be needed next to the right one.
-        if set(selection.causes) == before or not material(criterion, selection, floor):
+        if set(selection.causes) == before or not material(search, selection.fit):
             break
 
 
-def _refine_phases(criterion: Criterion, selection: Selection, thorough: bool) -> Selection:
+def _refine_phases(search: Search, selection: Selection) -> Selection:
     """Fit the phases of a periodic force together with all other causes."""
-    if not thorough or periodic.CAUSE.name not in selection.causes:
+    if not search.thorough or periodic.CAUSE.name not in selection.causes:
         return selection
-    with criterion.budget.question("which phases the periodic force has together with the other causes"):
-        return replace(selection, fit=periodic.refine_phases(criterion, selection.fit, settings.PASSES))
+    with search.criterion.budget.question("which phases the periodic force has together with the other causes"):
+        return replace(selection, fit=periodic.refine_phases(search.criterion, selection.fit, settings.PASSES))
 
 
-def _add(
-    criterion: Criterion,
-    selection: Selection,
-    floor: Floor,
-    candidates: Sequence[Cause],
-    max_candidates: int,
-    min_share: float,
-    report: Reporter,
-    passes: int = settings.PASSES,
-) -> Iterator[Selection]:
+def _add(search: Search, selection: Selection) -> Iterator[Selection]:
     """Make a forward step, then remove causes that are no longer needed; yields the selection after each part."""
-    step = forward(criterion, selection.base, selection.fit, floor, candidates, max_candidates, min_share, report)
-    yield from _apply_step(criterion, selection, floor, step, report, passes)
+    yield from _apply_step(search, selection, forward(search, selection.base, selection.fit))
 
 
-def _apply_step(
-    criterion: Criterion, selection: Selection, floor: Floor, step: Round, report: Reporter, passes: int
-) -> Iterator[Selection]:
+def _apply_step(search: Search, selection: Selection, step: Round) -> Iterator[Selection]:
     """Apply the result of a forward step; yields the selection after each part, unchanged if it selected nothing."""
+    criterion = search.criterion
     selection = replace(selection, rounds=(*selection.rounds, step))
     if not step.selected:
-        report("none selected" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
+        refused = f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""
+        search.report(f"none selected{refused}")
         yield selection
         return
     first = step.trials[0]
@@ -167,10 +112,10 @@ def _apply_step(
         with criterion.budget.question("which phases the periodic force has together with the other causes"):
             selection = replace(selection, fit=periodic.fit_phases(criterion, selection.fit, settings.PASSES))
     yield (selection := selection.with_fits([selection.fit]))
-    report(f"selected: {step.selected} (log-likelihood +{first.gain:.0f})")
+    search.report(f"selected: {step.selected} (log-likelihood +{first.gain:.0f})")
     if len(selection.causes) > 1:
         with criterion.budget.question("whether each cause is needed together with the later ones"):
-            selection = backward(criterion, selection, floor, report, passes)
+            selection = backward(search, selection)
         yield selection
 
 
@@ -186,14 +131,7 @@ def _revived(criterion: Criterion, fit: Fit) -> Fit:
     return again if again.loglik > fit.loglik else fit
 
 
-def _together(
-    criterion: Criterion,
-    selection: Selection,
-    floor: Floor,
-    candidates: Sequence[Cause],
-    max_candidates: int,
-    report: Reporter,
-) -> Selection:
+def _together(search: Search, selection: Selection) -> Selection:
     """Add causes that explain too little alone but leave only noise together; otherwise return `selection`.
 
     Two causes of similar size mask each other: without the second, the first may explain only a tenth.
@@ -201,35 +139,29 @@ def _together(
     refused = selection.rounds[-1]
     if len(selection.causes) >= settings.MAX_TOGETHER:
         return selection
-    excess = floor.under(criterion, selection.fit.theta).excess(selection.fit.loglik)
+    excess = search.floor.under(search.criterion, selection.fit.theta).excess(selection.fit.loglik)
     # All pairs and triples of the catalogue would be thousands of fits.  So only candidates that explain a little alone
     # are starting points.
     if not refused.trials or refused.trials[0].gain < settings.MIN_SHARE_TOGETHER * excess:
         return selection
-    report("it explains too little alone; does it leave only noise together with others?")
-    with criterion.budget.question("whether several causes explain together what none explains alone"):
-        retried = _retry(criterion, selection, floor, refused)
+    search.report("it explains too little alone; does it leave only noise together with others?")
+    with search.criterion.budget.question("whether several causes explain together what none explains alone"):
+        retried = _retry(search, selection, refused)
         # A greedy search from a few first steps, not all combinations; the first set that leaves only noise ends it.
         for first in _firsts(retried):
-            *_, more = _apply_step(
-                criterion, replace(selection, rounds=selection.rounds[:-1]), floor, first, report, settings.PASSES
-            )
-            while (
-                more.rounds[-1].selected
-                and len(more.causes) < settings.MAX_TOGETHER
-                and material(criterion, more, floor)
-            ):
-                min_share = (
-                    settings.MIN_SHARE_TOGETHER
-                    if len(more.causes) < settings.MAX_TOGETHER - 1
-                    else settings.MIN_SHARE_LAST
-                )
-                *_, more = _add(criterion, more, floor, candidates, max_candidates, min_share, report)
+            *_, more = _apply_step(search, replace(selection, rounds=selection.rounds[:-1]), first)
+            while more.rounds[-1].selected and len(more.causes) < settings.MAX_TOGETHER and material(search, more.fit):
+                *_, more = _add(replace(search, min_share=_share_together(more)), more)
             # A set that leaves more than noise is worth less than none: its names could imitate an unknown cause.
-            if not material(criterion, more, floor):
+            if not material(search, more.fit):
                 return more
             selection = replace(selection, smaller=more.smaller)
     return selection
+
+
+def _share_together(selection: Selection) -> float:
+    """Return the share that the next of several causes must explain; the last must explain most of the rest."""
+    return settings.MIN_SHARE_TOGETHER if len(selection.causes) < settings.MAX_TOGETHER - 1 else settings.MIN_SHARE_LAST
 
 
 def _firsts(retried: Round) -> list[Round]:
@@ -246,11 +178,9 @@ def _firsts(retried: Round) -> list[Round]:
     return firsts[: settings.FIRSTS]
 
 
-def _retry(criterion: Criterion, selection: Selection, floor: Floor, refused: Round) -> Round:
+def _retry(search: Search, selection: Selection, refused: Round) -> Round:
     """The refused step with a smaller required share, its candidates fitted to the end."""
-    min_share = (
-        settings.MIN_SHARE_TOGETHER if len(selection.causes) < settings.MAX_TOGETHER - 1 else settings.MIN_SHARE_LAST
-    )
+    criterion = search.criterion
     trials = [
         trial
         if trial.fit.converged or not deserves_full_fit(trial, refused.trials[0])
@@ -258,22 +188,24 @@ def _retry(criterion: Criterion, selection: Selection, floor: Floor, refused: Ro
         for trial in refused.trials
     ]
     trials.sort(key=lambda trial: -trial.gain)
-    under = floor.under(criterion, selection.fit.theta)
-    return decide(criterion, selection.base, selection.fit, under, refused.scores, trials, min_share)
+    under = search.floor.under(criterion, selection.fit.theta)
+    share = _share_together(selection)
+    return decide(criterion, selection.base, selection.fit, under, refused.scores, trials, share)
 
 
-def backward(criterion: Criterion, selection: Selection, floor: Floor, report: Reporter, passes: int) -> Selection:
+def backward(search: Search, selection: Selection) -> Selection:
     """Remove each cause that would no longer be selected together with the later ones."""
-    earlier = selection.causes[:-1]
-    selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection, passes=passes), earlier))
+    earlier, criterion = selection.causes[:-1], search.criterion
+    without = partial(fit_without, criterion, passes=search.passes)
+    selection = selection.with_fits(criterion.each(partial(without, selection), earlier))
     # In the order of selection and one at a time, as in Efroymson's stepwise regression: two causes that replace each
     # other would both go if they were tested against the same model.
     for cause in earlier:
-        smaller = fit_without(criterion, selection, cause, passes)
+        smaller = without(selection, cause)
         selection = selection.with_fits([smaller])
-        if superfluous(criterion, selection, floor, smaller):
+        if superfluous(search, selection, smaller):
             selection = selection.dropping(cause, smaller)
-            report(f"dropped: {cause} (the others explain it)")
+            search.report(f"dropped: {cause} (the others explain it)")
         else:
             selection = replace(selection, gains={**selection.gains, cause: selection.fit.loglik - smaller.loglik})
     return selection

@@ -17,10 +17,11 @@ from tests.harness.diagnose.simulated_rig import (
     criterion_of,
     made,
     narrow,
+    rig_of,
     strong,
 )
 from tests.harness.twin.emulated_campaign import Lab
-from twin.diagnosis.experiments.closed_loop import Converters, converters_of
+from twin.diagnosis.experiments.closed_loop import Converters, Rig, converters_of
 from twin.diagnosis.experiments.designed_law import lift_off_input
 from twin.diagnosis.experiments.schedules import MENU
 from twin.diagnosis.experiments.virtual_recordings import Schedule, input_limit, resimulate, simulate
@@ -95,7 +96,7 @@ def test_a_campaign_repeated_leaves_innovations_of_the_size_of_the_noise_in_ever
     theta = strong("air-gap-offset", 3e-4)
     records = [record for item in MENU if not item.warms for record in made(item, theta)]
 
-    again = resimulate(theta, PLANT, controller(), records, seed=9)
+    again = resimulate(rig_of(theta), records, seed=9)
 
     criterion = criterion_of(again)
     _, white = criterion.white(theta)
@@ -111,10 +112,10 @@ def test_a_campaign_repeated_leaves_innovations_of_the_size_of_the_noise_in_ever
 def test_a_repetition_is_another_noise_on_the_same_commands() -> None:
     records = [*made(ITEMS["wide-steps"], THETA), *made(ITEMS["lift-off"], THETA)]
 
-    once = resimulate(THETA, PLANT, controller(), records, seed=1)
-    same = resimulate(THETA, PLANT, controller(), records, seed=1)
-    other = resimulate(THETA, PLANT, controller(), records, seed=2)
-    longer = resimulate(THETA, PLANT, controller(), [records[0], *records], seed=1)
+    once = resimulate(rig_of(THETA), records, seed=1)
+    same = resimulate(rig_of(THETA), records, seed=1)
+    other = resimulate(rig_of(THETA), records, seed=2)
+    longer = resimulate(rig_of(THETA), [records[0], *records], seed=1)
 
     for a, b, c, was in zip(once, same, other, records, strict=True):
         assert np.array_equal(a.x, b.x)
@@ -135,7 +136,7 @@ def test_what_was_not_recorded_is_not_made_up() -> None:
         x=np.where(np.arange(keep.sum()) % 9 == 0, np.nan, whole.x[keep]), x_ref=whole.x_ref[keep],
     )  # fmt: skip
 
-    (again,) = resimulate(THETA, PLANT, controller(), [partial], seed=4)
+    (again,) = resimulate(rig_of(THETA), [partial], seed=4)
 
     assert np.array_equal(again.t, partial.t)
     assert np.array_equal(np.isnan(again.x), np.isnan(partial.x))
@@ -170,7 +171,9 @@ def test_the_emulated_board_flies_the_ball_along_the_same_path() -> None:
     )
     plant = replace(PLANT, mass_kg=rig.mass_kg, x_max_m=rig.travel_m + rig.coil_plane_above_stop_m)
 
-    first, second = (resimulate(theta, plant, told, [record], seed=seed)[0] for seed in (1, 2))
+    first, second = (
+        resimulate(Rig(theta=theta, plant=plant, controller=told), [record], seed=seed)[0] for seed in (1, 2)
+    )
 
     # Two repetitions differ by twice the variance of the loop's noise; so does either from the board's run.
     of_noise = float(np.std(first.x - second.x))
@@ -181,7 +184,7 @@ def test_the_emulated_board_flies_the_ball_along_the_same_path() -> None:
 def test_a_coil_that_cannot_carry_the_ball_leaves_it_on_the_ground() -> None:
     hold = Schedule(name="hold", kind="closed-loop", command=np.full(500, 2e-3), closed_loop=True)
 
-    (record,) = simulate(strong("core-saturation", 0.2), PLANT, controller(), hold, seed=1, u_max_v=5.0)
+    (record,) = simulate(replace(rig_of(strong("core-saturation", 0.2)), u_max_v=5.0), hold, seed=1)
 
     assert np.isfinite(record.x).all()
     assert abs(float(np.median(record.x[-100:]))) < 2e-5
@@ -192,7 +195,7 @@ def test_without_a_controller_one_is_designed_that_holds_the_ball(cause: str) ->
     theta = THETA if cause == "none" else strong(cause, STRENGTHS[cause])
     hold = Schedule(name="hold", kind="closed-loop", command=np.full(2000, 2e-3), closed_loop=True)
 
-    (record,) = simulate(theta, PLANT, None, hold, seed=1)
+    (record,) = simulate(Rig(theta=theta, plant=PLANT), hold, seed=1)
 
     assert abs(float(np.mean(record.x)) - 2e-3) < 5e-6
     assert float(np.std(record.x)) < 50e-6
@@ -204,7 +207,7 @@ def test_the_ball_lies_where_the_stop_is_and_bounces_off_neither(lag_s: float) -
     lift = lift_off_input(theta, PLANT)
     play = np.concatenate([np.full(300, 0.3 * lift), np.full(300, 1.3 * lift)])
 
-    (record,) = simulate(theta, PLANT, None, Schedule(name="r", kind="free", command=play), seed=1)
+    (record,) = simulate(Rig(theta=theta, plant=PLANT), Schedule(name="r", kind="free", command=play), seed=1)
 
     for part, stop in ((record.x[20:300], -1.5e-5), (record.x[-100:], PLANT.travel_m + 2e-5)):
         assert abs(float(part.mean()) - stop) < 4.0 * theta.sigma_x_m / math.sqrt(len(part))
@@ -215,7 +218,7 @@ def test_noise_keeps_its_size_through_the_converters() -> None:
     coarse = Converters(i_lsb_a=2.5e-3, x_lsb_m=6e-6, u_lsb_v=1e-3)
     still = Schedule(name="rest", kind="free", command=np.full(6000, 1.2))
 
-    (record,) = simulate(THETA, PLANT, None, still, seed=1, converters=coarse)
+    (record,) = simulate(Rig(theta=THETA, plant=PLANT, converters=coarse), still, seed=1)
 
     # Uniform rounding noise is exact while sigma exceeds half a step; sigma of a sigma: 1 / sqrt(2 n) = 0.9 %
     sigma_i, sigma_x = sensor_noise(criterion_of([record]).evidence)
@@ -229,7 +232,7 @@ def test_noise_keeps_its_size_through_the_converters() -> None:
 def test_a_capture_rises_to_its_level_in_its_time() -> None:
     burst = Schedule(name="burst", kind="amplifier-step", command=np.empty(0), bursts=((0.5, 1.5),))
 
-    (record,) = simulate(THETA, PLANT, None, burst, seed=1)
+    (record,) = simulate(Rig(theta=THETA, plant=PLANT), burst, seed=1)
 
     (one,) = record.captures
     error = 4.0 * THETA.sigma_i_c_a
@@ -244,7 +247,7 @@ def test_equilibria_are_repeated_from_the_force_balance() -> None:
     empty = np.full(40, np.nan)
     record = Record(name="e", kind="equilibria", use="fit", t=np.arange(40.0), u_c=empty, i_c=x, x=x, x_ref=empty)
 
-    (again,) = resimulate(THETA, PLANT, None, [record], seed=1)
+    (again,) = resimulate(Rig(theta=THETA, plant=PLANT), [record], seed=1)
 
     expected = np.sqrt(PLANT.mass_kg * PLANT.gravity_m_s2 / THETA.K_c) * (PLANT.x_max_m - x)
     assert np.max(np.abs(again.i_c / expected - 1.0)) < 0.003 * 4.0
@@ -254,7 +257,7 @@ def test_equilibria_are_repeated_from_the_force_balance() -> None:
 def test_lost_samples_are_lost() -> None:
     hold = Schedule(name="hold", kind="closed-loop", command=np.full(5000, 2e-3), closed_loop=True)
 
-    (record,) = simulate(strong("lost-samples", 0.1), PLANT, controller(), hold, seed=1)
+    (record,) = simulate(rig_of(strong("lost-samples", 0.1)), hold, seed=1)
 
     assert abs(len(record.t) - 4500) < 4.0 * math.sqrt(5000 * 0.09)
     assert TICK_S == pytest.approx(float(np.median(np.diff(record.t))))
@@ -264,10 +267,10 @@ def test_an_input_that_stood_at_its_limit_is_limited_there_in_a_repetition() -> 
     jump = np.where(np.arange(1000) < 600, 4.6e-3, 1.2e-3)  # there it takes 2.77 V
     schedule = Schedule(name="jump", kind="closed-loop", command=jump, closed_loop=True)
     hover = Schedule(name="hover", kind="closed-loop", command=jump[:500], closed_loop=True)
-    (limited,) = simulate(THETA, PLANT, controller(), schedule, seed=1, u_max_v=2.72)
-    (free,) = simulate(THETA, PLANT, controller(), hover, seed=1)
+    (limited,) = simulate(replace(rig_of(THETA), u_max_v=2.72), schedule, seed=1)
+    (free,) = simulate(rig_of(THETA), hover, seed=1)
 
-    (again,) = resimulate(THETA, PLANT, controller(), [limited], seed=2)
+    (again,) = resimulate(rig_of(THETA), [limited], seed=2)
 
     assert input_limit(limited) == limited.u_c.max() < 2.721
     assert again.u_c.max() == pytest.approx(limited.u_c.max(), rel=1e-9)

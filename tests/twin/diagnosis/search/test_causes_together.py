@@ -10,7 +10,7 @@ import pytest
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import fit_of
-from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong, trusting
 from twin.diagnosis.report.sentences import round_sentence
 from twin.diagnosis.search import forward_step as forward
 from twin.diagnosis.search import stepwise as search
@@ -19,6 +19,7 @@ from twin.diagnosis.search.candidate_starts import substitute_start
 from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.score_test import probed
 from twin.diagnosis.search.state import Selection
+from twin.diagnosis.search.task import Search
 from twin.evidence.gather import gather
 from twin.inference.fisher_scoring import climb
 from twin.inference.initial_guess import start_theta, with_noise_bounds
@@ -47,9 +48,10 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
         start = with_noise_bounds(start_theta(records, campaign.plant), criterion.evidence)
         base = climb(criterion, start, (*BASE, *STOPS))
         floor = floor_of(criterion, base.theta)
-        alone = search.select(criterion, base, floor, candidates=TRIED, quick=True, classes=False)
-        one = search.select(criterion, base, floor, candidates=(TRIED[1], TRIED[2]), classes=False)
-        both = search.select(criterion, base, floor, candidates=TRIED, classes=False)
+        task = Search(criterion=criterion, floor=floor, candidates=TRIED)
+        alone = search.select(replace(task, quick=True), base, classes=False)
+        one = search.select(replace(task, candidates=(TRIED[1], TRIED[2])), base, classes=False)
+        both = search.select(task, base, classes=False)
         right = floor.under(criterion, both.fit.theta)
     finally:
         criterion.close()
@@ -91,8 +93,10 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
         fit = climb(criterion, probed(base.theta, BY_NAME["quadratic-drag"], 2.0), free)
         gains = dict(zip(three, (1.0, 2.0, 3.0), strict=True))
         at_first = Selection(base=base, fit=fit, causes=three, gains=gains)
-        unmoved = find_classes(criterion, at_first, candidates=(BY_NAME["motional-emf"],), max_candidates=3)
-        found = find_classes(criterion, at_first, candidates=(*TRIED, BY_NAME["residual-magnetism"]), max_candidates=3)
+        emf, magnetism = BY_NAME["motional-emf"], BY_NAME["residual-magnetism"]
+        task = trusting(criterion, base, emf)
+        unmoved = find_classes(task, at_first)
+        found = find_classes(replace(task, candidates=(*TRIED, magnetism)), at_first)
     finally:
         criterion.close()
 
@@ -129,7 +133,8 @@ def test_what_was_refused_beside_a_confounder_is_asked_again_beside_the_right_ca
     try:
         start = with_noise_bounds(start_theta(records, campaign.plant), criterion.evidence)
         base = climb(criterion, start, (*BASE, *STOPS))
-        found = search.select(criterion, base, floor_of(criterion, base.theta), candidates=tried)
+        task = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=tried)
+        found = search.select(task, base)
     finally:
         criterion.close()
 

@@ -10,7 +10,7 @@ import pytest
 
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
-from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong, trusting
 from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.search import stepwise
@@ -19,6 +19,7 @@ from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection
+from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.noise_floor import floor_of
 from twin.inference.theta import BASE, STOPS, coordinates_of, reinitialised
@@ -47,7 +48,7 @@ def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
         base = fitted(criterion, THETA)
         found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
         before = found.fit.loglik
-        found = find_classes(criterion, found, candidates=(BY_NAME[FORCE],), max_candidates=3)
+        found = find_classes(trusting(criterion, base, BY_NAME[FORCE]), found)
     finally:
         criterion.close()
 
@@ -72,8 +73,9 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
         floor = floor_of(criterion, base.theta)
         doubtful = floor.under(criterion, false.theta).material(false.loglik)
         at_first = selection(base, false, FRICTION, FORCE)
-        spared = find_classes(criterion, at_first, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
-        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
+        spared = find_classes(trusting(criterion, base, BY_NAME[MAGNETISM]), at_first)
+        task = Search(criterion=criterion, floor=floor, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
+        asked = find_classes(task, at_first)
     finally:
         criterion.close()
 

@@ -12,11 +12,11 @@ from twin.diagnosis.search.candidate_fits import fit_candidates as tried
 from twin.diagnosis.search.forward_step import forward
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.stepwise import select
+from twin.diagnosis.search.task import Search
 from twin.estimation.record import Record
 from twin.evidence.dead_time import dead_time
 from twin.inference.noise_floor import floor_of
 from twin.model.causes.catalogue import BY_NAME
-from twin.settings import diagnosis as settings
 
 FAST = replace(THETA, T_A=1.2e-4)
 DELAY_S = 1.73e-3
@@ -50,10 +50,10 @@ def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(late: li
     """The slope of the likelihood without a delay promises a thousandth of what the delay is worth."""
     criterion = criterion_of(late)
     base = fitted(criterion, THETA)
-    floor = floor_of(criterion, base.theta)
+    task = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=DELAYS, max_candidates=3)
     by_slope = {score.cause: score.gain for score in screen(criterion, base.theta, base.free, DELAYS)}
 
-    step = forward(criterion, base, base, floor, DELAYS, 3, settings.MIN_SHARE, lambda line: None)
+    step = forward(task, base, base)
 
     assert base.theta.T_A > 4.0 * FAST.T_A
     assert step.selected == "actuation-delay"
@@ -78,7 +78,7 @@ def test_what_does_the_same_is_fitted_once_and_named_twice(late: list[Record]) -
     assert both[0].gain == both[1].gain == one.gain
     assert both[1].fit.free[-2:] == ("sampling-delay.delay_s", "sampling-delay.in_captures")
     assert criterion.value(both[1].fit.theta) == pytest.approx(both[0].fit.loglik, abs=1e-6)
-    found = select(criterion, base, floor_of(criterion, base.theta), candidates=DELAYS)
+    found = select(Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=DELAYS), base)
     assert found.causes == ("actuation-delay",)
     assert [trial.cause for trial in found.classes["actuation-delay"]] == ["sampling-delay"]
     criterion.close()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
-from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, strong
+from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, strong, trusting
 from twin.diagnosis.search import equivalence as confounders
 from twin.diagnosis.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, Line, find_line, fit_phases, refine_phases
 from twin.diagnosis.search.state import Selection
@@ -132,7 +132,7 @@ def test_a_confounder_has_the_phases_that_belong_to_it(monkeypatch: pytest.Monke
             causes = (CAUSE.name, sensor)
             gained = dict.fromkeys(causes, false.loglik - base.loglik)
             found = Selection(base=base, fit=false, causes=causes, gains=gained)
-            answers[most] = confounders.find_classes(criterion, found, candidates=(BY_NAME[field],), max_candidates=3)
+            answers[most] = confounders.find_classes(trusting(criterion, base, BY_NAME[field]), found)
     finally:
         criterion.close()
 

@@ -10,6 +10,7 @@ from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import probed
 from twin.diagnosis.search.state import Selection
+from twin.diagnosis.search.task import Search
 from twin.inference.noise_floor import floor_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.settings import diagnosis as settings
@@ -28,9 +29,14 @@ def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: flo
         gains = {FIRST: 1e3, LATER: 1e3}
         at_first = Selection(base=base, fit=both, causes=(FIRST, LATER), gains=gains, rounds=(last,))
 
-        floor = floor_of(criterion, rig)
-        found = select.backward(criterion, at_first, floor, lambda line: None, settings.PASSES)
-        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME["quadratic-drag"],), max_candidates=3)
+        task = Search(
+            criterion=criterion,
+            floor=floor_of(criterion, rig),
+            candidates=(BY_NAME["quadratic-drag"],),
+            max_candidates=3,
+        )
+        found = select.backward(task, at_first)
+        asked = find_classes(task, at_first)
     finally:
         criterion.close()
 
