@@ -13,7 +13,7 @@ from twin.estimation import optimiser
 from twin.estimation.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
-from twin.inference.likelihood import Criterion
+from twin.inference.likelihood import Criterion, mean_square
 from twin.inference.theta import Theta, max_step, moved, prior_spread
 from twin.settings import diagnosis as settings
 
@@ -144,7 +144,7 @@ class _Surface:
 
     def visit(self, point: Theta) -> tuple[float, Results]:
         run = self._criterion.run(point)
-        return self._criterion.loglik(run.innovations) + self._criterion.outside(point), run
+        return self._criterion.loglik(run.innovations) + self._criterion.outside.loglik(point), run
 
     def slopes(
         self, point: Theta, results: Results, free: Sequence[str], before: Slopes | None, decrement: float
@@ -154,7 +154,7 @@ class _Surface:
             return self._of(point, results, free, before.retained, exact=before.exact, fresh=False)
         # The mean square of the whitened innovations shows how wrong the model still is.  Rough slopes of a very wrong
         # model may point the wrong way, and cheap slopes do not pay for steps that are rejected.
-        rough = self._criterion.mean_square(results.innovations) < settings.EXACT_SLOPES_SQUARE
+        rough = mean_square(results.innovations) < settings.EXACT_SLOPES_SQUARE
         _, change = self._criterion.derivatives(point, free, results, rough=rough)
         return self._of(point, results, free, change, exact=self._approximate or not rough)
 

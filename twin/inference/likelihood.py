@@ -28,9 +28,9 @@ from twin.estimation.record import FloatArray
 from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
 from twin.evidence.dead_time import dead_time
 from twin.evidence.gather import Evidence
-from twin.evidence.starting.liftoff import LiftOff
 from twin.evidence.thinned import thinned
 from twin.inference.budget import Budget, Spent
+from twin.inference.outside import Outside
 from twin.inference.theta import (
     COLOURS,
     NOISES,
@@ -39,10 +39,9 @@ from twin.inference.theta import (
     Theta,
     derivative_step,
     moved,
-    shape_residuals,
 )
 from twin.model.causes.catalogue import with_trait
-from twin.model.extended import magnetic_force, position_reading
+from twin.model.extended import position_reading
 from twin.settings import diagnosis as settings
 
 T = TypeVar("T")
@@ -213,20 +212,12 @@ class Criterion:
         return self._value(theta)
 
     def _value(self, theta: Theta) -> float:
-        return self.loglik(self._outputs(theta)) + self.outside(theta)
+        return self.loglik(self._outputs(theta)) + self.outside.loglik(theta)
 
     @staticmethod
     def loglik(out: FloatArray) -> float:
         """Return the log-likelihood of innovations, shape (n, 5)."""
         return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
-
-    @staticmethod
-    def mean_square(out: FloatArray) -> float:
-        """Return the mean square of the whitened innovations: 1 if the filter's size is right, inf without any."""
-        white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
-        whiten(out, np.empty(len(out)), white)
-        known = white[np.isfinite(white)]
-        return float(np.mean(known**2)) if len(known) else math.inf
 
     def values(self, thetas: Sequence[Theta]) -> list[float]:
         """Return `value` of each point, -inf if it is not finite."""
@@ -240,40 +231,10 @@ class Criterion:
         whiten(out, loglik, white)
         return loglik, white
 
-    def outside(self, theta: Theta) -> float:
-        """Return the log-likelihood outside the series: priors of stops and shapes, lift-off points, equilibria."""
-        residuals = self._residuals(theta)
-        return -0.5 * float(residuals @ residuals)
-
-    def outside_slopes(
-        self, theta: Theta, models: Sequence[Theta], steps: Sequence[float]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return (score, Fisher information) of `outside`, from models a step away from `theta`."""
-        residuals = self._residuals(theta)
-        change = np.array(
-            [(self._residuals(other) - residuals) / step for other, step in zip(models, steps, strict=True)]
-        )
-        return -change @ residuals, change @ change.T
-
-    def _residuals(self, theta: Theta) -> FloatArray:
-        """Return the residuals of stops, static points and shapes of causes, in standard errors."""
-        stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
-        return math.sqrt(self.share) * np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
-
-    def points(self, theta: Theta) -> float:
-        """Return the log-likelihood of the lift-off points and equilibria."""
-        return -0.5 * float(np.sum(self._statics(theta) ** 2))
-
-    def _statics(self, theta: Theta) -> FloatArray:
-        return np.array([self._static(theta, point) for point in self.evidence.statics])
-
-    def _static(self, theta: Theta, point: LiftOff) -> float:
-        p, c = theta.base(self.plant), theta.vector()
-        x = self.plant.x_max_m - point.gap_m
-        sigma = max(0.5 * point.relative_error, 0.003)
-        force = magnetic_force(p, c, point.i_c_a, x)
-        weight = self.plant.mass_kg * self.plant.gravity_m_s2
-        return 0.5 * math.log(max(force, 1e-12) / weight) / sigma
+    @property
+    def outside(self) -> Outside:
+        """The evidence outside the series."""
+        return Outside(statics=self.evidence.statics, plant=self.plant, share=self.share)
 
     def derivatives(
         self, theta: Theta, names: Sequence[str], at: Results | None = None, *, rough: bool = False
@@ -332,12 +293,20 @@ class Criterion:
         """Compute `gradient` from outputs and derivatives; a nearby point's suffice for the last steps of a climb."""
         n, count = len(base), len(names)
         fisher, each = np.zeros((count, count)), np.empty((n, count))
-        total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside(theta)
+        total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside.loglik(theta)
         information(base, change, each, fisher)
         steps = [derivative_step(theta, name, self.plant) for name in names]
         models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
-        score, curvature = self.outside_slopes(theta, models, steps)
+        score, curvature = self.outside.slopes(theta, models, steps)
         return total, each.sum(axis=0) + score, fisher + curvature
+
+
+def mean_square(out: FloatArray) -> float:
+    """Return the mean square of the whitened innovations: 1 if the filter's size is right, inf without any."""
+    white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
+    whiten(out, np.empty(len(out)), white)
+    known = white[np.isfinite(white)]
+    return float(np.mean(known**2)) if len(known) else math.inf
 
 
 def _halves(series: Series) -> list[slice]:

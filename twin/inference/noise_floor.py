@@ -118,7 +118,7 @@ def part_logliks(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
     return [
         np.append(
             -0.5 * (np.nansum(_log_variances(out), axis=0) + np.nansum(whitened(out) ** 2, axis=0)),
-            criterion.points(theta),
+            criterion.outside.points(theta),
         )
         for theta, out in zip(thetas, criterion.several(thetas), strict=True)
     ]

@@ -26,17 +26,15 @@ import numpy as np
 
 from protocol.bus import board51_pb2 as pb
 from twin.compiled import Packed
-from twin.control import integral_behind
 from twin.mirror.loop import advance
 from twin.mirror.monitor.divergence import Comparison
-from twin.mirror.observer import observer_of
 from twin.mirror.output import IN_STEP as IN_STEP
 from twin.mirror.output import OUT_OF_STEP as OUT_OF_STEP
 from twin.mirror.output import SETTLING as SETTLING
 from twin.mirror.output import Output
 from twin.mirror.regime import KnownParameters, Regime
-from twin.mirror.sample import Sample, read
-from twin.mirror.step import Twin, step
+from twin.mirror.sample import Sample, interruption, read
+from twin.mirror.step import step
 from twin.model.extended import WARMTH
 from twin.model.parameters import Model
 from twin.model.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
@@ -154,10 +152,7 @@ class Mirror:
             self._packed = self._hold(regime)
         self._stop()
         self.counters["models"] += 1
-        if self._last is not None:
-            for alarm in alarms:
-                alarm.tick, alarm.session = self._last.tick, self._last.session
-        return alarms
+        return self._stamped(alarms)
 
     def silence(self, text: str) -> list[pb.Alarm]:
         """Report that no samples arrive, as seen by the caller's clock; this affects alarms only."""
@@ -166,6 +161,9 @@ class Mirror:
         if not self._alarm_active:
             self._alarm_active = True
             alarms.append(pb.Alarm(name=OUT_OF_STEP, active=True, value=self._losses(), text=text))
+        return self._stamped(alarms)
+
+    def _stamped(self, alarms: list[pb.Alarm]) -> list[pb.Alarm]:
         if self._last is not None:
             for alarm in alarms:
                 alarm.tick, alarm.session = self._last.tick, self._last.session
@@ -179,7 +177,7 @@ class Mirror:
         """Handle a sample that does not continue the flight; returns (why the twin loses step or '', ticks bridged)."""
         bridged = 0
         if not loss and last is not None:
-            loss = self._interruption(now, last)
+            loss = interruption(now, last, self.settings.bridge_ticks_max)
         if last is not None and (now.session != last.session or now.t_s - last.t_s > SILENT_S):
             alarms += self.comparison.drop_alarms("")
         elif last is not None and last.mode != now.mode:
@@ -227,32 +225,9 @@ class Mirror:
 
     def _hold(self, regime: Regime) -> Packed:
         """Clear all windows and pack what stays constant during the regime."""
-        observer = observer_of(regime.plant, self.model.noise, i_lsb_a=regime.i_lsb_a, x_lsb_m=regime.x_lsb_m)
-        windows = self.comparison
-        windows.start(regime.window, regime.hold)
+        self.comparison.start(regime.window, regime.hold)
         self._twin = np.full(places(regime.plant), math.nan)
-        return tuple(
-            Twin(
-                plant=regime.packed_plant,
-                law=regime.packed_law,
-                observer=tuple(observer),
-                windows=tuple(windows.windows),
-                free=self._twin,
-            )
-        )
-
-    def _interruption(self, now: Sample, last: Sample) -> str:
-        if now.session != last.session:
-            return "board-reset"
-        missing = now.tick - last.tick - 1
-        if missing < 0:
-            return "time-backwards"
-        held = now.drive == (last.x_ref if now.closed_loop else last.u)
-        if missing > self.settings.bridge_ticks_max or (missing > 0 and not (held and now.mode == last.mode)):
-            return "lost-samples"
-        if math.isnan(now.drive):
-            return "missing-channel"
-        return ""
+        return regime.packed(self.comparison.windows, self._twin)
 
     # ---- in step or not
 
@@ -290,18 +265,10 @@ class Mirror:
             return
         if math.isnan(now.drive):
             return
-        v, s, x_prev = 0.0, 0.0, math.nan
-        if before is not None and math.isfinite(before.x):
-            v = (now.x - before.x) / regime.sample_time_s
-        if now.closed_loop and before is not None and not before.closed_loop:
-            v = 0.0  # as the board does: it enters closed loop with speed 0 and an empty integrator
-        elif now.closed_loop:
-            if before is None or not math.isfinite(before.x + now.u):
-                return
-            recovered = integral_behind(regime.law, i=now.i, x=now.x, x_prev=before.x, x_ref=now.x_ref, u=now.u)
-            if recovered is None:
-                return
-            s, x_prev = recovered, before.x
+        memory = regime.memory_at(now, before)
+        if memory is None:
+            return
+        v, s, x_prev = memory
         u = before.u if before is not None and math.isfinite(before.u) else now.u
         warmth = float(self._twin[WARMTH])  # a coil stays as warm as it was; one that nobody saw is warm from this i_c
         self._twin[:] = rig_at(

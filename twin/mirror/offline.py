@@ -9,6 +9,7 @@ Rule: the given model is used from end to end.  The models that a live twin used
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,6 +50,17 @@ class BoardRun:
         if not self.models_logged or self.models_logged[-1] != message:
             self.models_logged.append(message)
 
+    def add(self, state: pb.State) -> Output | None:
+        """Take a sample; None if it repeats the previous tick."""
+        self.samples += 1
+        self.last_t_s = state.t_s
+        if self.samples == 1:
+            self.first_t_s = state.t_s
+        output = self.mirror.handle(state)
+        if output is not None:
+            self.alarms += output.alarms
+        return output
+
     def summary(self) -> dict[str, Any]:
         """Return the figures for a person and for --json; a figure that does not exist is None."""
 
@@ -71,29 +83,14 @@ class BoardRun:
             "in_step": counters["samples_in-step"],
             "settling": counters["samples_settling"],
             "out_of_step": counters["samples_out-of-step"],
-            "why_out_of_step": {
-                name.removeprefix("out_of_step:"): count
-                for name, count in sorted(counters.items())
-                if name.startswith("out_of_step:")
-            },
+            "why_out_of_step": _counts(counters, "out_of_step:"),
             "starts": counters["starts"],
             "bridged_ticks": counters["bridged_ticks"],
             "duplicates": counters["duplicates"],
-            "missing": {
-                name.removeprefix("missing_"): count
-                for name, count in sorted(counters.items())
-                if name.startswith("missing_")
-            },
+            "missing": _counts(counters, "missing_"),
             "parameters_seen": self.parameters_count,
             "models_logged": [
-                {
-                    "name": model.name,
-                    "sha256": model.sha256,
-                    "session": model.session,
-                    "since_tick": model.since_tick,
-                    "who": model.who,
-                }
-                for model in self.models_logged
+                _fields(model, "name", "sha256", "session", "since_tick", "who") for model in self.models_logged
             ],
             "rmse": {name: root(squares, count) for name, (count, _, squares, _) in errors.items()},
             "bias": {name: ratio(total, count) for name, (count, total, _, _) in errors.items()},
@@ -104,15 +101,7 @@ class BoardRun:
             },
             "nis_mean": ratio(nis, innovations),
             "alarms": [
-                {
-                    "tick": alarm.tick,
-                    "name": alarm.name,
-                    "active": alarm.active,
-                    "value": alarm.value,
-                    "threshold_on": alarm.threshold_on,
-                    "text": alarm.text,
-                }
-                for alarm in self.alarms
+                _fields(alarm, "tick", "name", "active", "value", "threshold_on", "text") for alarm in self.alarms
             ],
         }
 
@@ -144,10 +133,6 @@ def run_log(
     belief = believe(model)
     log = TwinLog(out) if out else None
 
-    def keep(entry: RawLogRecord, topic: str, data: bytes | Message, kind: type[Message]) -> None:
-        if log:
-            log.write(key(entry.site, entry.board, topic), data, message_type=kind, log_time_ns=entry.time_ns)
-
     try:
         for entry in entries(reader, topics=("state", "parameters", "twin/model"), board=board):
             run = runs.get((entry.site, entry.board))
@@ -156,53 +141,50 @@ def run_log(
                 runs[entry.site, entry.board] = run
             if entry.topic == "twin/model":
                 run.add_model(parse(pb.TwinModel, entry, path))
-                continue
-            if entry.topic == "parameters":
+            elif entry.topic == "parameters":
                 run.parameters_count += 1
                 run.mirror.parameters(parse(pb.Parameters, entry, path))
-                keep(entry, entry.topic, entry.data, pb.Parameters)
-                continue
-            state = parse(pb.State, entry, path)
-            run.samples += 1
-            run.last_t_s = state.t_s
-            if run.samples == 1:
-                run.first_t_s = state.t_s
-                keep(entry, "twin/model", belief.message(session=state.session, since_tick=state.tick), pb.TwinModel)
-            output = run.mirror.handle(state)
-            keep(entry, "state", entry.data, pb.State)
-            if output is None:
-                continue
-            run.alarms += output.alarms
-            if on_output:
-                on_output(run, state, output)
-            if log:
-                _write(log, run, output, entry.time_ns)
+                _write(log, entry, entry.topic, entry.data, pb.Parameters)
+            else:
+                state = parse(pb.State, entry, path)
+                if not run.samples:
+                    used = belief.message(session=state.session, since_tick=state.tick)
+                    _write(log, entry, "twin/model", used, pb.TwinModel)
+                output = run.add(state)
+                _write(log, entry, "state", entry.data, pb.State)
+                if output is not None and on_output:
+                    on_output(run, state, output)
+                if output is not None and log:
+                    _write_output(log, entry, output)
     finally:
         if log:
             log.__exit__(None, None, None)
     analysed = [run for run in runs.values() if run.samples]
     if not analysed:
-        boards = ", ".join(sorted(reader.boards)) or "none"
         raise DataError(
             f"{path}: no samples" + (f" of board {board!r}" if board else ""),
-            remedy=f"Boards in this log: {boards}",
+            remedy=f"Boards in this log: {', '.join(sorted(reader.boards)) or 'none'}",
         )
     return analysed, reader.finished
 
 
-def _write(log: TwinLog, run: BoardRun, output: Output, log_time_ns: int) -> None:
+def _write(log: TwinLog | None, entry: RawLogRecord, topic: str, data: bytes | Message, kind: type[Message]) -> None:
+    if log:
+        log.write(key(entry.site, entry.board, topic), data, message_type=kind, log_time_ns=entry.time_ns)
+
+
+def _write_output(log: TwinLog, entry: RawLogRecord, output: Output) -> None:
     if output.state is not None:
-        log.write(
-            key(run.site, run.board, "twin/state"),
-            output.state,
-            message_type=pb.TwinState,
-            log_time_ns=log_time_ns,
-        )
-    log.write(
-        key(run.site, run.board, "twin/divergence"),
-        output.divergence,
-        message_type=pb.Divergence,
-        log_time_ns=log_time_ns,
-    )
+        _write(log, entry, "twin/state", output.state, pb.TwinState)
+    _write(log, entry, "twin/divergence", output.divergence, pb.Divergence)
     for alarm in output.alarms:
-        log.write(key(run.site, run.board, "twin/alarm"), alarm, message_type=pb.Alarm, log_time_ns=log_time_ns)
+        _write(log, entry, "twin/alarm", alarm, pb.Alarm)
+
+
+def _counts(counters: Counter[str], prefix: str) -> dict[str, int]:
+    """Return the counts of one kind, by what follows the prefix of their names."""
+    return {name.removeprefix(prefix): n for name, n in sorted(counters.items()) if name.startswith(prefix)}
+
+
+def _fields(message: Message, *names: str) -> dict[str, Any]:
+    return {name: getattr(message, name) for name in names}

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from protocol.bus import board51_pb2 as pb
 from twin.compiled import Packed
-from twin.control import LawNumbers, law_numbers
+from twin.control import LawNumbers, integral_behind, law_numbers
 from twin.mirror.monitor.alarms import probability_per_window, white_threshold
+from twin.mirror.monitor.divergence import Windows
 from twin.mirror.monitor.expected import Expectation, ExpectedError
+from twin.mirror.observer import observer_of
+from twin.mirror.sample import Sample
+from twin.mirror.step import Twin
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
 from twin.settings.mirror import (
@@ -113,6 +120,7 @@ class Regime:
         # As the kernels take them; where there is no law there is no free twin, and nobody looks at the zeros.
         self.packed_plant: Packed = tuple(self.plant)
         self.packed_law: Packed = tuple(self.law) if self.law else (0.0,) * len(LawNumbers._fields)
+        self._observer = observer_of(self.plant, model.noise, i_lsb_a=self.i_lsb_a, x_lsb_m=self.x_lsb_m)
         self.sensors_yardstick = self._pack(self.sensors)
         self._yardstick = (math.nan, self.sensors_yardstick)
 
@@ -130,6 +138,18 @@ class Regime:
             self._yardstick = (x_ref, self._pack(self.expectation(x_ref)))
         return self._yardstick[1]
 
+    def packed(self, windows: Windows, free: NDArray[np.float64]) -> Packed:
+        """Pack what stays constant during the regime for `step`; `free` is the memory of the free twin."""
+        return tuple(
+            Twin(
+                plant=self.packed_plant,
+                law=self.packed_law,
+                observer=tuple(self._observer),
+                windows=tuple(windows),
+                free=free,
+            )
+        )
+
     def _pack(self, expected: Expectation) -> Packed:
         return (*expected.std, *expected.on, *expected.off, self.nis_on, self.nis_off)
 
@@ -140,3 +160,20 @@ class Regime:
             ticks = self._expected.settle_ticks(x_ref, share=SETTLING_SHARE) if self._expected else None
             seconds = 1.0 if ticks is None else ticks * self.sample_time_s
         return round(min(max(seconds, SETTLE_MIN_S), SETTLE_MAX_S) / self.sample_time_s)
+
+    def memory_at(self, now: Sample, before: Sample | None) -> tuple[float, float, float] | None:
+        """Return (speed, integral, previous x) of the rig and its law at a sample; None if they are not determined.
+
+        `before` is the sample one tick earlier, if there is one.  The previous x is NaN if the law starts anew.
+        """
+        v = 0.0
+        if before is not None and math.isfinite(before.x):
+            v = (now.x - before.x) / self.sample_time_s
+        if not now.closed_loop:
+            return v, 0.0, math.nan
+        if before is not None and not before.closed_loop:
+            return 0.0, 0.0, math.nan  # as the board does: it enters closed loop with speed 0 and an empty integrator
+        if self.law is None or before is None or not math.isfinite(before.x + now.u):
+            return None
+        s = integral_behind(self.law, i=now.i, x=now.x, x_prev=before.x, x_ref=now.x_ref, u=now.u)
+        return None if s is None else (v, s, before.x)

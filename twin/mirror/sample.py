@@ -61,6 +61,21 @@ def read(state: pb.State, counters: Counter[str]) -> Sample:
     )
 
 
+def interruption(now: Sample, last: Sample, bridge_ticks_max: int) -> str:
+    """Return why a sample does not continue the flight of the last one; empty if it does."""
+    if now.session != last.session:
+        return "board-reset"
+    missing = now.tick - last.tick - 1
+    if missing < 0:
+        return "time-backwards"
+    held = now.drive == (last.x_ref if now.closed_loop else last.u)
+    if missing > bridge_ticks_max or (missing > 0 and not (held and now.mode == last.mode)):
+        return "lost-samples"
+    if math.isnan(now.drive):
+        return "missing-channel"
+    return ""
+
+
 def _finite(name: str, value: float, counters: Counter[str]) -> float:
     if math.isfinite(value):
         return value

@@ -220,43 +220,55 @@ def _switched_within(capture: pb.CaptureRecord, T_s: float) -> list[int]:
     return [capture.tick + math.floor(ticks) for ticks in after if abs(ticks - round(ticks)) > _ON_A_TICK]
 
 
+class _Rows:
+    """The samples of a log as rows of t, u_c, i_c, x and x_ref."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[float, float, float, float, float]] = []
+        self.ticks: list[tuple[int, int]] = []  # (session, tick) of each row
+        self.lost = 0
+        self._session: int | None = None
+        self._offset_s = 0.0
+
+    def add(self, state: pb.State) -> None:
+        """Add a sample.
+
+        A new session restarts the clock: it is placed 10 s later, with a row without readings that ends a piece.
+        """
+        nan = math.nan
+        if self._session is not None and state.session != self._session:
+            self._offset_s = self.rows[-1][0] + 10.0 - state.t_s
+            self.rows.append((self.rows[-1][0] + 5.0, nan, nan, nan, nan))
+            self.ticks.append((-1, 0))
+        self._session = state.session
+        self.ticks.append((state.session, state.tick))
+        self.lost += state.lost_before
+        self.rows.append(
+            (
+                state.t_s + self._offset_s,
+                state.u_c_v if state.HasField("u_c_v") else nan,
+                state.i_c_a if state.HasField("i_c_a") else nan,
+                state.x_m if state.HasField("x_m") else nan,
+                state.x_ref_m if state.HasField("x_ref_m") else nan,
+            )
+        )
+
+
 def _read_log(path: Path, recording: Recording) -> Record:
     from protocol.bus import board51_pb2 as pb
     from protocol.log.reader import LogReader
     from twin.readers.log import entries, parse
 
-    reader = LogReader(path)
-    rows: list[tuple[float, float, float, float, float]] = []
+    reader, samples = LogReader(path), _Rows()
     captures: list[Capture] = []
-    ticks: list[tuple[int, int]] = []  # (session, tick) of each row
     switched: set[tuple[int, int]] = set()
-    T_s = 0.0
-    nan = float("nan")
-    last: tuple[int, float] | None = None
-    offset, boards, lost = 0.0, set(), 0
-    lsb = (0.0, 0.0)
+    T_s, lsb, boards = 0.0, (0.0, 0.0), set()
     state = pb.State()
     for entry in entries(reader, topics=("state", "capture", "parameters"), board=recording.board or None):
         boards.add(entry.board)
         if entry.topic == "state":
             state.ParseFromString(entry.data)
-            # A new session restarts the clock: it is placed 10 s later, with a row without readings that ends a piece.
-            if last is not None and state.session != last[0]:
-                offset = rows[-1][0] + 10.0 - state.t_s
-                rows.append((rows[-1][0] + 5.0, nan, nan, nan, nan))
-                ticks.append((-1, 0))
-            last = (state.session, state.t_s)
-            ticks.append((state.session, state.tick))
-            lost += state.lost_before
-            rows.append(
-                (
-                    state.t_s + offset,
-                    state.u_c_v if state.HasField("u_c_v") else nan,
-                    state.i_c_a if state.HasField("i_c_a") else nan,
-                    state.x_m if state.HasField("x_m") else nan,
-                    state.x_ref_m if state.HasField("x_ref_m") else nan,
-                )
-            )
+            samples.add(state)
         elif entry.topic == "parameters":
             parameters = parse(pb.Parameters, entry, path)
             lsb = (abs(parameters.i_lsb_a), abs(parameters.x_lsb_m))
@@ -279,12 +291,12 @@ def _read_log(path: Path, recording: Recording) -> Record:
             f"{path} holds {len(boards)} boards: {', '.join(sorted(boards))}",
             remedy='Add board = "..." to its [[recording]]',
         )
-    if not rows and not captures:
+    if not samples.rows and not captures:
         of_board = f" of board {recording.board!r}" if recording.board else ""
         raise DataError(f"{path} holds no samples{of_board}", remedy="Give a log of a gateway that saw its board")
-    table = np.array(rows).reshape(-1, 5)
-    table[np.array([at in switched for at in ticks], np.bool_), 1] = nan
-    notes = [f"{recording.file}: {lost} samples were lost on the way"] if lost else []
+    table = np.array(samples.rows).reshape(-1, 5)
+    table[np.array([at in switched for at in samples.ticks], np.bool_), 1] = math.nan
+    notes = [f"{recording.file}: {samples.lost} samples were lost on the way"] if samples.lost else []
     if not reader.finished:
         notes.append(f"{recording.file}: the log was not closed; it was read as far as possible")
     return Record(

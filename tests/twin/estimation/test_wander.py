@@ -13,7 +13,7 @@ from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S
 from twin.estimation.record import Record
 from twin.evidence.gather import gather
 from twin.inference.fisher_scoring import climb
-from twin.inference.likelihood import Criterion
+from twin.inference.likelihood import Criterion, mean_square
 from twin.inference.theta import BASE, Theta, coordinates_of, parameter_of
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.wander import MINUTE_S
@@ -59,7 +59,7 @@ def test_how_far_an_offset_wanders_is_found(name: str, wander: float) -> None:
     try:
         fixed = climb(criterion, QUIET, BASE)
         free = climb(criterion, QUIET.having(usual, 0.0).having(name, 0.3 * wander), (*BASE, usual, name), passes=60)
-        white = criterion.mean_square(criterion.outputs(free.theta))
+        white = mean_square(criterion.outputs(free.theta))
     finally:
         criterion.close()
 

@@ -15,7 +15,7 @@ from twin.estimation.pace import Reuse
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 from twin.evidence.gather import gather
-from twin.inference.likelihood import Criterion
+from twin.inference.likelihood import Criterion, mean_square
 from twin.inference.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
 from twin.settings import diagnosis as settings
 
@@ -77,7 +77,7 @@ def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> 
     """The slope by b is off by two standard errors there: why the end of a climb takes the exact ones."""
     criterion = criterion_of(narrow(theta, seconds=2.0))
     off = replace(theta, K_c=1.02 * theta.K_c, process_a_m_s2=0.4)  # which makes the misfit no surprise
-    assert criterion.mean_square(criterion.outputs(off)) < settings.EXACT_SLOPES_SQUARE
+    assert mean_square(criterion.outputs(off)) < settings.EXACT_SLOPES_SQUARE
 
     values = []
     for rough in (None, True):

@@ -131,7 +131,7 @@ def _sums(
     information(base, change, each, fisher)
     steps = [derivative_step(theta, name, criterion.plant) for name in free]
     free_models = [moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True)]
-    score, curvature = criterion.outside_slopes(theta, [*free_models, *models], [*steps, *(1.0 for _ in trials)])
+    score, curvature = criterion.outside.slopes(theta, [*free_models, *models], [*steps, *(1.0 for _ in trials)])
     return each.sum(axis=0) + score, fisher + curvature
 
 

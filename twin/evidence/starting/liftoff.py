@@ -13,6 +13,7 @@ Rule: the first sample at which x has visibly moved is later than the lift-off t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -123,24 +124,28 @@ def _departures(record: Record, plant: Plant) -> list[LiftOff]:
     jump[width:] = x[width:] - x[:-width]
     moved = jump > max(0.1 * plant.travel_m, 20.0 * noise)  # a tenth of a second later the ball is far away
     points: list[LiftOff] = []
+    track = _Track(record.name, t, x, i, noise, step)
     for rise in runs(np.asarray(moved)):
-        point = _departure(record.name, t, x, i, max(rise.start - 2 * width, 0), rise.start, noise, step, plant)
+        point = _departure(track, max(rise.start - 2 * width, 0), rise.start, plant)
         if point is not None and not (points and point.t_s - points[-1].t_s < 5 * width * step):
             points.append(point)
     return points
 
 
-def _departure(
-    name: str,
-    t: FloatArray,
-    x: FloatArray,
-    i: FloatArray,
-    first: int,
-    last: int,
-    noise: float,
-    step: float,
-    plant: Plant,
-) -> LiftOff | None:
+class _Track(NamedTuple):
+    """The good samples of a recording."""
+
+    name: str
+    t: FloatArray
+    x: FloatArray
+    i: FloatArray
+    noise_m: float  # of x
+    step_s: float  # median sampling interval
+
+
+def _departure(track: _Track, first: int, last: int, plant: Plant) -> LiftOff | None:
+    """Find the lift-off between two samples of a track."""
+    name, t, x, i, noise, step = track
     if last - first < 12:
         return None
     rest = float(np.median(x[first : first + (last - first) // 2]))
@@ -164,22 +169,7 @@ def _departure(
         end += 1
     end = max(end, departure + 2)
     tau, rise = t[begin:end] - t[departure], x[begin:end] - rest
-    w = float(np.sqrt(2.0 * plant.gravity_m_s2 / gap))
-
-    def misfit(t_0: float) -> float:
-        current = i_departure + slope * t_0
-        if current <= 0:
-            return float("inf")
-        c = 2.0 * plant.gravity_m_s2 * slope / current
-        elapsed = np.clip(tau - t_0, 0.0, 40.0 / w)
-        return float(np.sum((rise - c / w**3 * (np.sinh(w * elapsed) - w * elapsed)) ** 2))
-
-    lowest = -min(6.0 / w, -float(tau[0]))
-    grid = np.linspace(lowest, step, 80)
-    k = int(np.argmin([misfit(g) for g in grid]))
-    t_0 = float(
-        minimize_scalar(misfit, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]), method="bounded").x
-    )
+    t_0 = _instant(tau, rise, slope, i_departure, step, plant.gravity_m_s2, gap)
     current = i_departure + slope * t_0
     # An error of half a sampling interval in t_0, and the error of the line.
     error = float(np.hypot(0.5 * step * slope, scatter_i * 2.0 / np.sqrt(max(departure - begin, 1))))
@@ -191,3 +181,24 @@ def _departure(
         K_c=_constant(plant, gap, float(current)),
         relative_error=2.0 * error / float(current),
     )
+
+
+def _instant(
+    tau: FloatArray, rise: FloatArray, slope: float, i_departure: float, step: float, gravity: float, gap: float
+) -> float:
+    """Fit t_0 of the rule, in s after the departure, to the first part of the flight."""
+    w = float(np.sqrt(2.0 * gravity / gap))
+
+    def misfit(t_0: float) -> float:
+        current = i_departure + slope * t_0
+        if current <= 0:
+            return float("inf")
+        c = 2.0 * gravity * slope / current
+        elapsed = np.clip(tau - t_0, 0.0, 40.0 / w)
+        return float(np.sum((rise - c / w**3 * (np.sinh(w * elapsed) - w * elapsed)) ** 2))
+
+    lowest = -min(6.0 / w, -float(tau[0]))
+    grid = np.linspace(lowest, step, 80)
+    k = int(np.argmin([misfit(g) for g in grid]))
+    bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
+    return float(minimize_scalar(misfit, bounds=bounds, method="bounded").x)

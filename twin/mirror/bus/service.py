@@ -255,15 +255,11 @@ class TwinService:
         watched = self.boards.get(board)
         if watched is None:
             assert self._session is not None
-            watched = Watched(self._session, site, board, self._belief, self._settings, reach=self._reach())
+            reach = _reach(self._endpoints, guarded=self._identity is not None)
+            watched = Watched(self._session, site, board, self._belief, self._settings, reach=reach)
             self.boards[board] = watched
             log.info("board %s: twin of model %s", board, watched.belief.title)
         return watched
-
-    def _reach(self) -> str:
-        """Return the options with which a command reaches this bus, for advice that is read on a page or in a log."""
-        at = "" if self._endpoints == (DEFAULT_ENDPOINT,) else "".join(f" --connect {e}" for e in self._endpoints)
-        return at + (" --identity FOLDER" if self._identity is not None else "")
 
     def _command(self, query: zenoh.Query) -> list[tuple[str, pb.CommandReply]]:
         """Return (key, reply) for each board that the query means; for none, one under the key that was asked."""
@@ -278,15 +274,11 @@ class TwinService:
         if (before := self._answered.again(key_expr, command)) is not None:
             return before
         boards = zenoh.KeyExpr(plain)
-        watched = {
-            topics.key(watched_board.site, watched_board.board, "twin/command"): watched_board
-            for watched_board in self.boards.values()
-        }
-        addressed = {
-            key + suffix: watched_board
-            for key, watched_board in watched.items()
-            if boards.intersects(zenoh.KeyExpr(key))
-        }
+        addressed = {}
+        for watched in self.boards.values():
+            key = topics.key(watched.site, watched.board, "twin/command")
+            if boards.intersects(zenoh.KeyExpr(key)):
+                addressed[key + suffix] = watched
         everybody = boards.includes(self._commands)
         if not addressed and not everybody:
             text = f"This twin does not serve that board; it has {', '.join(sorted(self.boards)) or 'none seen yet'}."
@@ -303,6 +295,12 @@ class TwinService:
                 replies = replies or [(key_expr, pb.CommandReply(id=command.id, accepted=True, text=text, attempts=1))]
         self._answered.keep(key_expr, command, replies)
         return replies
+
+
+def _reach(endpoints: tuple[str, ...], *, guarded: bool) -> str:
+    """Return the options with which a command reaches this bus, for advice that is read on a page or in a log."""
+    at = "" if endpoints == (DEFAULT_ENDPOINT,) else "".join(f" --connect {endpoint}" for endpoint in endpoints)
+    return at + (" --identity FOLDER" if guarded else "")
 
 
 def _reply(query: zenoh.Query, replies: list[tuple[str, pb.CommandReply]]) -> None:
