@@ -15,7 +15,7 @@ CAUSES = ROOT / "twin" / "model" / "causes"
 PHYSICS = ("twin/model/", "twin/estimation/", "twin/mirror/observer.py")
 NAMED = re.compile(rf"\b({'|'.join(map(re.escape, BY_NAME))})\b")
 # A reason for which a twin starts anew; it is on the bus, and has nothing to do with the cause of that name.
-ALLOWED = {("twin/mirror/sample.py", "lost-samples")}
+ALLOWED = {(f"twin/mirror/{file}.py", "lost-samples") for file in ("mirror", "sample")}
 
 
 def sources() -> Iterator[tuple[str, ast.Module]]:
