@@ -75,6 +75,7 @@ def test_one_instrument_is_one_level_and_changes_nothing(campaign: Path) -> None
     assert without_outliers(evidence) is evidence
 
 
+@pytest.mark.slow
 def test_an_oscilloscope_beside_the_board_has_a_noise_of_its_own(campaign: Path, tmp_path: Path) -> None:
     folder = copy_of(campaign, tmp_path)
     worse(folder, "step_*", i_c=Instrument(noise=I_A * math.sqrt(SCOPE**2 - 1.0), lowest=NO_LESS))

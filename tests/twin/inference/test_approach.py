@@ -45,6 +45,7 @@ def test_few_samples_are_all_taken() -> None:
     few.close()
 
 
+@pytest.mark.slow
 def test_the_way_over_a_part_ends_near_the_maximum_of_all(criterion: Criterion, base: Fit) -> None:
     start = strong(CAUSE, 0.001, base.theta)
 

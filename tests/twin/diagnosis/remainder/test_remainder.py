@@ -67,11 +67,13 @@ def of_wire(tmp_path_factory: pytest.TempPathFactory) -> Remainder:
     return found
 
 
+@pytest.mark.slow
 def test_a_wire_is_a_force_over_the_height(of_wire: Remainder) -> None:
     assert [shape.curve.name for shape in of_wire.shapes] == ["force-over-height"]
     assert {one.name for one in of_wire.attempts} > {"force-over-height"}
 
 
+@pytest.mark.slow
 def test_the_curve_is_the_wire_s_force_within_its_band(of_wire: Remainder) -> None:
     (shape,) = of_wire.shapes
     rig = draw_rig(SEED, "independent")
@@ -86,6 +88,7 @@ def test_the_curve_is_the_wire_s_force_within_its_band(of_wire: Remainder) -> No
     assert np.all((shape.low <= shape.share) & (shape.share <= shape.high))
 
 
+@pytest.mark.slow
 def test_it_predicts_recordings_that_chose_nothing(of_wire: Remainder) -> None:
     improvement = of_wire.improvement
 
