@@ -18,7 +18,7 @@ from typing import Any
 
 from twin.diagnosis import pipeline
 from twin.diagnosis.checks import consistency
-from twin.diagnosis.judge import prediction_gain
+from twin.diagnosis.judge.prediction_gain import Yardstick
 from twin.diagnosis.search import periodic, prediction_benefit, score_test
 from twin.estimation.record import Record
 from twin.evidence import dead_time, gather
@@ -52,9 +52,14 @@ _FUNCTIONS = (
     (periodic, "find_line"),
     (prediction_benefit, "error_reduction"),
     (consistency, "stretches"),
-    (prediction_gain, "gain"),
 )
-_METHODS = ((Floor, "under"), (Criterion, "value"), (Criterion, "values"), (Criterion, "white"))
+_METHODS = (
+    (Floor, "under"),
+    (Criterion, "value"),
+    (Criterion, "values"),
+    (Criterion, "white"),
+    (Yardstick, "gain"),
+)
 
 
 @contextmanager
@@ -116,6 +121,8 @@ def _key(value: Any) -> Any:
     """A value that is equal where the argument says the same."""
     if isinstance(value, Criterion):
         return "criterion", value.tick_s, _digest(value, value.evidence)
+    if isinstance(value, Yardstick):
+        return tuple(_key(one) for one in (value.judge, value.floor, value.plant, value.tick_s, value.seed))
     if isinstance(value, Fit):
         return "fit", value.theta, value.free
     if isinstance(value, Cause):
