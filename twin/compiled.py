@@ -35,7 +35,10 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """A kernel that becomes part of the kernels that call it: one of a few lines whose call would cost as much."""
+    """A kernel that becomes part of the kernels that call it: one whose call would cost as much as its work.
+
+    Where it does not become part, each call passes its arrays field by field and may count a reference.
+    """
     return _compiled(function, forceinline=True)
 
 

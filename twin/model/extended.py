@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.compiled import Packed, kernel
+from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import (
     air_gap_offset,
     amplifier_dead_zone,
@@ -80,7 +80,7 @@ class Base(NamedTuple):
     travel_m: float
 
 
-@kernel
+@inlined
 def drive(p: Base, c: Vector, u: float, w: float) -> float:
     """Return the steady-state current of the amplifier under u_c = u, A: K_A u of (1) with the amplifier's causes."""
     target = p.K_A * amplifier_gain_drift.gain(c, w) * amplifier_dead_zone.effective_input(c, u)
@@ -89,13 +89,13 @@ def drive(p: Base, c: Vector, u: float, w: float) -> float:
     return current_limit.aimed_at(c, amplifier_offset.shifted(c, target))
 
 
-@kernel
+@inlined
 def mid_current(p: Base) -> float:
     """The current that holds the ball in the middle of the travel by (6), A: i_0 of the curves."""
     return math.sqrt(p.mass_kg * p.gravity_m_s2 / p.K_c) * (p.x_max_m - 0.5 * p.travel_m)
 
 
-@kernel
+@inlined
 def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
     """Return F_m of (3), N."""
     i = core_saturation.field(c, residual_magnetism.field(c, field))
@@ -105,7 +105,7 @@ def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
     return p.K_c * i * i / (gap * gap) * factor
 
 
-@kernel
+@inlined
 def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float) -> float:
     """Return the acceleration x'' of (6) away from the stops and without dry friction, m/s^2."""
     force = magnetic_force(p, c, field, x) - p.b * v - quadratic_drag.drag_n(c, v)
@@ -114,7 +114,7 @@ def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float)
     return force / p.mass_kg + p.gravity_m_s2 * weights
 
 
-@kernel
+@inlined
 def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
     """Return the steady-state reading of the position sensor, m."""
     bent = position_sensor_nonlinearity.bent(c, x, p.travel_m) + p.travel_m * curve.value(c, curve.SENSOR_OVER_X, x)
@@ -122,31 +122,31 @@ def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
     return sensor_crosstalk.disturbed(c, shifted, i)
 
 
-@kernel
+@inlined
 def sensor_lag_s(c: Vector) -> float:
     """The time constant of the position sensor, s; 0 for an instantaneous sensor."""
     return c[position_sensor_lag.TAU]
 
 
-@kernel
+@inlined
 def lagging_reading(c: Vector, s: float, rate: float, steady: float, h: float) -> tuple[float, float]:
     """Return (sensor output in m, its rate in m/s) after h s from s and rate, with the steady state `steady`, m."""
     return position_sensor_lag.lagged(c, s, rate, steady, steady, h)
 
 
-@kernel
+@inlined
 def current_reading(c: Vector, i: float) -> float:
     """Return the reading of the current sensor, A."""
     return current_sensor_offset.shifted(c, current_sensor_gain.scaled(c, i))
 
 
-@kernel
+@inlined
 def current_of_reading(c: Vector, reading: float) -> float:
     """The current that gives this reading, A."""
     return (reading - c[current_sensor_offset.OFFSET]) / c[current_sensor_gain.GAIN]
 
 
-@kernel
+@inlined
 def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
     """The position that gives this steady-state reading, m, by Newton's method on `position_reading`."""
     x = reading
@@ -156,7 +156,7 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
     return x
 
 
-@kernel
+@inlined
 def _lead(p: Base, c: Vector, v: float, gap: float) -> float:
     bottom, gap_mid = air_gap_offset.gap_m(c, p.x_max_m), p.x_max_m - 0.5 * p.travel_m
     per_speed = motional_emf.per_speed(c, gap, gap_mid)
@@ -164,7 +164,7 @@ def _lead(p: Base, c: Vector, v: float, gap: float) -> float:
     return motional_emf.lead(per_speed * v)
 
 
-@kernel
+@inlined
 def _driven(
     p: Base, c: Vector, i: float, target: float, T_A: float, v: float, a: float, gap: float, at: float, h: float
 ) -> float:
@@ -264,13 +264,13 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         t += h
 
 
-@kernel
+@inlined
 def short(p: Base, c: Vector, duration: float) -> bool:
     """Return whether an interval is one substep; never for a ball that may stick, whose stop must be seen."""
     return duration < SHORT_S or (duration < SLOW_SHARE * p.T_A and c[coulomb_friction.FORCE] == 0.0)
 
 
-@kernel
+@inlined
 def has_first_order_current(c: Vector) -> bool:
     """Return whether the current of a held ball responds as a first-order lag, which needs no integration."""
     straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0

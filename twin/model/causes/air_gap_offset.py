@@ -5,7 +5,7 @@ F_m = K_c i_c^2 / (x_max + d - x)^2
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import SCALE, SHIM
 
@@ -40,7 +40,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def gap_m(c: Vector, gap: float) -> float:
     """Return the distance to the effective plane of the coil, m."""
     return gap + c[D]

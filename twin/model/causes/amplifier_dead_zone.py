@@ -5,7 +5,7 @@ K_A max(u_c - u_0, 0)
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.corner import ROUNDED, behind_corner, rounding
 from twin.model.causes.instruments import CLAMP_METER
@@ -41,7 +41,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def effective_input(c: Vector, u: float) -> float:
     """The input behind the dead zone, V."""
     return behind_corner(u, c[WIDTH], c[ROUNDING])

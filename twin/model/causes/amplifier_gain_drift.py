@@ -5,7 +5,7 @@ K_A (1 - loss w), tau w' + w = i_c^2
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import CLAMP_METER
 
@@ -40,13 +40,13 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def gain(c: Vector, w: float) -> float:
     """Return the factor on K_A at warmth w, A^2."""
     return 1.0 - c[LOSS] * w
 
 
-@kernel
+@inlined
 def warmth_rate(c: Vector, i: float, w: float) -> float:
     """Return the time derivative of the warmth, A^2/s."""
     return (i * i - w) / c[TAU]

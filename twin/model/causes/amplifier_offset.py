@@ -5,7 +5,7 @@ K_A u_c + i_offset, not below 0: one below 0 has a corner there, sharp or rounde
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.corner import ROUNDED, behind_corner, rounding
 from twin.model.causes.instruments import CLAMP_METER, UNPLUGGED
@@ -43,7 +43,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def shifted(c: Vector, target: float) -> float:
     """Return the target current with the offset, A, not negative."""
     offset = c[OFFSET]

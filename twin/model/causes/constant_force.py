@@ -5,7 +5,7 @@ m x'' = ... + F_0
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 FORCE = 16
@@ -32,7 +32,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def force_n(c: Vector) -> float:
     """The force upwards, N."""
     return c[FORCE]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import SCALE
 
@@ -49,7 +49,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def field(c: Vector, i: float) -> float:
     """The current that the force sees, A."""
     if math.isinf(c[I_S]):

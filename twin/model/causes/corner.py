@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import CauseParameter, Form
 
 ROUNDED = Form(
@@ -21,7 +21,7 @@ def rounding(index: int) -> CauseParameter:
     )
 
 
-@kernel
+@inlined
 def behind_corner(value: float, threshold: float, share: float) -> float:
     """Return the part of a value above the threshold, never negative; both in one unit.
 

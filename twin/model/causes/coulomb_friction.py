@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 FORCE, SLOW, EXTRA = 15, 40, 41
@@ -55,13 +55,13 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def static_friction(c: Vector, mass_kg: float) -> float:
     """The acceleration up to which friction holds the ball, m/s^2."""
     return c[FORCE] * (1.0 + c[EXTRA]) / mass_kg
 
 
-@kernel
+@inlined
 def brakes(c: Vector, mass_kg: float, v: float, free: float) -> float:
     """The deceleration of a ball at speed v, signed as the motion it opposes, m/s^2; 0 if it holds the ball.
 
@@ -80,7 +80,7 @@ def brakes(c: Vector, mass_kg: float, v: float, free: float) -> float:
     return math.copysign(friction, v if v != 0.0 else free)
 
 
-@kernel
+@inlined
 def let_go(friction: float, before: float, after: float, h: float) -> tuple[float, float]:
     """Return (speed in m/s, path in m) of a ball h s after it stood still.
 
@@ -97,7 +97,7 @@ def let_go(friction: float, before: float, after: float, h: float) -> tuple[floa
     return 0.5 * direction * (first + last) * h, direction * (2.0 * first + last) * h * h / 6.0
 
 
-@kernel
+@inlined
 def turned(
     friction: float, v: float, v_next: float, path: float, before: float, after: float, h: float
 ) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes, Vector
 from twin.model.causes.instruments import CLAMP_METER
 
@@ -74,13 +74,13 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def limited(c: Vector, i: float) -> float:
     """The current that the supply allows, A."""
     return min(i, c[LIMIT])
 
 
-@kernel
+@inlined
 def aimed_at(c: Vector, target: float) -> float:
     """The current that the amplifier aims at below its limit, A; `target`: without one, not negative."""
     if math.isinf(c[LIMIT]):

@@ -5,7 +5,7 @@ i_measured = gain i_c
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 GAIN = 25
@@ -31,7 +31,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def scaled(c: Vector, i: float) -> float:
     """The reading in the sensor's scale, A."""
     return c[GAIN] * i

@@ -5,7 +5,7 @@ i_measured = i_c + offset
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.wander import wander, wandering
 
@@ -36,7 +36,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def shifted(c: Vector, reading: float) -> float:
     """The reading with its offset, A."""
     return reading + c[OFFSET]

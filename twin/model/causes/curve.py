@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Family, Vector
 
 COEFFICIENTS = 8  # of a curve, which takes ten places with the two ends of its range
@@ -130,7 +130,7 @@ CURVES: tuple[Cause, ...] = (
 )
 
 
-@kernel
+@inlined
 def value(c: Vector, curve: int, at: float) -> float:
     """The curve whose range begins at `curve` in c, at one place."""
     low, high = c[curve], c[curve + 1]

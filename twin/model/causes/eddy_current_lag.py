@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import OSCILLOSCOPE
 
@@ -61,13 +61,13 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def weight(c: Vector, gap: float, gap_mid: float) -> float:
     """Return the quantity that lags, per current at this gap; 1 in the middle of the travel."""
     return 1.0 if c[FLUX] == 0.0 or c[TAU] <= 0.0 else (gap_mid / max(gap, MIN_GAP_SHARE * gap_mid)) ** c[FLUX]
 
 
-@kernel
+@inlined
 def lagged(c: Vector, f: float, i: float, i_next: float, w: float, w_next: float, h: float) -> float:
     """The field current after h s while the current goes from i to i_next, and its weight from w to w_next, A."""
     if c[TAU] <= 0.0:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import SCALE, SHIM
 
@@ -61,7 +61,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def factor(c: Vector, gap: float, gap_mid: float) -> float:
     """Return the factor on the force of (3); 1 in the middle of the travel."""
     n, q, p = c[N], c[BEND], c[CURL]

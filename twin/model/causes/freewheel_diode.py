@@ -5,7 +5,7 @@ T_A i_c' + i_c = K_A (u_c - max(V_D - u_c, 0)) while i_c > K_A u_c
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 DROP = 28
@@ -32,7 +32,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def lost_v(c: Vector, u: float, i: float, K_A: float) -> float:
     """Return the voltage that the diode takes off u_c, V."""
     drop = c[DROP]

@@ -5,7 +5,7 @@ T_A i_c' + i_c = K_A u_c - coupling i_c x' (gap_mid / gap)^2
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 COUPLING, REACH = 7, 39
@@ -54,7 +54,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def per_speed(c: Vector, gap: float, gap_mid: float) -> float:
     """The induced voltage over that at the coil's resistance, per speed of the ball, s/m: coupling (g_mid / g)^2."""
     if c[COUPLING] == 0.0:
@@ -64,7 +64,7 @@ def per_speed(c: Vector, gap: float, gap_mid: float) -> float:
     return c[COUPLING] * ratio * ratio
 
 
-@kernel
+@inlined
 def lead(swing: float) -> float:
     """Return how much faster and lower the current settles if the ball rises; `swing`: `per_speed` times its speed.
 
@@ -74,7 +74,7 @@ def lead(swing: float) -> float:
     return max(1.0 + swing, MIN_LEAD)
 
 
-@kernel
+@inlined
 def steady_lead(lead: float, change: float) -> float:
     """Return m for which the current settles at target / m once u_c stands.  m lags a lead that changes.
 

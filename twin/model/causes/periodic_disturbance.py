@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 AMPLITUDE = 17
@@ -38,7 +38,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def force_n(c: Vector, t: float) -> float:
     """The force upwards at time t, N; the phase of a recording is in its t."""
     if c[AMPLITUDE] == 0.0:

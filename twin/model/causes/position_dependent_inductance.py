@@ -5,7 +5,7 @@ T_A (1 + growth (1/gap - 1/gap_bottom) / (1/gap_mid - 1/gap_bottom))
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 GROWTH, REACH, VOLTAGE = 6, 38, 43
@@ -62,7 +62,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid: float) -> float:
     """Return T_A at this gap, s."""
     if c[GROWTH] == 0.0:
@@ -73,7 +73,7 @@ def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid:
     return T_A * (1.0 + c[GROWTH] * (inverse_gap - bottom) / (1.0 / (gap_mid + a) - bottom))
 
 
-@kernel
+@inlined
 def per_speed(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid: float) -> float:
     """The voltage that the change of inductance induces, over that at the resistance, per speed of the ball, s/m."""
     if c[GROWTH] == 0.0 or c[VOLTAGE] == 0.0:

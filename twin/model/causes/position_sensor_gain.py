@@ -5,7 +5,7 @@ x_measured = gain x
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import SHIM
 
@@ -34,7 +34,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def scaled(c: Vector, reading: float) -> float:
     """The reading in the sensor's scale, m."""
     return c[GAIN] * reading

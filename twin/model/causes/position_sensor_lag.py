@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 TAU, SECOND = 22, 44
@@ -55,7 +55,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def lagged(c: Vector, s: float, rate: float, reading: float, reading_next: float, h: float) -> tuple[float, float]:
     """Return (the sensor's output in m, its rate in m/s) after h s while its input goes from one reading to the next.
 

@@ -7,7 +7,7 @@ l is the travel.  Skew 0 is an arc, skew 1 an S that is right in the middle.
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 BOW = 21
@@ -55,7 +55,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def bent(c: Vector, x: float, travel: float) -> float:
     """The reading of a sensor that is calibrated at both stops, m."""
     w = 2.0 * x / travel - 1.0
@@ -63,7 +63,7 @@ def bent(c: Vector, x: float, travel: float) -> float:
     return x + c[BOW] * (1.0 - w * w) * (1.0 + c[FULLNESS] * w * w) * side
 
 
-@kernel
+@inlined
 def slope(c: Vector, x: float, travel: float) -> float:
     """Return the derivative of `bent` by x."""
     w = 2.0 * x / travel - 1.0

@@ -5,7 +5,7 @@ x_measured = x + offset
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import SHIM
 from twin.model.causes.wander import wander, wandering
@@ -49,7 +49,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def shifted(c: Vector, reading: float) -> float:
     """The reading with its offset, m."""
     return reading + c[OFFSET]

@@ -5,7 +5,7 @@ F_d = b x' + c |x'| x'
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 C, POWER = 14, 36
@@ -42,7 +42,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def drag_n(c: Vector, v: float) -> float:
     """The force against the motion, N."""
     if c[POWER] == 2.0 or v == 0.0:

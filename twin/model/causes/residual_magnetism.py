@@ -5,7 +5,7 @@ i -> i_c + i_r
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import CLAMP_METER, UNPLUGGED
 
@@ -38,7 +38,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def field(c: Vector, i: float) -> float:
     """The current that the force sees, A."""
     return max(i + c[I_R], 0.0)

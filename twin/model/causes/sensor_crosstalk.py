@@ -5,7 +5,7 @@ x_measured = x + coupling i_c
 
 from __future__ import annotations
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 COUPLING = 23
@@ -39,7 +39,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def disturbed(c: Vector, reading: float, i: float) -> float:
     """The reading with the coil's field, m."""
     return reading + c[COUPLING] * i

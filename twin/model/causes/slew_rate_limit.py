@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes, Vector
 
 RATE = 3
@@ -42,7 +42,7 @@ CAUSE = Cause(
 )
 
 
-@kernel
+@inlined
 def relaxed(c: Vector, i: float, target: float, T_A: float, h: float) -> float:
     """The current after h s on its way to a constant target: exponential, but never faster than the rate, A."""
     away = target - i
