@@ -95,10 +95,6 @@ def climb(
     # The information matrix costs nothing beyond the derivatives, and is positive semidefinite, unlike the Hessian.
     loglik, outputs = surface.visit(start)
     slopes = surface.slopes(start, outputs, free, None, math.inf)
-    max_step = np.array([surface.max_step(name) for name in free])
-    # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
-    # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
-    physics = np.array([name not in NOISES + COLOURS for name in free], np.bool_)
     decrement, used, slow = math.inf, 0, 0
     for _ in range(passes):
         used += 1
@@ -112,11 +108,7 @@ def climb(
             break
         if slow >= 2 * patience:
             break
-        shorter = min([1.0, *(max_step / np.maximum(np.abs(step), 1e-300))[physics]])
-        step = np.where(physics, step * shorter, np.clip(step, -max_step, max_step))
-        trial = point
-        for index, name in enumerate(free):
-            trial = surface.moved(trial, name, float(step[index]))
+        trial = _moved(surface, point, free, step)
         value, trial_outputs = surface.visit(trial)
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
@@ -140,6 +132,18 @@ def climb(
         decrement=decrement,
         ahead=0.5 * left * left,
     )
+
+
+def _moved(surface: Surface[P], point: P, free: Sequence[str], step: FloatArray) -> P:
+    """The point after a step, shortened to the largest that is allowed."""
+    # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
+    # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
+    max_step = np.array([surface.max_step(name) for name in free])
+    physics = np.array([name not in NOISES + COLOURS for name in free], np.bool_)
+    shorter = min([1.0, *(max_step / np.maximum(np.abs(step), 1e-300))[physics]])
+    for name, change in zip(free, np.where(physics, step * shorter, np.clip(step, -max_step, max_step)), strict=True):
+        point = surface.moved(point, name, float(change))
+    return point
 
 
 def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatArray) -> NDArray[np.bool_]:

@@ -164,13 +164,7 @@ class Criterion:
     def _states(self, theta: Theta) -> int:
         return states_in(theta.vector(), theta.noise(self.tick_s))
 
-    def _fill(
-        self,
-        theta: Theta,
-        part: slice,
-        results: Results,
-        known: Steps = NO_STEPS,
-    ) -> None:
+    def _fill(self, theta: Theta, part: slice, results: Results, known: Steps = NO_STEPS) -> None:
         """Run whole recordings and write to their part of the results."""
         samples = self.evidence.samples
         samples = samples._replace(t=theta.shifted(samples.t, self.evidence.series.recording))
