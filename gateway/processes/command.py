@@ -14,11 +14,6 @@ from gateway.processes.child import SAME_PRIORITY
 Process = subprocess.Popen[Any]  # of bytes or of text
 
 
-def words_of(*command: str) -> list[str]:
-    """Return the command line of `board51 COMMAND`."""
-    return [sys.executable, "-m", "board51", *command]
-
-
 def start(*command: str, nicer: bool = True, **options: Any) -> Process:
     """Start `board51 COMMAND`, which ends with this process, also after kill -9 (child.py).
 

@@ -35,7 +35,6 @@ from gateway.emulator.firmware_model.flash import (
 )
 from gateway.emulator.firmware_model.host_watch import HostWatch
 from gateway.emulator.firmware_model.output import InputConverter, OutputFault
-from gateway.emulator.firmware_model.settings import first_bad_field
 from gateway.emulator.firmware_model.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
@@ -97,7 +96,7 @@ class Firmware:
         self._reset_wait = 0  # ticks left to get the ACK of RESET out; 0: no reset pending
         self._hung_ticks = 0
         self._dead_ticks = 0
-        field = first_bad_field(self._stored)
+        field = self._stored.first_bad_field()
         settings = self._profile.settings if field else self._stored
         self.loop = ControlLoop(self._emit, settings, self._converter)
         self._host = HostWatch(self.loop, self._emit)
