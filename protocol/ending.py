@@ -10,7 +10,8 @@ happened in 12 of 160 ends of a router with three clients (zenoh 1.10).  By then
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 _state = {"ordered": False}
 
@@ -34,3 +35,14 @@ def note_end() -> None:
 def end_is_ordered() -> bool:
     """Return whether the end was ordered or the work is over."""
     return _state["ordered"]
+
+
+@contextmanager
+def on_signals(act: Callable[[], object], *signals: signal.Signals) -> Iterator[None]:
+    """Call `act` at each of these signals within the block; after it they act as before."""
+    before = {number: signal.signal(number, lambda *_: act()) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

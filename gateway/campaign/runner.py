@@ -21,7 +21,6 @@ from gateway.campaign.plan import (
     Action,
     CommandLimits,
     GoTo,
-    Impossible,
     Scale,
     Send,
     actions_of,
@@ -129,18 +128,15 @@ class Runner:
             e = outcome.experiment
             if self._folder.has(e.name, plan_of(e, self._limits, self._wishes.seed)):
                 retained = self._folder.retained[e.name]
-                outcome.standing, outcome.attempts, outcome.seconds = (
-                    "already-there",
-                    retained.attempts,
-                    retained.seconds,
-                )
+                outcome.standing = "already-there"
+                outcome.attempts, outcome.seconds = retained.attempts, retained.seconds
                 continue
             self._folder.drop(e.name)
             plan = actions_of(e, self._scale(e))
-            if isinstance(plan, Impossible):
+            if isinstance(plan, str):
                 outcome.standing = "impossible"
-                outcome.problems.append(plan.why)
-                self._write_line(f"impossible within the limits: {plan.why}")
+                outcome.problems.append(plan)
+                self._write_line(f"impossible within the limits: {plan}")
 
     def _scale(self, experiment: Experiment) -> Scale:
         known = None if experiment.name == LIFT_OFF else self._folder.lift_off_v
@@ -196,8 +192,8 @@ class Runner:
         for attempt in range(1, ATTEMPTS + 1):
             outcome.attempts = attempt
             plan = actions_of(e, scale)
-            if isinstance(plan, Impossible):
-                outcome.problems.append(plan.why)
+            if isinstance(plan, str):
+                outcome.problems.append(plan)
                 break
             problems, recorded = self._attempt(e, plan)
             if not problems:
@@ -307,7 +303,5 @@ def _intruder(recorded: Recorded) -> checks.Problem | None:
     for record in recorded.commands:
         what = record.command.WhichOneof("what")
         if is_foreign(record) and what != "ping":
-            return checks.Problem(
-                code="intruder", text=f"{record.command.who or 'somebody'} sent {what} to the board in between"
-            )
+            return checks.Problem("intruder", f"{record.command.who or 'somebody'} sent {what} to the board in between")
     return None

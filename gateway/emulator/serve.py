@@ -203,9 +203,7 @@ class Emulator:
         if not tcp and pty is None:
             self._folder = tempfile.TemporaryDirectory(prefix="board51-")
             pty = Path(self._folder.name) / "board"
-        ports: list[EmulatedPort] = (
-            [TcpPort("127.0.0.1", 0) for _ in range(boards)] if pty is None or tcp else list(pty_ports(pty, boards))
-        )
+        ports = tcp_ports("127.0.0.1", 0, boards) if tcp or pty is None else pty_ports(pty, boards)
         self._server = Server(build_lines(ports, **options), speed=None if lockstep else speed)
         self._lockstep = lockstep
         self._thread = threading.Thread(target=self._server.run, name="emulator", daemon=True)

@@ -9,7 +9,6 @@ command is refused with NOT_AVAILABLE: a recording cannot be influenced.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import sys
 import threading
@@ -81,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     import zenoh
 
-    from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, ReplayReport, contents, pace
+    from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, contents, pace
 
     if args.connect and args.listen:
         raise UsageError("--connect and --listen exclude each other", remedy="Give one of the two")
@@ -130,12 +129,12 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
             replay.session_offset += SESSIONS_PER_PASS
             if not args.loop or not count:
                 break
-    report = ReplayReport(messages=sent, passes=passes, seconds=time.monotonic() - begin_s, log_seconds=log_s)
+    lasted_s = time.monotonic() - begin_s
     progress.end()
     if args.json:
-        print(json.dumps(dataclasses.asdict(report)))
+        print(json.dumps({"messages": sent, "passes": passes, "seconds": lasted_s, "log_seconds": log_s}))
     else:
-        print(f"{sent} messages, {log_s:.3f} s of the log, in {report.seconds:.3f} s")
+        print(f"{sent} messages, {log_s:.3f} s of the log, in {lasted_s:.3f} s")
     reader.check(last_ns=None)
     return 0 if sent else 1
 

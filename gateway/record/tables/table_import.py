@@ -22,9 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.record.tables.exported import exported_states, is_export
-from gateway.record.tables.mat import read_mat
-from gateway.record.tables.parquet import read_parquet
-from gateway.record.tables.table import FloatArray, Table, read_csv
+from gateway.record.tables.table import FloatArray, Table, read_csv, read_mat, read_parquet
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
