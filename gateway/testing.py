@@ -113,7 +113,7 @@ class RunningGateway:
     def __init__(
         self, folder: Path, emulators: list[Emulator], *, opcua: bool, hmi: bool, log: bool, config: str
     ) -> None:
-        from gateway.processes.run import free_port
+        from gateway.processes.command import free_port
 
         self.folder, self.emulators = folder, emulators
         urls = [url for emulator in emulators for url in emulator.urls]
@@ -139,7 +139,7 @@ class RunningGateway:
         Raises:
             ServiceError: it ended, or they did not within 90 s.
         """
-        from gateway.processes.run import listens, running, wait
+        from gateway.processes.command import listens, running, wait
 
         self._process = self._running.enter_context(running(self.folder, "gateway", *self._words))
         for view in (self.opcua_url, self.hmi_url):

@@ -173,7 +173,8 @@ class Runner:
                 outcome.problems.append("the lift-off input is not known")
                 self._write_line(f"[{number}/{total}] {e.name}: given up, the lift-off input is not known")
                 continue
-            left = sum(_estimate_s(o.experiment) for o in summary.outcomes[number - 1 :] if o.standing == "not-reached")
+            ahead = [o.experiment for o in summary.outcomes[number - 1 :] if o.standing == "not-reached"]
+            left = sum(experiment.duration_s + OVERHEAD_S[experiment.closed_loop] for experiment in ahead)
             self._write_line(
                 f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)"
             )
@@ -223,7 +224,7 @@ class Runner:
         cut: tuple[checks.Problem, ...] = ()
         try:
             if e.closed_loop:
-                self._rig.lift(_start_m(plan))
+                self._rig.lift(next(action.x_ref_m for action in plan if isinstance(action, GoTo)))
             self._subscriber.begin()
             for action in plan:
                 if not e.closed_loop and not _is_idle(action):
@@ -283,15 +284,6 @@ class Runner:
         now = self._subscriber.state or began
         ticks = now.tick - (began.tick if now.session == began.session else 0)  # a reset begins at tick 0
         return ticks * self._parameters.sample_time_s
-
-
-def _estimate_s(experiment: Experiment) -> float:
-    return experiment.duration_s + OVERHEAD_S[experiment.closed_loop]
-
-
-def _start_m(plan: tuple[Action, ...]) -> float:
-    """Initial reference of a closed-loop experiment, m."""
-    return next(action.x_ref_m for action in plan if isinstance(action, GoTo))
 
 
 def _is_idle(action: Action) -> bool:

@@ -25,7 +25,7 @@ from pathlib import Path
 from gateway.client.message_queue import MessageQueue
 from gateway.client.rig import SILENCE_S, Rig
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
-from gateway.processes.run import call, finish, free_port, listens, running, wait
+from gateway.processes.command import call, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
 from protocol.ending import on_signals

@@ -13,7 +13,6 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 from gateway.access.listeners import check_bus_listeners
@@ -149,18 +148,19 @@ def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:
 def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
     from gateway.record.byte_port import open_pty, open_tcp, serve
     from gateway.record.byte_replay import RecordedBoard
+    from gateway.record.replay import contents
 
     if (args.pty is None) == (args.tcp is None):
         raise UsageError("--bytes needs a destination", remedy="Give --pty PATH or --tcp HOST:PORT")
     if args.loop or args.rename or args.topic or args.connect or args.listen:
         raise UsageError("--bytes does not go with the options of the bus", remedy="Leave those out")
     reader = LogReader(args.logs)
-    channels = contents_raw(reader, args.board)
-    if len(channels) > 1:
-        raise UsageError(
-            f"The log has bytes of several boards: {', '.join(channels)}", remedy="Choose one with --board"
-        )
-    board = RecordedBoard(_raw(reader, args))
+    boards = list(dict.fromkeys(board for _, board, _ in contents(reader, topics_=("raw",), boards=args.board)))
+    if len(boards) > 1:
+        raise UsageError(f"The log has bytes of several boards: {', '.join(boards)}", remedy="Choose one with --board")
+    records = reader.raw(topics_=("raw",), boards=args.board, start_s=args.start, end_s=args.end)
+    messages = (parse(pb.RawBytes, record.data) for record in records)
+    board = RecordedBoard(message for message in messages if message is not None)
     if args.pty is not None:
         with open_pty(args.pty) as port:
             print(f"board on {args.pty}", flush=True)
@@ -173,20 +173,6 @@ def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
     account = {"pieces": sent, "of": len(board.pieces), "answers_removed": board.removed, "refused": board.refused}
     print(json.dumps(account) if args.json else ", ".join(f"{name} {value}" for name, value in account.items()))
     return 0 if sent == len(board.pieces) else 1
-
-
-def contents_raw(reader: LogReader, boards: list[str] | None) -> list[str]:
-    """Names of the boards whose bytes are in the log."""
-    from gateway.record.replay import contents
-
-    return list(dict.fromkeys(board for _, board, _ in contents(reader, topics_=("raw",), boards=boards)))
-
-
-def _raw(reader: LogReader, args: argparse.Namespace) -> Iterator[pb.RawBytes]:
-    for record in reader.raw(topics_=("raw",), boards=args.board, start_s=args.start, end_s=args.end):
-        message = parse(pb.RawBytes, record.data)
-        if message is not None:
-            yield message
 
 
 def _address(text: str) -> tuple[str, int]:

@@ -6,7 +6,7 @@
     line.write(firmware.take_output())
 
 Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5 and 13,
-`host_watch.py`, `control_loop.py` and `commands.py` have the others.
+`control_loop.py` and `commands.py` have the others.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gateway.emulator.firmware_model.commands import (
     parameters,
     refuse_range,
 )
-from gateway.emulator.firmware_model.control_loop import ControlLoop, Tick
+from gateway.emulator.firmware_model.control_loop import ControlLoop, HostWatch, Tick
 from gateway.emulator.firmware_model.flash import (
     BOOT_TICKS,
     CE152_BOARD,
@@ -33,7 +33,6 @@ from gateway.emulator.firmware_model.flash import (
     BoardProfile,
     Settings,
 )
-from gateway.emulator.firmware_model.host_watch import HostWatch
 from gateway.emulator.firmware_model.output import InputConverter, OutputFault
 from gateway.emulator.firmware_model.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair

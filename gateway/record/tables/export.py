@@ -2,11 +2,16 @@
 
 Columns are the fields of the message, nested ones joined with `_` (x_m_error), `t_s` first.  Absent numbers are an
 empty cell in CSV, null in Parquet, NaN in MATLAB.  A capture has one row per sample, t_s counted from the step.
+
+Rule: a table with a column for each field of State is an export of the topic state, and `exported_states` reads it
+      back.  Ticks, sessions, modes, flags and times are then those of the rig, to the bit, and nothing is concluded
+      from the times of the rows.
 """
 
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +22,17 @@ import numpy.typing as npt
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.json_format import MessageToJson
 
+from gateway.record.tables.table import Table
 from gateway.record.writer import LogError
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.errors import DataError
+from protocol.errors import DataError, quoted
 from protocol.log.reader import LogReader, LogRecord
 
 Format = Literal["csv", "mat", "parquet"]
 Cell = float | int | str | None
+_FIELDS: tuple[Any, ...] = tuple(pb.State.DESCRIPTOR.fields)  # two classes, by protobuf's backend
+_FLOATS = (FieldDescriptor.TYPE_DOUBLE, FieldDescriptor.TYPE_FLOAT)
 Kind = Literal["text", "message", "optional", "plain"]
 
 
@@ -187,3 +195,42 @@ _WRITERS: dict[Format, Callable[[Path, Columns], None]] = {
     "mat": _write_mat,
     "parquet": _write_parquet,
 }
+
+
+def is_export(table: Table) -> bool:
+    """Return whether the table was written by `export`."""
+    return all(field.name in table.names for field in _FIELDS)
+
+
+def exported_states(table: Table) -> list[pb.State]:
+    """Return the rows as messages.
+
+    Raises:
+        DataError: a cell is not a value of its field; the message names file, line, column and value.
+    """
+    return [_state(table, row) for row in range(table.rows)]
+
+
+def _state(table: Table, row: int) -> pb.State:
+    state = pb.State()
+    for field in _FIELDS:
+        cell = table.cell(field.name, row)
+        if field.has_presence and (cell == "" or (isinstance(cell, float) and math.isnan(cell))):
+            continue  # absent: an empty cell of CSV, NaN of MATLAB
+        try:
+            value = float(cell) if field.type in _FLOATS else _whole(cell)
+            if not math.isfinite(value):
+                raise ValueError
+            setattr(state, field.name, value)
+        except (ValueError, OverflowError):
+            raise DataError(
+                f"{table.path}, {table.label(row)}: {field.name} = {quoted(cell)} is not a value of an exported log",
+                remedy="Export the log again, or name the columns with --map",
+            ) from None
+    return state
+
+
+def _whole(cell: str | float) -> int:
+    if isinstance(cell, float) and not cell.is_integer():
+        raise ValueError
+    return int(cell)

@@ -6,7 +6,7 @@ Rule 2: T_s is the median step of t; `tick` counts in T_s from the first row.  A
         the tick jumps, `lost_before` says by how much.  `t_s` stays the table's own time, to the bit.
 Rule 3: log time is the table's time from the epoch 0: an imported log has no date.
 Rule 4: the log's metadata contain its source (file, SHA-256, columns, campaign).
-Rule 5: a table that `export` wrote is read back as it was (`exported`), unless its columns are mapped.
+Rule 5: a table that `export` wrote is read back as it was (`exported_states`), unless its columns are mapped.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.record.tables.exported import exported_states, is_export
+from gateway.record.tables.export import exported_states, is_export
 from gateway.record.tables.table import FloatArray, Table, read_csv, read_mat, read_parquet
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
