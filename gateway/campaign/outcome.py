@@ -1,7 +1,5 @@
 """Options and results of a run.  Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal

@@ -1,7 +1,5 @@
 """Events that a `Session` reports about one board, in the order of their occurrence."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
