@@ -194,10 +194,6 @@ class AvrBoard:
         self._held = b""
         return self._without_lost(sent) if self._lost else sent
 
-    def take_output(self) -> bytes:
-        """Return the same."""
-        return self.take_frame()
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -217,11 +213,6 @@ class AvrBoard:
     def bad_frames(self) -> int:
         """The number of frames rejected since the reset."""
         return self._number(2, 2)
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return self._number(4, 4, signed=True)
 
     @property
     def next_tick(self) -> int:
@@ -248,13 +239,13 @@ class AvrBoard:
         self._held = b""
         self._held_ticks = 0
 
-    def _number(self, field: int, size: int, *, signed: bool = False) -> int:
+    def _number(self, field: int, size: int) -> int:
         """A field of `struct board`; 0 until start-up has cleared the RAM."""
         board = self.image.ram("board")
         if self._view.memory[board + self._fields[3]] == _RAM_PATTERN:
             return 0
         at = board + self._fields[field]
-        return int.from_bytes(bytes(self._view.memory[at : at + size]), "little", signed=signed)
+        return int.from_bytes(bytes(self._view.memory[at : at + size]), "little")
 
     def _run_to(self, cycle: int) -> None:
         while (event := self._library.chip_run(self._chip, cycle)) != _TIME_IS_OVER:

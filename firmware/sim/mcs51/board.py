@@ -155,10 +155,6 @@ class Mcs51Board:
         frame, self._sent = self._sent[:end], self._sent[end:]
         return frame
 
-    def take_output(self) -> bytes:
-        """Return all frames that the chip has sent."""
-        return b"".join(iter(self.take_frame, b""))
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -179,16 +175,6 @@ class Mcs51Board:
     def bad_frames(self) -> int:
         """The number of frames rejected since the reset."""
         return self._look("bad_frames")
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return self._look("sum")
-
-    @property
-    def allowance(self) -> int:
-        """The largest jump of the reference that is accepted now, counts."""
-        return self._look("allowance") // 1_000_000
 
     @property
     def next_tick(self) -> int:

@@ -3,7 +3,7 @@
     firmware = Firmware(EmulatedPlant(), board_id=1)
     firmware.feed(frame)               # between two ticks
     firmware.tick()                    # T_s of plant time, then one run of the loop
-    line.write(firmware.take_output())
+    line.write(firmware.take_frame())
 
 Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5 and 13,
 `control_loop.py` and `commands.py` have the others.
@@ -167,10 +167,6 @@ class Firmware:
         """Return the next frame for the line, or b""."""
         return b"" if self._dead_ticks else self.outbox.take()
 
-    def take_output(self) -> bytes:
-        """Return all waiting frames, in the order of transmission."""
-        return b"".join(iter(self.take_frame, b""))
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -185,16 +181,6 @@ class Firmware:
     def dropped(self) -> int:
         """The number of frames for which the line had no time, since power-on."""
         return self.outbox.dropped
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return self.loop.law.sum
-
-    @property
-    def allowance(self) -> int:
-        """The largest jump of the reference that is accepted now, counts."""
-        return self.loop.reference.allowance
 
     @property
     def bad_frames(self) -> int:

@@ -115,10 +115,6 @@ class NativeFirmware:
         size: int = self._library.posix_take(self._board, self._frame, room)
         return self._frame.raw[:size]
 
-    def take_output(self) -> bytes:
-        """Return all waiting frames, in the order of transmission."""
-        return b"".join(iter(self.take_frame, b""))
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -138,16 +134,6 @@ class NativeFirmware:
     def bad_frames(self) -> int:
         """The number of frames rejected since the reset."""
         return int(self._view.bad_frames)
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return int(self._view.sum)
-
-    @property
-    def allowance(self) -> int:
-        """The largest jump of the reference that is accepted now, counts."""
-        return int(self._view.allowance) // 1_000_000
 
     @property
     def next_tick(self) -> int:
