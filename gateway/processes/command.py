@@ -154,16 +154,10 @@ def wait(ready: Callable[[], bool], process: Process, what: str) -> None:
     """Wait until `ready()` is true.  Raises ServiceError if the process ends before or START_LIMIT_S is over."""
     end_s = time.monotonic() + START_LIMIT_S
     while not ready():
-        if process.poll() is not None:
-            raise ServiceError(
-                f"{what} ended with exit code {process.returncode}",
-                remedy="Its messages are in the .log files of --out",
-            )
-        if time.monotonic() > end_s:
-            raise ServiceError(
-                f"{what} did not appear within {START_LIMIT_S:.0f} s",
-                remedy="Its messages are in the .log files of --out",
-            )
+        if process.poll() is not None or time.monotonic() > end_s:
+            code = process.returncode
+            problem = f"did not appear within {START_LIMIT_S:.0f} s" if code is None else f"ended with exit code {code}"
+            raise ServiceError(f"{what} {problem}", remedy="Its messages are in the .log files of --out")
         time.sleep(0.05)
 
 

@@ -13,7 +13,8 @@ K puts the fast pair at about 108 rad/s with damping 0.7, and the integral at 14
 """
 
 import math
-from dataclasses import asdict, dataclass
+import struct
+from dataclasses import asdict, astuple, dataclass
 
 from gateway.emulator.firmware_model.law import Gains
 from protocol.wire.mantissa import to_mantissa
@@ -102,6 +103,12 @@ class Settings:
             return 1 + [field.name for field in fields].index("x_ref_max")
         return 0
 
+    def packed(self) -> bytes:
+        """Return the settings as the firmware in C stores them."""
+        gains = self.gains
+        values = (gains.law, *gains.shifts, *gains.mantissas, gains.i_0, gains.x_0, gains.u_0, *astuple(self.limits))
+        return struct.pack("<5B4h8H", *values)
+
 
 LIMITS = FlashLimits(
     x_ref_min=POSITION.to_count(0.3e-3),
@@ -175,6 +182,16 @@ class BoardProfile:
     def settings(self) -> Settings:
         """The gains, operating point and limits."""
         return Settings(gains=self.gains, limits=self.limits)
+
+    @property
+    def scalings(self) -> bytes:
+        """The scalings as the firmware in C stores them."""
+        scales = (self.current, self.position, self.input)
+        return struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
+
+    def identity(self, board_id: int, adc_bits: int) -> bytes:
+        """Return the identity of a board as the firmware in C stores it."""
+        return struct.pack("<I4B24s8s", board_id, *FIRMWARE, adc_bits, DAC_BITS, self.scalings, self.build.ljust(8)[:8])
 
     def current_count(self, pin: float) -> int:
         """Return the count of i_c."""

@@ -13,7 +13,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -47,9 +47,10 @@ class ImportReport:
     duration_s: float
     gaps: int
     samples_missing: int
-    irregular_steps: int
-    worst_step_s: float  # the step farthest from a whole number of T_s
-    beyond_table: Mapping[str, int]  # values for which a look-up table was extrapolated, by channel
+    irregular_steps: int = 0
+    worst_step_s: float = 0.0  # the step farthest from a whole number of T_s
+    # Values for which a look-up table was extrapolated, by channel.
+    beyond_table: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()  # implausible values, and columns that cannot be used
 
 
@@ -145,9 +146,6 @@ def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) 
         duration_s=(states[-1].host_time_ns - states[0].host_time_ns) / 1e9,
         gaps=sum(state.lost_before > 0 for state in states),
         samples_missing=sum(state.lost_before for state in states),
-        irregular_steps=0,
-        worst_step_s=0.0,
-        beyond_table={},
     )
 
 
@@ -284,9 +282,9 @@ def _states(
             t_s=at_s,
             lost_before=step - 1,
         )
-        for field, column in columns:
+        for name, column in columns:
             if not math.isnan(column[row]):
-                setattr(state, field, column[row])
+                setattr(state, name, column[row])
         yield state
 
 
