@@ -7,6 +7,8 @@ The gateway sends no STOP when it ends: an update or restart must not drop the b
 its host-loss policy, set in the configuration (default: coil off after 1 s).
 """
 
+from __future__ import annotations
+
 import logging
 import logging.handlers
 import queue

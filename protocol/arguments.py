@@ -1,5 +1,7 @@
 """Numbers of the command line, refused in words of the user and not in names of Python."""
 
+from __future__ import annotations
+
 from argparse import ArgumentTypeError
 from collections.abc import Callable
 from typing import TypeVar

@@ -3,6 +3,8 @@
 Rule: `parse(emit(campaign))` equals `campaign`, every number bit for bit.  Default values are omitted.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict

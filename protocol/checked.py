@@ -8,6 +8,8 @@ Rule 2: an unknown key is an error: ignoring a misspelt key would change results
 Rule 3: the only conversion is from whole numbers to numbers: no text becomes a number, no number a truth value.
 """
 
+from __future__ import annotations
+
 import difflib
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass

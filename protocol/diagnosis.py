@@ -3,6 +3,8 @@
 board51 diagnose -> diagnosis.json -> read_diagnosis -> page of the model, investigation, demo
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -12,6 +12,8 @@ happened in 12 of 160 ends of a router with three clients (zenoh 1.10).  By then
 `board51.py` therefore asks `end_is_ordered` before it makes a failure of a panic.
 """
 
+from __future__ import annotations
+
 import re
 import signal
 from collections.abc import Callable, Iterator

@@ -10,6 +10,8 @@
 Expected outcomes of an exchange (a time-out, a bad frame, a nack) are values, not exceptions.
 """
 
+from __future__ import annotations
+
 from importlib.util import find_spec
 
 LONGEST = 1000  # characters of a problem, and of a remedy

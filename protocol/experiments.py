@@ -8,6 +8,8 @@ Rule 2: recordings for judging are separate experiments with another seed or amp
 Rule 3: durations are those of the default run; `quick` is the factor on them for `--quick`.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Literal
 

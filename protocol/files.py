@@ -6,6 +6,8 @@ Rule 3: every error of a parser becomes one line that names the file.  The conte
 Rule 4: a file without a size is empty.  What the kernel shows under such a name (/proc) may block, fail or never end.
 """
 
+from __future__ import annotations
+
 import json
 import os
 import re

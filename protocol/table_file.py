@@ -6,6 +6,8 @@ Rule: the size is checked during decompression: a compressed kilobyte may expand
       to LARGEST_RATIO times its size at most, and to FREE_BYTES in any case.
 """
 
+from __future__ import annotations
+
 import csv
 import gzip
 import os

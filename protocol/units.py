@@ -3,6 +3,8 @@
 Rule: a unit in the name is decisive (`x_mm`, `i [mA]`, `t (ms)`); an implausible size only gives a warning.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 

@@ -5,6 +5,8 @@ No I/O.
 Rule: published on change and every EVERY_S, so that a view that starts later lists earlier conditions with their start.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

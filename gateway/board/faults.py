@@ -3,6 +3,8 @@
 Rule: a fault of COIL_FAULTS is one that the board cannot end.  No text about it says that the coil is off.
 """
 
+from __future__ import annotations
+
 from protocol.wire.messages import COIL_FAULTS, FAULT_EVENTS, EventCode
 
 

@@ -4,6 +4,8 @@ The gateway checks each command (limits.py), and the board checks it again.  A v
 the range that both accept.
 """
 
+from __future__ import annotations
+
 import math
 
 from protocol.bus import board51_pb2 as pb

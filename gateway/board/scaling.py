@@ -5,6 +5,8 @@ Rule 2: a value that does not fit its UART field gives a `Refusal`; it is never 
 Rule 3: `WireCommand.note` states relevant rounding.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -6,6 +6,8 @@ zenoh calls back in its own threads.  The serial thread handles the command (`li
 thread sends the reply.  Every query gets a reply: without one, its sender would assume that there is no gateway.
 """
 
+from __future__ import annotations
+
 import threading
 import time
 

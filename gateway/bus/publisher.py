@@ -11,6 +11,8 @@ Rule 6: without a router zenoh discards messages silently.  Publishing therefore
         newest messages and counts the dropped ones.
 """
 
+from __future__ import annotations
+
 import logging
 import threading
 import time

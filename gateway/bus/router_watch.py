@@ -6,6 +6,8 @@ Rule 2: after the router's return the subscribers need time to reconnect, and me
 Rule 3: messages that zenoh or the system accepted before the end of the connection may be lost; they are not counted.
 """
 
+from __future__ import annotations
+
 import threading
 import time
 from collections.abc import Sequence

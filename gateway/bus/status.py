@@ -1,5 +1,7 @@
 """Builds pb.Status and pb.Alarms of one board from the counters of its parts."""
 
+from __future__ import annotations
+
 from gateway.board import faults
 from gateway.board.conditions import LINK, LOG, TO_BOARD, Condition, Standing
 from gateway.bus.publisher import BoardSink

@@ -6,6 +6,8 @@ Rule 2: positions are relative to the reading at rest and to the travel, because
 Rule 3: each problem says what was observed, and whether and how a repetition may help (`Cure`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -6,6 +6,8 @@ Rule 2: every wait ends: at its tick, with `Stopped` (Ctrl-C), or with a Service
 Rule 3: `park` never raises, because it is called after every error.
 """
 
+from __future__ import annotations
+
 import contextlib
 import threading
 import time

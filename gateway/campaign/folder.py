@@ -6,6 +6,8 @@ Rule 3: a folder is for one rig and one plan.  Another board, plant, law or plan
 Rule 4: `[plant]` of `campaign.toml` may be corrected by hand.  A plant that was assumed may be stated later.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace

@@ -1,5 +1,7 @@
 """Options and lines of progress that `board51 campaign run` and `board51 investigate` have in common."""
 
+from __future__ import annotations
+
 import argparse
 import math
 import shlex

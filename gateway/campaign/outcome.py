@@ -1,5 +1,7 @@
 """Options and results of a run.  Pure."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal

@@ -7,6 +7,8 @@ Rule 2: the limits are the board's (`Parameters`), tightened by the options.  Th
 Rule 3: signals on the reference keep the board's limits of step and slew.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
 

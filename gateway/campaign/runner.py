@@ -7,6 +7,8 @@ Rule 3: an unusable recording is repeated at most twice, with changes if these h
         experiments do not depend on it, except on the lift-off input.
 """
 
+from __future__ import annotations
+
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,5 +1,7 @@
 """The choice of experiments for a run: by name or the default ones, and their shorter form for `--quick`.  Pure."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 from protocol.experiments import MENU, Burst, Expectation, Experiment, Hover, Step, Wave

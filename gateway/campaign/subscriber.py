@@ -4,6 +4,8 @@ zenoh calls back in its own thread; other threads wait on `changed`.  A recordin
 states) until it is checked, so that only usable recordings are written.
 """
 
+from __future__ import annotations
+
 import threading
 import time
 from collections import deque

@@ -1,5 +1,7 @@
 """Benchmarks, each against a baseline measured in the same run.  They live in tests/bench of a source checkout."""
 
+from __future__ import annotations
+
 import argparse
 import importlib
 import inspect

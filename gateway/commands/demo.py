@@ -7,6 +7,8 @@ third time.  Leaves an MCAP log, a campaign, models, reports and a picture; stop
 installed and no port stays open.
 """
 
+from __future__ import annotations
+
 import argparse
 import contextlib
 import json

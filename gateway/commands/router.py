@@ -4,6 +4,8 @@ The configuration file is zenoh's own: a stock `zenohd -c FILE` takes the same o
 need zenohd: this process loads none.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import re

@@ -4,6 +4,8 @@ Each is a process of its own, started again if it fails; what they say goes to f
 end stops no board: each follows its host-loss policy (default: coil off after 1 s).
 """
 
+from __future__ import annotations
+
 import argparse
 import contextlib
 import os

@@ -1,5 +1,7 @@
 """Print what travels on the bus: one line a message, decoded."""
 
+from __future__ import annotations
+
 import argparse
 import json
 import sys

@@ -3,6 +3,8 @@
 Rule: only measured errors are reported here; `board51 diagnose` names the causes.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

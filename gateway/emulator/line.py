@@ -5,6 +5,8 @@ Rule 1: the bytes of a tick pass together at its start, up to what the baud rate
 Rule 2: towards the board each byte has its own time within the tick, so that STOP acts when its last byte is in.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol

@@ -6,6 +6,8 @@ Rule 2: a port can be closed and opened again; a gateway opens it by its `url`.
 Rule 3: a host may disconnect and reconnect; bytes sent in between are lost, as on a wire.
 """
 
+from __future__ import annotations
+
 import contextlib
 import os
 import select

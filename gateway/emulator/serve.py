@@ -15,6 +15,8 @@ Rule 4: in lockstep time passes only in `advance`.  Bytes that the host wrote be
         that it does not read in between are lost once the port's buffer is full.
 """
 
+from __future__ import annotations
+
 import os
 import selectors
 import tempfile

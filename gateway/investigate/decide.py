@@ -13,6 +13,8 @@ Rule 4: an experiment is made once; one that failed on this rig is not tried aga
 Rule 5: an experiment that exceeds the remaining time on the rig is not begun.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 

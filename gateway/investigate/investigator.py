@@ -1,5 +1,7 @@
 """The loop of an investigation: decide, act, write the journal, until the answer is final or no step is left."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

@@ -4,6 +4,8 @@ Rule: after each step it is written to a temporary file, synced and renamed.  Th
       not repeated.
 """
 
+from __future__ import annotations
+
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

@@ -4,6 +4,8 @@ Rule: each has a process session of its own.  So Ctrl-C reaches only this proces
       campaign has parked the ball.  The child also ends if this process is killed (gateway/processes/child.py).
 """
 
+from __future__ import annotations
+
 import json
 import signal
 import subprocess

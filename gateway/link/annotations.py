@@ -6,6 +6,8 @@ Rule 2: the latest acknowledgement of each name is kept and repeated in `alarms`
         MAX_RETAINED names are kept; the oldest is discarded first.
 """
 
+from __future__ import annotations
+
 from gateway.link.sink import Sink
 from protocol.bus import board51_pb2 as pb
 

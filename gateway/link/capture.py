@@ -4,6 +4,8 @@ Blocks are read one command at a time, so that other commands can be sent in bet
 line, so reading begins at the latest at the computed end of the capture.
 """
 
+from __future__ import annotations
+
 from gateway.board.scaling import Scaling, WireCommand
 from gateway.link.reporter import LinkReporter
 from gateway.link.sink import Sink

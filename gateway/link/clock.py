@@ -4,6 +4,8 @@ Unix time is read once, at the start of a session, and advanced by the monotonic
 (NTP after boot, a manual change) is detected and reported; it affects the samples from the next session on.
 """
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable
 

@@ -17,6 +17,8 @@ Rule 7: a command to the board that was issued before the last STOP arrived is r
         `not-fresh` and is sent again with a new date counts by its first arrival.
 """
 
+from __future__ import annotations
+
 import logging
 from collections import OrderedDict
 from collections.abc import Callable

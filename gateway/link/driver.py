@@ -14,6 +14,8 @@ Rule 1: each change of state or reason is reported (`reporter.py`).
 Rule 2: the driver never changes mode or reference: starting or ending the gateway must not drop the ball.
 """
 
+from __future__ import annotations
+
 import secrets
 import time
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Texts of link events; name and severity of EVENT frames (protocol/README.md, rules 15 and 16)."""
 
+from __future__ import annotations
+
 from gateway.board.faults import COIL_MAY_BE_ON, OUTPUT_UNCONFIRMED, name_of
 from protocol.wire.events import BoardEvent
 from protocol.wire.messages import FAULT_EVENTS, RESETS, ROW_OF_NAME, VERSION, EventCode, Message, Mode

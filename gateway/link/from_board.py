@@ -4,6 +4,8 @@ Rule: states and other frames are supervised separately: a board that answers bu
       on is silent, too.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 from gateway.board.scaling import Scaling

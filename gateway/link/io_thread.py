@@ -8,6 +8,8 @@ Rule 3: there is no write buffer here: what the port does not accept stays in th
 Rule 4: an error in the handling of one board closes the connection to that board only.
 """
 
+from __future__ import annotations
+
 import contextlib
 import logging
 import os

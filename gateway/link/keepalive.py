@@ -6,6 +6,8 @@ Rule 2: a setting that the board did not accept is sent again a second later, fo
 Rule 3: nothing here changes mode or reference: starting or ending the gateway must not drop the ball.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 from gateway.config import BoardConfig

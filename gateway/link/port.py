@@ -6,6 +6,8 @@ copy the bytes through a socket pair, so that the serial thread can wait for des
 `open_port` may block for seconds (TCP, a stuck driver): never call it in the serial thread.
 """
 
+from __future__ import annotations
+
 import contextlib
 import errno
 import glob

@@ -4,6 +4,8 @@ Rule 1: each change of state or reason gives one event and one log line, with co
 Rule 2: within a session the time never steps (clock.py).
 """
 
+from __future__ import annotations
+
 import logging
 import time
 

@@ -1,5 +1,7 @@
 """Interface for the output of a board's driver.  Methods must not block: the serial thread calls them."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Protocol
 

@@ -9,6 +9,8 @@ Rule 1: a wait counts only while frames arrive without a pause.  A pause of the 
 Rule 2: only an answer ends `unanswered`, or another port.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 UNANSWERED_S = 1.0  # ten repetitions at the default time-out

@@ -9,6 +9,8 @@ in a signal handler, which Python runs there and nowhere else.  A process that i
 in a call, falls silent.
 """
 
+from __future__ import annotations
+
 import os
 import signal
 import sys

@@ -4,6 +4,8 @@ Rule: each has a process session of its own.  So Ctrl-C reaches only their paren
       campaign parks the ball while gateway and board still run.  They end with it, also after kill -9.
 """
 
+from __future__ import annotations
+
 import contextlib
 import signal
 import socket

@@ -7,6 +7,8 @@ Rule 4: a hanging child is killed and restarted: each child sends beats (child.p
 Rule 5: no child outlives this process, not even after kill -9 (see child.py).
 """
 
+from __future__ import annotations
+
 import logging
 import os
 import select

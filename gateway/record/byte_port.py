@@ -4,6 +4,8 @@ It waits for the first HELLO, then sends the recorded bytes at the pace of the l
 reader, so that no byte is lost.
 """
 
+from __future__ import annotations
+
 import os
 import select
 import socket

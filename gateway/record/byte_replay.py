@@ -9,6 +9,8 @@ Differences from the recording:
 - All other commands are refused with NACK NOT_AVAILABLE: a recording cannot be influenced.
 """
 
+from __future__ import annotations
+
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field

@@ -10,6 +10,8 @@ Rule 5: the next drain notices a part that was deleted or moved while it was wri
         is reported.  The content of a deleted part is lost; a moved part is completed at its new place.
 """
 
+from __future__ import annotations
+
 import errno
 import logging
 import os

@@ -3,6 +3,8 @@
 Messages are copied byte for byte (never parsed and written again), in the order of the broken file.
 """
 
+from __future__ import annotations
+
 import contextlib
 from dataclasses import dataclass
 from itertools import chain

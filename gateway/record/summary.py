@@ -1,5 +1,7 @@
 """Summarises a log in one pass: boards, duration, counts, rates, gaps, ranges, sessions.  Only sums are kept."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields

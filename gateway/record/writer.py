@@ -11,6 +11,8 @@ Rule 4: chunks are small, however rarely the caller flushes, and channel descrip
         descriptions) and without the index at the end.
 """
 
+from __future__ import annotations
+
 import errno
 import os
 from collections.abc import Mapping

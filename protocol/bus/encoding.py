@@ -4,6 +4,8 @@ The zenoh encoding is `application/protobuf;board51.v1.State`.  The MCAP schema 
 serialised FileDescriptorSet, so that any protobuf tool can decode a log without this repository.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from typing import SupportsBytes, TypeVar
 

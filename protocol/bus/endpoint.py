@@ -9,6 +9,8 @@ Rule: a subscriber that does not read loses only its own messages.  Publishers u
       gateway/README.md, "A subscriber that does not read").
 """
 
+from __future__ import annotations
+
 import json
 import re
 from collections.abc import Sequence

@@ -9,6 +9,8 @@
 The folder may be copied to the machine that needs it.  `--identity FOLDER` names it, or BOARD51_IDENTITY.
 """
 
+from __future__ import annotations
+
 import getpass
 import os
 from collections.abc import Mapping

@@ -4,6 +4,8 @@ A key is `<site>/<board>/<topic>`, without a leading slash.  The same key is the
 All processes and documents take keys, types and rates from this table.
 """
 
+from __future__ import annotations
+
 import re
 from dataclasses import dataclass
 from typing import Literal

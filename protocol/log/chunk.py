@@ -6,6 +6,8 @@ Rule: a chunk is decompressed to the size that it states at most, and that size 
 Format: mcap.dev/spec.  Integers are little-endian; a string is its length (4 bytes) and UTF-8.
 """
 
+from __future__ import annotations
+
 import struct
 import zlib
 from collections.abc import Iterator

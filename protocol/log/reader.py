@@ -8,6 +8,8 @@ Rule 3: records come in the order of the file, which is the order of arrival.  A
         from a log as live.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -14,6 +14,8 @@ Rule 4: memory and work are bounded by the size of the file: it unpacks to FREE_
 Format: mcap.dev/spec.  A record is opcode (1 byte), length (8), content; integers are little-endian.
 """
 
+from __future__ import annotations
+
 import os
 import struct
 import zlib

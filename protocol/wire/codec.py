@@ -1,5 +1,7 @@
 """Encodes and decodes message bodies, driven by the table in `messages.py`."""
 
+from __future__ import annotations
+
 import struct
 
 from protocol.wire.messages import ROW_OF_NAME, ROWS, Field, Message, Row, Value

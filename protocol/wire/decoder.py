@@ -10,6 +10,8 @@ Rule 3: a frame ends at 0x00, whatever precedes it.  Each frame has a delimiter 
         destroys the next one.
 """
 
+from __future__ import annotations
+
 from binascii import crc_hqx
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,5 +1,7 @@
 """Events that a `Session` reports about one board, in the order of their occurrence."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 

@@ -11,6 +11,8 @@ Rule 4: a pipe may accept frames that the board reads much later.  A command tha
         never will.
 """
 
+from __future__ import annotations
+
 import math
 from collections import deque
 from collections.abc import Callable

@@ -6,6 +6,8 @@
 The receiver computes one CRC over all bytes and compares it with 0.
 """
 
+from __future__ import annotations
+
 from binascii import crc_hqx
 
 MAX_BODY = 64  # bytes; what the board's receive buffer holds

@@ -1,5 +1,7 @@
 """The format of a control gain: mantissa * 2^-shift (protocol/README.md, *Arithmetic of the board*)."""
 
+from __future__ import annotations
+
 from typing import Final
 
 MANTISSA_MAX: Final = 32767

@@ -6,6 +6,8 @@ little-endian, without padding.  All process values are converter counts; IDENTI
 `protocol/README.md` is the reference for firmware authors; a test compares its field tables with this file.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 

@@ -5,6 +5,8 @@ Rule: frames do not wait in a buffer of bytes.  `SendQueue.output` gives one fra
       board rejects the part by its CRC.  A STOP is sent even after it was given up: a late STOP is harmless.
 """
 
+from __future__ import annotations
+
 from collections import deque
 from dataclasses import dataclass
 

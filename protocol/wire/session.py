@@ -8,6 +8,8 @@ Rule 2: the caller passes the time as `now_s` (any monotonic clock, seconds).  F
         calling `poll`, so that an answer in a buffer does not count as missing.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

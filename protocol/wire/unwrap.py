@@ -13,6 +13,8 @@ Rule 4: sequences do not contain the number of wraps, so it is not derived from 
 Rule 5: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 from protocol.wire.decoder import State

@@ -4,6 +4,8 @@ Columns are the fields of the message with their units (protocol/README.md), t_s
 overwritten; a damaged log is refused (board51 recover first).
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 from pathlib import Path

@@ -4,6 +4,8 @@ Either a table and where its channels are (--map), or a campaign file that says 
 i_c [A], x [m, up from the sensor], x_ref [m]; value = offset + scale * table(raw).
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import re

@@ -3,6 +3,8 @@
 Exit code 1: the log is damaged (board51 recover saves the rest).
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 from pathlib import Path

@@ -3,6 +3,8 @@
 The raw bytes of the UART do not travel on the bus: only the gateway's own log has them.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import sys

@@ -4,6 +4,8 @@ A log is broken when its writer was killed (it lacks its end), the disk was full
 file is not changed.  Exit code 0: everything intact is in the new file, also where that is not everything.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 from dataclasses import asdict

@@ -6,6 +6,8 @@ board's bytes as they were, noise included.  HELLO, GET_PARAMETERS and PING are 
 command is refused with NOT_AVAILABLE: a recording cannot be influenced.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import sys

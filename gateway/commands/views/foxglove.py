@@ -4,6 +4,8 @@ In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; then Layo
 opens the MCAP logs.  It shows and never commands.
 """
 
+from __future__ import annotations
+
 import argparse
 import threading
 from importlib.resources import files

@@ -5,6 +5,8 @@ Rule 1: integers only.  Products are 16 x 16 -> 32 bits or 16 x 24 -> 40 bits, q
 Rule 2: results that do not fit saturate and never wrap: a wrapped sum would drive the ball into a stop.
 """
 
+from __future__ import annotations
+
 import math
 
 FRACTION_BITS = 8  # of the 32-bit accumulator: Q23.8

@@ -9,6 +9,8 @@ Every rule of 'Behaviour of the board' in protocol/README.md holds here; this fi
 `control_loop.py` and `commands.py` have the others.
 """
 
+from __future__ import annotations
+
 from collections import deque
 from typing import Protocol
 

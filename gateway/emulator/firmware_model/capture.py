@@ -7,6 +7,8 @@ Sample n is taken n * 40 us after the tick `began_tick`; sample `pre` at the ins
 current before it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 from gateway.emulator.firmware_model.flash import CAPTURE_SETTLE_US, CAPTURE_US, T_S_US

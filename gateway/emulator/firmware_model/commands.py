@@ -4,6 +4,8 @@ A handler takes the loop, the message and the next tick, and returns a `Nack` or
 changes nothing.  `board.py` executes the commands of session, stream and host loss.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -4,6 +4,8 @@ Rules 6 to 11 and the board's half of 12 and 13 of protocol/README.md.  `board.p
 `commands.py` the effect of commands on the loop.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 

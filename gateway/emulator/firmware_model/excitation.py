@@ -9,6 +9,8 @@ signs of harmonics 2..8; the upper bits shift the signal in time.  So a seed has
 keeps in a table; finding the peak of an arbitrary choice of phases would take it several ticks.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cache
 

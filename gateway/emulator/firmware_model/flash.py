@@ -12,6 +12,8 @@ Gains: an LQI design for the measured CE 152 at x = 2.85 mm, in a loop sampled a
 K puts the fast pair at about 108 rad/s with damping 0.7, and the integral at 14 rad/s.
 """
 
+from __future__ import annotations
+
 import math
 import struct
 from dataclasses import asdict, astuple, dataclass

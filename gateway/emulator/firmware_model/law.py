@@ -12,6 +12,8 @@ Error against the same law in floating point, over 20 000 states of the working 
 So fixed point adds 3 % to the noise of the 12-bit converter; one count is 1.22 mV.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 from gateway.emulator.firmware_model.arithmetic import FRACTION_BITS, saturate, scaled_product

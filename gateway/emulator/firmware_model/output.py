@@ -4,6 +4,8 @@ Rule 1: `InputConverter` is hardware: it outlives a reset of the program.  `Outp
 Rule 2: u_c is what the converter confirmed last.  Before it has confirmed anything it may give all it can.
 """
 
+from __future__ import annotations
+
 from enum import IntEnum
 
 from protocol.wire.messages import COUNTS_MAX

@@ -7,6 +7,8 @@ Rule 2: every queue is bounded.  A full STATE queue loses its oldest (the newest
 Rule 3: a byte takes 10 bit times.  Idle time of the line is not accumulated.
 """
 
+from __future__ import annotations
+
 from binascii import crc_hqx
 from collections import deque
 from collections.abc import Iterator

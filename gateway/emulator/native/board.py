@@ -6,6 +6,8 @@ What is Python here is hardware: converters, clock, and the content of the flash
 in C; so the two firmwares share no code, and each is the other's test (tests/firmware).
 """
 
+from __future__ import annotations
+
 import ctypes
 from pathlib import Path
 

@@ -5,6 +5,8 @@ Rule 1: the library lies in the user's cache, under a name made of its sources a
 Rule 2: the file appears in the cache only when it is complete, so processes may compile it at the same time.
 """
 
+from __future__ import annotations
+
 import hashlib
 import os
 import platform

@@ -1,5 +1,7 @@
 """The functions of `firmware/posix/posix.h`, and its structures as C lays them out."""
 
+from __future__ import annotations
+
 import ctypes
 from ctypes import POINTER, c_bool, c_char_p, c_int16, c_int32, c_uint8, c_uint16, c_uint32, c_void_p
 from functools import cache

@@ -19,6 +19,8 @@ A physical reading: the ball's pole is its centre, and the winding starts behind
 matters is never zero, even if ball and housing touch.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, fields
 

@@ -10,6 +10,8 @@ Rule 3: weak shows only in careful statistics, medium in a plot, strong at once;
         under any single one of them.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -10,6 +10,8 @@ Rule 2: all randomness comes from `seed`.  Sensor noise and lost frames have gen
 Rule 3: the plant never prints or logs its effects: they may be secret.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -17,6 +17,8 @@ Rule 2: effects on the position sensor act on x before the field is computed: a 
         Their named strengths (weak, medium, strong) are those of the CE 152.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 
 import numpy as np

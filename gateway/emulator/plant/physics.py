@@ -18,6 +18,8 @@ Classical Runge-Kutta of 4th order in between.  At 20 us and T_A = 300 us its er
 far under the noise; an Euler step of that error would have to be far below 1 ns.
 """
 
+from __future__ import annotations
+
 import hashlib
 import math
 import os

@@ -5,6 +5,8 @@ read by accident.  It is not encrypted.  The commitment may be published at once
 that the effects were not changed.  The salt prevents guessing the effects from the commitment alone.
 """
 
+from __future__ import annotations
+
 import base64
 import binascii
 import hashlib

@@ -4,6 +4,8 @@ Only requested columns are converted to numbers, so that a file may have text co
 column and value.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -9,6 +9,8 @@ Rule 4: the log's metadata contain its source (file, SHA-256, columns, campaign)
 Rule 5: a table that `export` wrote is read back as it was (`exported_states`), unless its columns are mapped.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import math
