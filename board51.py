@@ -19,9 +19,8 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from protocol.arguments import number, whole_number
-from protocol.ending import end_is_ordered
+from protocol.ending import end_is_ordered, is_panic, reword
 from protocol.errors import Board51Error, missing_extra, single_line
-from protocol.panics import is_panic, reword
 
 DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
 OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h; systemd's Restart=on-failure and the gateway start it again

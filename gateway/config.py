@@ -21,7 +21,7 @@ from pydantic.fields import FieldInfo
 
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.topics import DEFAULT_SITE, check_name
-from protocol.checked import KEYS, Flag, Number, RuleError, Whole, bounds, checked, key, keys_of, plain_of, rule
+from protocol.checked import Flag, Keys, Number, RuleError, Whole, bounds, checked, key, keys_of, plain_of, rule
 from protocol.errors import ConfigError
 from protocol.files import parse_toml, read_small
 
@@ -64,10 +64,8 @@ def _reaches(zenoh: ZenohConfig) -> ZenohConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LimitsConfig:
+class LimitsConfig(Keys):
     """The limits of commands, at most those of the board; checked before a command is sent."""
-
-    __pydantic_config__ = KEYS
 
     x_ref_min_m: Annotated[Number, key("lowest reference [m]", 0.0, 0.1)] = 0.3e-3
     x_ref_max_m: Annotated[Number, key("highest reference [m]", 0.0, 0.1)] = 5.2e-3
@@ -91,10 +89,8 @@ class LimitsConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoardConfig:
+class BoardConfig(Keys):
     """A board: `[[board]]`."""
-
-    __pydantic_config__ = KEYS
 
     name: Annotated[Name, key("chunk of the key and of file names: lower-case letters, digits, - and _")]
     port: Annotated[
@@ -121,10 +117,8 @@ class BoardConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ZenohConfig:
+class ZenohConfig(Keys):
     """The bus: `[zenoh]`."""
-
-    __pydantic_config__ = KEYS
 
     mode: Annotated[
         Literal["router", "client"],
@@ -138,10 +132,8 @@ class ZenohConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogConfig:
+class LogConfig(Keys):
     """The MCAP log: `[log]`."""
-
-    __pydantic_config__ = KEYS
 
     enabled: Annotated[Flag, key("write a log")] = True
     directory: Annotated[str, key("where; made if absent")] = "logs"
@@ -162,20 +154,16 @@ class LogConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SecurityConfig:
+class SecurityConfig(Keys):
     """The access control: `[security]`."""
-
-    __pydantic_config__ = KEYS
 
     directory: Annotated[str, key("folder that `board51 security init` made; empty: the bus is not guarded")] = ""
     insecure: Annotated[Flag, key("open listeners to the network without protection all the same")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class OpcuaConfig:
+class OpcuaConfig(Keys):
     """The OPC UA server: `[opcua]`."""
-
-    __pydantic_config__ = KEYS
 
     listen: Annotated[
         str, key("address of the server, a process of its own, e.g. 127.0.0.1:4840; empty: not at all")
@@ -185,28 +173,22 @@ class OpcuaConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HmiConfig:
+class HmiConfig(Keys):
     """The web page: `[hmi]`."""
-
-    __pydantic_config__ = KEYS
 
     listen: Annotated[str, key("serve here, e.g. 127.0.0.1:8051; empty: not at all")] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoxgloveConfig:
+class FoxgloveConfig(Keys):
     """The live Foxglove WebSocket: `[foxglove]`."""
-
-    __pydantic_config__ = KEYS
 
     listen: Annotated[str, key("serve here, e.g. 127.0.0.1:8765; empty: not at all")] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
-class GatewayConfig:
+class GatewayConfig(Keys):
     """The whole file."""
-
-    __pydantic_config__ = KEYS
 
     site: Annotated[Name, key("first chunk of every key")] = DEFAULT_SITE
     boards: Annotated[

@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import fields
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -248,18 +249,8 @@ def _recording(log: LogConfig) -> Iterator[Recorder]:
     directory = Path(log.directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        recorder = Recorder(
-            directory,
-            RecorderOptions(
-                prefix=log.prefix,
-                rotate_bytes=log.rotate_bytes,
-                rotate_s=log.rotate_s,
-                flush_s=log.flush_s,
-                queue=log.queue,
-                min_free_bytes=log.min_free_bytes,
-                compression=log.compression,
-            ),
-        )
+        options = {option.name: getattr(log, option.name) for option in fields(RecorderOptions)}
+        recorder = Recorder(directory, RecorderOptions(**options))
         recorder.start()
     except (OSError, LogError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)

@@ -68,8 +68,11 @@ class EmulatorFactory(Protocol):
         """
 
 
-class GatewayFactory(Protocol):
+class GatewayFactory:
     """The fixture `board51_gateway`; a test may call it several times."""
+
+    def __init__(self, running: ExitStack, start_boards: EmulatorFactory, folders: pytest.TempPathFactory) -> None:
+        self._running, self._start_boards, self._folders = running, start_boards, folders
 
     def __call__(
         self,
@@ -96,6 +99,12 @@ class GatewayFactory(Protocol):
         Raises:
             ServiceError: it ended, or no samples came; says where its messages are.
         """
+        behind = list(emulators) or [self._start_boards(**emulator)]
+        folder = self._folders.mktemp("board51-gateway")
+        gateway = RunningGateway(folder, behind, opcua=opcua, hmi=hmi, log=log, config=config)
+        self._running.callback(gateway.stop)
+        gateway.start()
+        return gateway
 
 
 class RunningGateway:
@@ -113,7 +122,7 @@ class RunningGateway:
     def __init__(
         self, folder: Path, emulators: list[Emulator], *, opcua: bool, hmi: bool, log: bool, config: str
     ) -> None:
-        from gateway.processes.run import free_port
+        from gateway.processes.command import free_port
 
         self.folder, self.emulators = folder, emulators
         urls = [url for emulator in emulators for url in emulator.urls]
@@ -139,7 +148,7 @@ class RunningGateway:
         Raises:
             ServiceError: it ended, or they did not within 90 s.
         """
-        from gateway.processes.run import listens, running, wait
+        from gateway.processes.command import listens, running, wait
 
         self._process = self._running.enter_context(running(self.folder, "gateway", *self._words))
         for view in (self.opcua_url, self.hmi_url):
@@ -189,24 +198,8 @@ def board51_gateway(
     board51_emulator: EmulatorFactory, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[GatewayFactory]:
     """A gateway with emulated boards behind it, on free ports; see `GatewayFactory`."""
-    with ExitStack() as stack:
-
-        def start(
-            *emulators: Emulator,
-            opcua: bool = False,
-            hmi: bool = False,
-            log: bool = True,
-            config: str = "",
-            **emulator: Any,
-        ) -> RunningGateway:
-            behind = list(emulators) or [board51_emulator(**emulator)]
-            folder = tmp_path_factory.mktemp("board51-gateway")
-            gateway = RunningGateway(folder, behind, opcua=opcua, hmi=hmi, log=log, config=config)
-            stack.callback(gateway.stop)
-            gateway.start()
-            return gateway
-
-        yield start
+    with ExitStack() as running:
+        yield GatewayFactory(running, board51_emulator, tmp_path_factory)
 
 
 def _emulators(stack: ExitStack) -> Callable[..., Emulator]:

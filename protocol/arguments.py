@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 def number(text: str) -> float:
@@ -19,3 +23,15 @@ def whole_number(text: str) -> int:
         return int(text)
     except ValueError:
         raise ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def argument(parse: Callable[[str], T], is_good: Callable[[T], bool], problem: str) -> Callable[[str], T]:
+    """Return the type of an option: parsed with `parse`, and refused as `TEXT PROBLEM` unless it is good."""
+
+    def checked(text: str) -> T:
+        value = parse(text)
+        if not is_good(value):
+            raise ArgumentTypeError(f"{text} {problem}")
+        return value
+
+    return checked

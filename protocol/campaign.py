@@ -19,7 +19,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from protocol.checked import KEYS, Flag, Number, RuleError, checked, key
+from protocol.checked import Flag, Keys, Number, RuleError, checked, key
 from protocol.errors import DataError, quoted
 from protocol.files import parse_toml, read_small
 from protocol.units import unit_of_name
@@ -39,14 +39,12 @@ Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plant:
+class Plant(Keys):
     """The parameters that are known without identification: `[plant]`.
 
     The bounds cover the physical range of magnetic levitation rigs.  They detect a wrong unit or a wrong power of ten.
     A mass in grams instead of kilograms makes K_c a thousand times too large, and the recordings cannot reveal it.
     """
-
-    __pydantic_config__ = KEYS
 
     name: Annotated[str, Field(min_length=1, description="name of the rig")]
     mass_kg: Annotated[Number, key("mass of the ball, as steel balls of 2.9 to 79 mm have", 1e-4, 2.0)]
@@ -65,10 +63,8 @@ def _with_defaults(plant: object) -> object:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OperatingPoint:
+class OperatingPoint(Keys):
     """The operating point of the controller, eq. (13)."""
-
-    __pydantic_config__ = KEYS
 
     i_c_a: Number
     x_m: Number
@@ -76,10 +72,8 @@ class OperatingPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Controller:
+class Controller(Keys):
     """The control law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
-
-    __pydantic_config__ = KEYS
 
     kind: Law
     gains: tuple[Number, Number, Number, Number]
@@ -100,13 +94,11 @@ def _rising(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Column:
+class Column(Keys):
     """The source column of a channel and its conversion to SI units: value = offset + scale * table(raw).
 
     The table is interpolated linearly, and extrapolated linearly beyond its ends.
     """
-
-    __pydantic_config__ = KEYS
 
     column: Annotated[str, Field(min_length=1)]
     scale: Annotated[Number, AfterValidator(_not_zero)] = 1.0
@@ -161,10 +153,8 @@ Columns = Annotated[Mapping[Channel, Annotated[Column, BeforeValidator(_named)]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recording:
+class Recording(Keys):
     """A recording of the campaign: `[[recording]]`."""
-
-    __pydantic_config__ = KEYS
 
     file: Annotated[str, Field(min_length=1)]  # as written; `Campaign.path_of` finds it
     kind: Kind
@@ -198,10 +188,8 @@ class _PlantFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(_PlantFile):
+class _File(_PlantFile, Keys):
     """The content of `campaign.toml`."""
-
-    __pydantic_config__ = KEYS
 
     controller: Controller | None = None
     recording: Annotated[tuple[Recording, ...], Field(min_length=1), AfterValidator(_fit_or_judge)]

@@ -30,6 +30,13 @@ _WORDS = {float: "a finite number", int: "a whole number", bool: "true or false"
 _UNKNOWN = "unexpected_keyword_argument"
 
 
+class Keys:
+    """The base of a dataclass whose fields are all the keys of a table: an unknown key is refused."""
+
+    __slots__ = ()
+    __pydantic_config__ = KEYS
+
+
 class RuleError(ValueError):
     """Error of a validator; `problem` continues the path of the key: " = 0 makes every value equal"."""
 

@@ -7,6 +7,7 @@ Rule 3: `WireCommand.note` states relevant rounding.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from protocol.bus import board51_pb2 as pb
@@ -323,15 +324,7 @@ def _set_host_loss(command: pb.Command, scaling: Scaling) -> WireCommand:
     return WireCommand(name="SET_HOST_LOSS", values={"policy": h.policy, "timeout": timeout})
 
 
-def _stop(command: pb.Command, scaling: Scaling) -> WireCommand:
-    return WireCommand(name="STOP", values={})
-
-
-def _ping(command: pb.Command, scaling: Scaling) -> WireCommand:
-    return WireCommand(name="PING", values={})
-
-
-_CONVERT = {
+_CONVERT: Mapping[str, Callable[[pb.Command, Scaling], WireCommand]] = {
     "set_mode": _set_mode,
     "set_reference": _set_reference,
     "set_gains": _set_gains,
@@ -339,6 +332,6 @@ _CONVERT = {
     "capture": _capture,
     "set_stream": _set_stream,
     "set_host_loss": _set_host_loss,
-    "stop": _stop,
-    "ping": _ping,
+    "stop": lambda _, _scaling: WireCommand(name="STOP", values={}),
+    "ping": lambda _, _scaling: WireCommand(name="PING", values={}),
 }

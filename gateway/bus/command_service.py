@@ -19,6 +19,7 @@ from gateway.board.scaling import Refusal
 from gateway.bus.publisher import Publisher, PublishQueue
 from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
+from gateway.link.sink import Reply
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import zenoh_encoding
@@ -61,11 +62,11 @@ class CommandService:
         sender = self._authorizer.sender(query_key, time.time_ns())
         if isinstance(sender, Refusal):
             refusal = pb.CommandReply(refused_by="gateway", reason=sender.reason, text=sender.text)
-            _Reply(query, query_key, self._replies)(refusal)
+            _reply_to(query, query_key, self._replies)(refusal)
             return
         role = sender.role
         key = self._key if role is None else f"{self._key}/{topics.AS}/{role.word}/{sender.name}"
-        reply = _Reply(query, key, self._replies)
+        reply = _reply_to(query, key, self._replies)
         flood = self._flood(payload, sender)
         if flood is not None:
             reply(flood)
@@ -94,15 +95,11 @@ class CommandService:
         return pb.CommandReply(id=command.id, refused_by="gateway", reason="flood", text=text)
 
 
-class _Reply:
-    """The channel for the answer to one query."""
+def _reply_to(query: zenoh.Query, key: str, replies: Publisher) -> Reply:
+    """Return the function that answers one query."""
 
-    def __init__(self, query: zenoh.Query, key: str, replies: Publisher) -> None:
-        self._query, self._key, self._replies = query, key, replies
+    def send(payload: bytes) -> None:
+        with query:
+            query.reply(key, payload, encoding=_ENCODING)
 
-    def __call__(self, answer: pb.CommandReply) -> None:
-        self._replies.put(PublishQueue(self), [answer.SerializeToString()])
-
-    def put(self, payload: bytes, /) -> None:
-        with self._query:
-            self._query.reply(self._key, payload, encoding=_ENCODING)
+    return lambda answer: replies.put(PublishQueue(send), [answer.SerializeToString()])

@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import zenoh
 from google.protobuf.message import Message as ProtoMessage
@@ -35,18 +35,11 @@ LONGEST_BATCH = 256  # payloads; what waited for a router would else be one mess
 _logger = logging.getLogger("gateway.publish")
 
 
-class Target(Protocol):
-    """Takes one payload; may block."""
-
-    def put(self, payload: bytes, /) -> object:
-        """Send it."""
-
-
 class PublishQueue:
-    """A target with its counters.  `latencies_s` holds the times from read to zenoh of about the last second."""
+    """A function that sends one payload, and may block, with its counters and the latencies of the last second."""
 
-    def __init__(self, target: Target) -> None:
-        self.target = target
+    def __init__(self, send: Callable[[bytes], object]) -> None:
+        self.send = send
         self.waiting = 0
         self.dropped = 0
         self._latencies_s: list[float] = []
@@ -132,9 +125,8 @@ class Publisher:
                 time.sleep(self._gather_s)
             for channel, payloads, read_ns in self._take():
                 try:
-                    put = channel.target.put
                     for payload in payloads if self._join is None else self._joined(payloads):
-                        put(payload)
+                        channel.send(payload)
                 except Exception as error:  # whatever it is, the next message may go through
                     channel.dropped += len(payloads)
                     if not self._failed:
@@ -201,10 +193,10 @@ class BoardSink:
             if topic.source == "gateway" and topic.bus
         }
         self._single, self._batched = targets["state"], targets["states"]
-        self._channels = {name: PublishQueue(target) for name, target in targets.items()}
+        self._channels = {name: PublishQueue(target.put) for name, target in targets.items()}
         self.state_channel, self._batch_channel = self._channels["state"], self._channels["states"]
         self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
-        self._alive_channel = PublishQueue(_Token(session, topics.key(site, board, topics.ALIVE)))
+        self._alive_channel = PublishQueue(_Token(session, topics.key(site, board, topics.ALIVE)).put)
 
     @property
     def has_subscribers(self) -> bool:
@@ -257,13 +249,13 @@ class BoardSink:
 
 
 class _Token:
-    """The liveliness token as a target, so that a publisher's thread declares it in order."""
+    """The liveliness token, which a publisher's thread declares in order."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._session, self._key = session, key
         self._token: zenoh.LivelinessToken | None = None
 
-    def put(self, payload: bytes, /) -> None:
+    def put(self, payload: bytes) -> None:
         if payload and self._token is None:
             self._token = self._session.liveliness().declare_token(self._key)
         elif not payload and self._token is not None:

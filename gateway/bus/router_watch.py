@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import zenoh
@@ -38,7 +38,6 @@ class RouterWatch:
         where: Endpoints that it connects to, for messages.
         sinks: Outputs whose losses are reported and whose subscribers are awaited.
         publishers: Publishers to pause.
-        now_s: Monotonic clock, s.
     """
 
     def __init__(
@@ -47,14 +46,12 @@ class RouterWatch:
         where: str,
         sinks: Sequence[BoardSink],
         publishers: Sequence[Publisher],
-        *,
-        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._where, self._sinks, self._publishers, self._now_s = where, sinks, publishers, now_s
+        self._where, self._sinks, self._publishers = where, sinks, publishers
         self._lock = threading.Lock()
         self._routers = 0
         self._joined = False  # ever
-        self._lost_s: float | None = now_s()  # None: not paused
+        self._lost_s: float | None = time.monotonic()  # None: not paused
         self._back_s = self._lost_s
         self._loss_reported = False
         self._dropped = 0  # count of the sinks at the start of the pause
@@ -68,7 +65,7 @@ class RouterWatch:
 
     def look(self) -> RouterChange | None:
         """Return the event to publish, or None; call it once a second."""
-        now_s = self._now_s()
+        now_s = time.monotonic()
         with self._lock:
             if self._lost_s is None:
                 return None
@@ -90,7 +87,7 @@ class RouterWatch:
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
         """Handle a change of the connection; called in zenoh's thread."""
-        now_s = self._now_s()
+        now_s = time.monotonic()
         with self._lock:
             if event.kind == zenoh.SampleKind.PUT:
                 first, self._joined, self._back_s = not self._joined, True, now_s

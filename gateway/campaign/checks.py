@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gateway.campaign.plan import CommandLimits
 from protocol.bus import board51_pb2 as pb
-from protocol.experiments import Burst, Experiment, Wave
+from protocol.experiments import Experiment, Wave
 from protocol.wire.messages import Flag
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +37,7 @@ AT_LIMIT_SHARE = 0.98
 FEWEST_CROSSINGS_PER_S = 1.0  # of the middle of the travel, in open-loop flight
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Problem:
     """A reason why a recording is not usable."""
 
@@ -54,7 +54,6 @@ class CheckedRig:
     travel_m: float
     rest_m: float  # reading of x with the ball at rest
     sample_time_s: float
-    lift_off_v: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,22 +99,20 @@ def check(
     rig: CheckedRig,
 ) -> tuple[Problem, ...]:
     """The problems of a recording; empty if it is usable."""
-    broken = _continuity(samples, events, rig)
-    if broken:
-        return broken
-    problems = _converters(experiment, samples, rig)
-    problems += _captures(experiment, captures)
-    if problems:
-        return problems
-    match experiment.expects:
-        case "rests" | "is-clamped":
-            return _at_rest(experiment, samples, rig)
-        case "lifts-off":
-            return _lifts(experiment, samples, rig)
-        case "bounces":
-            return _bounces(samples, rig)
-        case "flies":
-            return _flies(experiment, samples, rig)
+    problems = [_continuity(samples, events, rig)]
+    if not any(problems):
+        problems = [*_converters(experiment, samples, rig), _captures(experiment, captures)]
+    if not any(problems):
+        match experiment.expects:
+            case "rests" | "is-clamped":
+                problems = [_at_rest(experiment, samples, rig)]
+            case "lifts-off":
+                problems = [_lifts(experiment, samples, rig)]
+            case "bounces":
+                problems = [_bounces(samples, rig)]
+            case "flies":
+                problems = [_flies(experiment, samples, rig)]
+    return tuple(problem for problem in problems if problem is not None)
 
 
 def rest_level_m(x_m: Sequence[float]) -> float:
@@ -144,66 +141,50 @@ def lift_off_v(samples: Samples, rig: CheckedRig) -> float | None:
     return float(np.median(departures)) if departures else None
 
 
-def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> tuple[Problem, ...]:
+def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> Problem | None:
     if len(s) < 2:
-        return (Problem(code="no-samples", text=f"{len(s)} samples arrived"),)
+        return Problem("no-samples", f"{len(s)} samples arrived")
     if len(np.unique(s.session)) > 1:
         why = next((e.text for e in events if e.source == "board" and e.name.startswith("reset")), "")
-        return (Problem(code="board-reset", text=f"the board began a new session in between. {why}".rstrip(" .")),)
+        return Problem("board-reset", f"the board began a new session in between. {why}".rstrip(" ."))
     faults = [event for event in events if event.severity == "fault"]
     if (s.flags & Flag.FAULT).any() or faults:
         named = "; ".join(f"{event.name}: {event.text}".rstrip(".") for event in faults) or "the board reports a fault"
-        return (Problem(code="fault", text=named),)
+        return Problem("fault", named)
     steps = np.diff(s.tick)
     lost = int(np.sum(steps - 1))
     gap_s = float(np.max(steps) - 1) * rig.sample_time_s
     share = lost / (len(s) + lost)
     if share > MAX_LOST_SHARE or gap_s > LONGEST_GAP_S:
-        return (
-            Problem(
-                code="samples-lost",
-                text=f"{lost} samples are missing ({100 * share:.2g} %), {gap_s * 1e3:.3g} ms in one place"
-                f" (allowed: {100 * MAX_LOST_SHARE:g} %, {LONGEST_GAP_S * 1e3:g} ms)",
-            ),
+        return Problem(
+            "samples-lost",
+            f"{lost} samples are missing ({100 * share:.2g} %), {gap_s * 1e3:.3g} ms in one place"
+            f" (allowed: {100 * MAX_LOST_SHARE:g} %, {LONGEST_GAP_S * 1e3:g} ms)",
         )
-    return ()
+    return None
 
 
-def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
+def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> list[Problem]:
     problems = []
     current = float(np.mean((s.flags & Flag.CURRENT_RANGE) != 0))
     if current > CLIPPED_SHARE:
-        problems.append(
-            Problem(
-                code="clipped-i_c",
-                cure="lower",
-                text=f"i_c is at an end of its converter in {100 * current:.0f} % of it",
-            )
-        )
+        text = f"i_c is at an end of its converter in {100 * current:.0f} % of it"
+        problems.append(Problem("clipped-i_c", text, "lower"))
     position = float(np.mean((s.flags & Flag.POSITION_RANGE) != 0))
-    if (
-        position > CLIPPED_SHARE and experiment.expects == "flies"
-    ):  # at a stop, a sensor with an offset may be at its end
-        problems.append(
-            Problem(
-                code="clipped-x", cure="none", text=f"x is at an end of its converter in {100 * position:.0f} % of it"
-            )
-        )
+    if position > CLIPPED_SHARE and experiment.expects == "flies":  # at a stop, a sensor with an offset may be clipped
+        text = f"x is at an end of its converter in {100 * position:.0f} % of it"
+        problems.append(Problem("clipped-x", text, "none"))
     for name, values in (("u_c", s.u_v), ("i_c", s.i_a), ("x", s.x_m)):
         known = values[np.isfinite(values)]
         if not len(known):
-            problems.append(Problem(code=f"no-{name}", cure="none", text=f"{name} was not measured"))
+            problems.append(Problem(f"no-{name}", f"{name} was not measured", "none"))
         elif np.ptp(known) == 0.0 and not (name == "x" and experiment.expects in ("rests", "is-clamped")):
-            problems.append(
-                Problem(
-                    code="nothing-moves", cure="none", text=f"{name} reads {known[0]:.6g} throughout: not connected?"
-                )
-            )
+            text = f"{name} reads {known[0]:.6g} throughout: not connected?"
+            problems.append(Problem("nothing-moves", text, "none"))
     if not problems and experiment.expects != "flies" and _correlation(s.u_v, s.i_a) < 0.1:
-        problems.append(
-            Problem(code="no-response", cure="none", text="i_c does not follow u_c: amplifier off, or not connected")
-        )
-    return tuple(problems)
+        text = "i_c does not follow u_c: amplifier off, or not connected"
+        problems.append(Problem("no-response", text, "none"))
+    return problems
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> float:
@@ -211,37 +192,35 @@ def _correlation(a: FloatArray, b: FloatArray) -> float:
     return float(np.corrcoef(a[both], b[both])[0, 1])
 
 
-def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> tuple[Problem, ...]:
-    expected = sum(isinstance(step, Burst) for step in experiment.steps)
+def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> Problem | None:
+    expected = len(experiment.captures)
     if len(captures) < expected:
-        return (Problem(code="captures-missing", text=f"{len(captures)} of {expected} captures arrived"),)
+        return Problem("captures-missing", f"{len(captures)} of {expected} captures arrived")
     clear = 0
     for capture in captures:
         i = np.array(capture.i_c_a)
         if not 0 < capture.step_index < len(i) - 20:
-            return (Problem(code="capture-short", text=f"a capture has {len(i)} samples"),)
+            return Problem("capture-short", f"a capture has {len(i)} samples")
         before, after = i[: capture.step_index], i[-len(i) // 4 :]
         noise = max(float(np.std(before)), float(np.std(after)), 1e-9)
         clear += abs(float(np.mean(after) - np.mean(before))) > 3.0 * noise
     if 2 * clear < expected:  # small steps may lie within a dead zone of the rig
-        return (
-            Problem(code="no-response", cure="none", text=f"i_c answers {clear} of {expected} captured steps of u_c"),
-        )
-    return ()
+        return Problem("no-response", f"i_c answers {clear} of {expected} captured steps of u_c", "none")
+    return None
 
 
-def _at_rest(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
+def _at_rest(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | None:
     far = float(np.max(np.abs(s.x_m - rig.rest_m))) / rig.travel_m
     if experiment.expects == "is-clamped":
         far = float(np.ptp(s.x_m)) / rig.travel_m
         if far > MAX_CLAMPED_SHARE:
-            return (Problem(code="ball-moves", cure="none", text=f"the ball moves by {100 * far:.0f} % of its travel"),)
+            return Problem("ball-moves", f"the ball moves by {100 * far:.0f} % of its travel", "none")
     elif far > LIFTED_SHARE:
-        return (Problem(code="ball-moves", cure="lower", text="the ball left its rest, where it should lie still"),)
-    return ()
+        return Problem("ball-moves", "the ball left its rest, where it should lie still", "lower")
+    return None
 
 
-def _lifts(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
+def _lifts(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | None:
     ramps = sum(int(step.duration_s / step.period_s + 1e-6) for step in experiment.steps if isinstance(step, Wave))
     departures = departures_v(s, rig)
     highest = float(np.max(s.x_m)) - rig.rest_m
@@ -249,77 +228,54 @@ def _lifts(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem
         top = float(np.max(s.u_v))
         at_limit = top > AT_LIMIT_SHARE * rig.limits.u_max_v  # a ramp ends one step short of its top
         hint = "; that is the limit: raise --u-max, or look whether the ball is stuck" if at_limit else ""
-        return (
-            Problem(
-                code="never-lifted",
-                cure="none" if at_limit else "raise",
-                text=f"the ball never left its rest (u_c went up to {top:.3g} V{hint})",
-            ),
-        )
+        text = f"the ball never left its rest (u_c went up to {top:.3g} V{hint})"
+        return Problem("never-lifted", text, "none" if at_limit else "raise")
     if len(departures) < max(ramps - 1, 1):
-        return (
-            Problem(code="few-lift-offs", text=f"the ball left a steady rest {len(departures)} times in {ramps} ramps"),
-        )
+        return Problem("few-lift-offs", f"the ball left a steady rest {len(departures)} times in {ramps} ramps")
     spread = float(np.ptp(departures)) / float(np.median(departures))
     if spread > 0.1:
-        return (
-            Problem(
-                code="unsteady-lift-off",
-                text=f"it leaves its rest between {min(departures):.3g} and {max(departures):.3g} V:"
-                " it sticks or is pushed",
-            ),
-        )
-    return ()
+        low_v, high_v = min(departures), max(departures)
+        text = f"it leaves its rest between {low_v:.3g} and {high_v:.3g} V: it sticks or is pushed"
+        return Problem("unsteady-lift-off", text)
+    return None
 
 
-def _bounces(s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
+def _bounces(s: Samples, rig: CheckedRig) -> Problem | None:
     x = s.x_m - rig.rest_m
     if float(np.max(x)) < LIFTED_SHARE * rig.travel_m:
-        return (Problem(code="never-lifted", cure="raise", text="the ball never left its rest"),)
+        return Problem("never-lifted", "the ball never left its rest", "raise")
     above = x > 0.5 * rig.travel_m
     crossings = int(np.count_nonzero(above[1:] != above[:-1]))
     seconds = float(s.tick[-1] - s.tick[0]) * rig.sample_time_s
     if crossings < FEWEST_CROSSINGS_PER_S * seconds:
-        stays = "on top" if above.mean() > 0.5 else "below"
-        return (
-            Problem(
-                code="hardly-flies",
-                cure="again" if above.mean() > 0.5 else "raise",
-                text=f"the ball crosses the middle {crossings} times in {seconds:.1f} s and mostly stays {stays}",
-            ),
-        )
-    return ()
+        high = above.mean() > 0.5
+        stays = "on top" if high else "below"
+        text = f"the ball crosses the middle {crossings} times in {seconds:.1f} s and mostly stays {stays}"
+        return Problem("hardly-flies", text, "again" if high else "raise")
+    return None
 
 
-def _flies(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
+def _flies(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | None:
     if (s.mode != pb.MODE_CLOSED_LOOP).any():
-        return (Problem(code="mode-changed", text="the board left closed loop in between"),)
+        return Problem("mode-changed", "the board left closed loop in between")
     x = s.x_m - rig.rest_m
     if float(np.ptp(x)) < FOLLOWED_SHARE * float(np.ptp(s.x_ref_m)):
-        return (Problem(code="nothing-moves", text="x_ref moves, the ball does not"),)
+        return Problem("nothing-moves", "x_ref moves, the ball does not")
     at_stop = (x < STOP_SHARE * rig.travel_m) | (x > (1 - STOP_SHARE) * rig.travel_m)
     longest_s = _longest(at_stop) * rig.sample_time_s
     if longest_s > AT_STOP_S:
-        return (Problem(code="ball-fell", cure="lower", text=f"the ball lay at a stop for {longest_s:.2g} s"),)
+        return Problem("ball-fell", f"the ball lay at a stop for {longest_s:.2g} s", "lower")
     ends = (s.u_v >= rig.limits.u_max_v - rig.limits.u_lsb_v) | (s.u_v <= rig.limits.u_min_v + rig.limits.u_lsb_v)
     share = float(np.mean(ends | ((s.flags & Flag.INPUT_SATURATED) != 0)))
     if share > SATURATED_SHARE:
-        return (
-            Problem(code="clipped-u_c", cure="lower", text=f"u_c is at a limit in {100 * share:.0f} % of the samples"),
-        )
+        return Problem("clipped-u_c", f"u_c is at a limit in {100 * share:.0f} % of the samples", "lower")
     # The loop cannot follow a fast reference point by point, so only the mean is compared.
     fast = any(isinstance(step, Wave) and step.shape in ("prbs", "multisine", "chirp") for step in experiment.steps)
     error = s.x_m - s.x_ref_m
     off = abs(float(np.nanmean(error) if fast else np.nanmedian(np.abs(error)))) / rig.travel_m
     if off > OFF_SHARE:
-        return (
-            Problem(
-                code="reference-not-reached",
-                cure="lower",
-                text=f"x is {100 * off:.0f} % of the travel off its reference",
-            ),
-        )
-    return ()
+        return Problem("reference-not-reached", f"x is {100 * off:.0f} % of the travel off its reference", "lower")
+    return None
 
 
 def _longest(mask: NDArray[np.bool_]) -> int:

@@ -42,7 +42,7 @@ class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
 
     def __init__(self, code: str, text: str, *, cure: Cure = "again") -> None:
         super().__init__(text)
-        self.problem = Problem(code=code, text=text, cure=cure)
+        self.problem = Problem(code, text, cure)
 
 
 class Dwell:

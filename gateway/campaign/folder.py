@@ -23,7 +23,7 @@ from protocol.campaign_text import emit
 from protocol.checked import Flag, Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
 from protocol.experiments import EXPERIMENT_OF_NAME, MENU, Experiment
-from protocol.files import parse_json, read_small, replace_text
+from protocol.files import make_folder, parse_json, read_small, replace_text
 
 RUN_FILE = "run.json"
 _READABLE = "Give a new folder; the recordings here stay readable"
@@ -151,12 +151,7 @@ class Folder:
                         remedy="Give a new folder, or the same board, plant and gains as before",
                     )
         self._identity = dict(identity)
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"Folder {self.path} cannot be made: {error.strerror}", remedy="Give a folder that can be written"
-            ) from None
+        make_folder(self.path)
 
     def begin(self, names: Sequence[str], *, quick: bool) -> None:
         """Note the experiments of a run: they are left to do until they are recorded, or until `settle`."""

@@ -1,7 +1,7 @@
 """Turn the shares of the menu into volts, metres and commands of one rig.  Pure.
 
-Rule 1: all signals are within the limits.  A larger signal is reduced; if too little of it is left, the result is
-        `Impossible`, which is reported before the ball moves.
+Rule 1: all signals are within the limits.  A larger signal is reduced; if too little of it is left, the result is the
+        reason, which is reported before the ball moves.
 Rule 2: the limits are the board's (`Parameters`), tightened by the options.  The gateway may have tighter limits and
         then refuses commands.
 Rule 3: signals on the reference keep the board's limits of step and slew.
@@ -85,13 +85,6 @@ class GoTo:
 Action = Send | Shoot | GoTo
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Impossible:
-    """An experiment that is not useful within the limits, with the reason."""
-
-    why: str
-
-
 def limits_of(
     parameters: pb.Parameters, *, u_max_v: float | None, x_min_m: float | None, x_max_m: float | None
 ) -> CommandLimits:
@@ -152,8 +145,8 @@ def guessed_lift_off_v(parameters: pb.Parameters, plant: Plant, limits: CommandL
     return min(guess, limits.u_max_v / 1.1)
 
 
-def actions_of(experiment: Experiment, scale: Scale) -> tuple[Action, ...] | Impossible:
-    """The actions of an experiment in order, or why it is not possible within the limits."""
+def actions_of(experiment: Experiment, scale: Scale) -> tuple[Action, ...] | str:
+    """The actions of an experiment in order, or why it is not useful within the limits."""
     actions: list[Action] = []
     for step in experiment.steps:
         match step:
@@ -169,11 +162,11 @@ def actions_of(experiment: Experiment, scale: Scale) -> tuple[Action, ...] | Imp
                 actions.append(GoTo(x_ref_m=_metres(step.value, scale), hold_s=step.duration_s))
             case Wave():
                 played = _on_reference(step, scale) if step.on_reference else _on_input(step, scale)
-                if isinstance(played, Impossible):
-                    return replace(played, why=f"{experiment.name}: {played.why}")
+                if isinstance(played, str):
+                    return f"{experiment.name}: {played}"
                 actions.append(played)
     if experiment.name == "holds" and (distinct := len({a.x_ref_m for a in actions if isinstance(a, GoTo)})) < 5:
-        return Impossible(why=f"{experiment.name}: the limits of x_ref leave {distinct} different positions")
+        return f"{experiment.name}: the limits of x_ref leave {distinct} different positions"
     return tuple(actions)
 
 
@@ -193,15 +186,15 @@ def _metres(share: float, scale: Scale) -> float:
     return min(max(share * scale.travel_m, scale.limits.x_min_m), scale.limits.x_max_m)
 
 
-def _on_input(wave: Wave, scale: Scale) -> Send | Impossible:
+def _on_input(wave: Wave, scale: Scale) -> Send | str:
     low, high = _volts(wave.low, scale), _volts(wave.high, scale)
     span = (wave.high - wave.low) * scale.lift_off_v
     if high - low < LEFT_SHARE * span:
-        return Impossible(why=f"u_c up to {scale.limits.u_max_v:.4g} V leaves too little of the {wave.shape}")
+        return f"u_c up to {scale.limits.u_max_v:.4g} V leaves too little of the {wave.shape}"
     return _send(wave, scale, low, high)
 
 
-def _on_reference(wave: Wave, scale: Scale) -> Send | Impossible:
+def _on_reference(wave: Wave, scale: Scale) -> Send | str:
     limits = scale.limits
     low, high = _metres(wave.low, scale), _metres(wave.high, scale)
     if low >= high:  # the whole signal is outside the limits: use the full range
@@ -215,8 +208,8 @@ def _on_reference(wave: Wave, scale: Scale) -> Send | Impossible:
         slope = 2 * math.pi / fastest * (_MULTISINE_SLOPE if wave.shape == "multisine" else 1.0)
         half = min(half, limits.slew_m_s / slope)
     if 2 * half < LEFT_SHARE * span * min(scale.x_factor, 1.0):
-        return Impossible(
-            why=f"x_ref {limits.x_min_m * 1e3:.3g} .. {limits.x_max_m * 1e3:.3g} mm, {limits.step_m * 1e3:.3g} mm at"
+        return (
+            f"x_ref {limits.x_min_m * 1e3:.3g} .. {limits.x_max_m * 1e3:.3g} mm, {limits.step_m * 1e3:.3g} mm at"
             f" once and {limits.slew_m_s * 1e3:.3g} mm/s leave too little of the {wave.shape}"
         )
     return _send(wave, scale, middle - half, middle + half)

@@ -21,7 +21,6 @@ from gateway.campaign.plan import (
     Action,
     CommandLimits,
     GoTo,
-    Impossible,
     Scale,
     Send,
     actions_of,
@@ -129,18 +128,15 @@ class Runner:
             e = outcome.experiment
             if self._folder.has(e.name, plan_of(e, self._limits, self._wishes.seed)):
                 retained = self._folder.retained[e.name]
-                outcome.standing, outcome.attempts, outcome.seconds = (
-                    "already-there",
-                    retained.attempts,
-                    retained.seconds,
-                )
+                outcome.standing = "already-there"
+                outcome.attempts, outcome.seconds = retained.attempts, retained.seconds
                 continue
             self._folder.drop(e.name)
             plan = actions_of(e, self._scale(e))
-            if isinstance(plan, Impossible):
+            if isinstance(plan, str):
                 outcome.standing = "impossible"
-                outcome.problems.append(plan.why)
-                self._write_line(f"impossible within the limits: {plan.why}")
+                outcome.problems.append(plan)
+                self._write_line(f"impossible within the limits: {plan}")
 
     def _scale(self, experiment: Experiment) -> Scale:
         known = None if experiment.name == LIFT_OFF else self._folder.lift_off_v
@@ -177,7 +173,8 @@ class Runner:
                 outcome.problems.append("the lift-off input is not known")
                 self._write_line(f"[{number}/{total}] {e.name}: given up, the lift-off input is not known")
                 continue
-            left = sum(_estimate_s(o.experiment) for o in summary.outcomes[number - 1 :] if o.standing == "not-reached")
+            ahead = [o.experiment for o in summary.outcomes[number - 1 :] if o.standing == "not-reached"]
+            left = sum(experiment.duration_s + OVERHEAD_S[experiment.closed_loop] for experiment in ahead)
             self._write_line(
                 f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)"
             )
@@ -196,8 +193,8 @@ class Runner:
         for attempt in range(1, ATTEMPTS + 1):
             outcome.attempts = attempt
             plan = actions_of(e, scale)
-            if isinstance(plan, Impossible):
-                outcome.problems.append(plan.why)
+            if isinstance(plan, str):
+                outcome.problems.append(plan)
                 break
             problems, recorded = self._attempt(e, plan)
             if not problems:
@@ -227,7 +224,7 @@ class Runner:
         cut: tuple[checks.Problem, ...] = ()
         try:
             if e.closed_loop:
-                self._rig.lift(_start_m(plan))
+                self._rig.lift(next(action.x_ref_m for action in plan if isinstance(action, GoTo)))
             self._subscriber.begin()
             for action in plan:
                 if not e.closed_loop and not _is_idle(action):
@@ -289,15 +286,6 @@ class Runner:
         return ticks * self._parameters.sample_time_s
 
 
-def _estimate_s(experiment: Experiment) -> float:
-    return experiment.duration_s + OVERHEAD_S[experiment.closed_loop]
-
-
-def _start_m(plan: tuple[Action, ...]) -> float:
-    """Initial reference of a closed-loop experiment, m."""
-    return next(action.x_ref_m for action in plan if isinstance(action, GoTo))
-
-
 def _is_idle(action: Action) -> bool:
     return isinstance(action, Send) and action.command.WhichOneof("what") == "set_mode"
 
@@ -307,7 +295,5 @@ def _intruder(recorded: Recorded) -> checks.Problem | None:
     for record in recorded.commands:
         what = record.command.WhichOneof("what")
         if is_foreign(record) and what != "ping":
-            return checks.Problem(
-                code="intruder", text=f"{record.command.who or 'somebody'} sent {what} to the board in between"
-            )
+            return checks.Problem("intruder", f"{record.command.who or 'somebody'} sent {what} to the board in between")
     return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
+import importlib
 import inspect
 import json
 import sys
@@ -85,13 +85,7 @@ def load(name: str) -> Callable[..., list[Row]]:
     """The `run` of tests/bench/NAME.py."""
     if str(ROOT) not in sys.path:
         sys.path.insert(0, str(ROOT))  # benchmarks share plants and loads with the tests
-    spec = importlib.util.spec_from_file_location(f"board51_bench_{name}", FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    loaded: Callable[..., list[Row]] = module.run
+    loaded: Callable[..., list[Row]] = importlib.import_module(f"tests.bench.{name}").run
     return loaded
 
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import select
-import shlex
 import signal
 import sys
 import threading
@@ -18,9 +16,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.client.connection import add_bus_arguments
-from protocol.arguments import number
+from gateway.campaign.options import add_rig_arguments, same_command, write_line
 from protocol.bus.topics import check_name
+from protocol.ending import on_signals
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -42,13 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     run_.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="made if absent, continued if begun")
     run_.add_argument("--board", default="", help="name of the board")
-    add_bus_arguments(run_)
-    run_.add_argument(
-        "--plant",
-        type=Path,
-        metavar="FILE",
-        help="TOML with the [plant] of this rig (default: that of FOLDER, else a published CE 152)",
-    )
+    add_rig_arguments(run_, who="campaign")
     run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
     run_.add_argument(
         "--experiment",
@@ -58,23 +50,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="record only this experiment and add it to FOLDER; repeatable",
     )
     run_.add_argument("--list", action="store_true", help="print the menu of experiments and end")
-    run_.add_argument("--seed", type=int, default=1, help="seed of the random signals (default 1)")
-    run_.add_argument("--u-max", type=_positive, metavar="V", help="highest u_c (default: the board's limit)")
-    run_.add_argument("--x-min", type=_positive, metavar="MM", help="lowest reference (default: the board's limit)")
-    run_.add_argument("--x-max", type=_positive, metavar="MM", help="highest reference (default: the board's limit)")
     run_.add_argument("--yes", action="store_true", help="the preparation by hand (blocked-ball) is done")
     run_.add_argument("--json", action="store_true", help="print the summary as JSON")
-    run_.add_argument(
-        "--issued", type=int, default=0, metavar="NS", help="when it was ordered, Unix time: a STOP since then ends it"
-    )
-    run_.add_argument("--who", default="campaign", help="who sends the commands, for the log (default campaign)")
-
-
-def _positive(text: str) -> float:
-    value = number(text)
-    if not (math.isfinite(value) and value >= 0.0):
-        raise argparse.ArgumentTypeError(f"{text} is not a number of at least 0")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -124,16 +101,13 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
             x_max_m=None if args.x_max is None else args.x_max * 1e-3,
             prepare=lambda experiment: "" if args.yes else _request_preparation(experiment, stop),
         )  # fmt: skip
-        handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
-            summary = Runner(control, subscriber, folder, args.board, wishes, _write_line).run()
+            with on_signals(stop.set, signal.SIGINT, signal.SIGTERM):
+                summary = Runner(control, subscriber, folder, args.board, wishes, write_line).run()
             ended_ns = time.time_ns()
         except Stopped:
-            _write_line("interrupted before the board's first sample: nothing was sent to it")
+            write_line("interrupted before the board's first sample: nothing was sent to it")
             return 1
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
     _report(args, summary, ended_ns)
     return 0 if summary.complete else 1
 
@@ -141,16 +115,12 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
 def _request_preparation(experiment: Experiment, stop: threading.Event) -> str:
     if not sys.stdin.isatty():
         return f"{experiment.person.rstrip('.')}, then say so with --yes"
-    _write_line(f"    {experiment.person}\n    Done? Type y to continue, anything else to skip it:")
+    write_line(f"    {experiment.person}\n    Done? Type y to continue, anything else to skip it:")
     # Not input(): it would go on waiting after Ctrl-C, which here only sets `stop`.
     while not stop.is_set():
         if select.select([sys.stdin], [], [], 0.2)[0]:
             return "" if sys.stdin.readline().strip().lower() in ("y", "yes") else "not confirmed"
     return "not confirmed"
-
-
-def _write_line(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 def _print_menu(*, as_json: bool) -> None:
@@ -173,7 +143,7 @@ def _print_menu(*, as_json: bool) -> None:
 
 
 def _report(args: argparse.Namespace, summary: Summary, ended_ns: int) -> None:
-    again = "board51 " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["campaign"] else "the same command"
+    again = same_command("campaign")
     if args.json:
         rows = [
             {"name": o.experiment.name, "use": o.experiment.use, "standing": o.standing, "seconds": o.seconds,
@@ -194,17 +164,17 @@ def _report(args: argparse.Namespace, summary: Summary, ended_ns: int) -> None:
             standing = o.standing.replace("-", " ")
             print(f"{o.experiment.name:<24}{o.experiment.use:<8}{o.seconds:>6.1f}  {o.attempts:>5}  {standing}{why}")
     for text in summary.restored:
-        _write_line(text)
+        write_line(text)
     if summary.parked:
-        _write_line(f"THE COIL MAY BE ON: STOP was not delivered ({summary.parked}). Switch the rig off by hand")
+        write_line(f"THE COIL MAY BE ON: STOP was not delivered ({summary.parked}). Switch the rig off by hand")
     if summary.failure:
-        _write_line(summary.failure)
+        write_line(summary.failure)
     if summary.complete:
         print(f"board51 identify {args.folder} --out model.json", file=sys.stderr if args.json else sys.stdout)
         return
     recorded = sum(o.is_recorded for o in summary.outcomes)
     why = "interrupted" if summary.interrupted else "not complete"
     parked = "" if summary.parked else "ball parked, coil off; "
-    _write_line(
+    write_line(
         f"{why}: {parked}{recorded} of {len(summary.outcomes)} recordings are in {args.folder}. To continue: {again}"
     )

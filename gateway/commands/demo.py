@@ -21,14 +21,14 @@ import tempfile
 import textwrap
 import time
 from pathlib import Path
-from types import FrameType
 
 from gateway.client.message_queue import MessageQueue
 from gateway.client.rig import SILENCE_S, Rig
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
-from gateway.processes.run import call, finish, free_port, listens, running, wait
+from gateway.processes.command import call, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
+from protocol.ending import on_signals
 from protocol.errors import ServiceError, UsageError, require
 
 BOARD = "demo"
@@ -56,17 +56,15 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise UsageError(f"{args.out} is not a folder ({error.strerror})", remedy="Give another --out") from None
 
-    def interrupted(_number: int, _frame: FrameType | None) -> None:
+    def interrupt() -> None:
         raise KeyboardInterrupt
 
-    previous = signal.signal(signal.SIGTERM, interrupted)  # like Ctrl-C: everything stops
     try:
-        return _demo(args.out, args.effect)
+        with on_signals(interrupt, signal.SIGTERM):  # like Ctrl-C: everything stops
+            return _demo(args.out, args.effect)
     except KeyboardInterrupt:
         print("\ninterrupted: coil off, everything stopped", file=sys.stderr)
         return 130
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
 def _demo(out: Path, effects: list[str]) -> int:

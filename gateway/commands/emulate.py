@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from firmware.sim import CHIPS
     from gateway.emulator import faults
     from gateway.emulator.plant import effects
-    from gateway.emulator.rigs import RIGS
+    from gateway.emulator.serve import RIGS
 
     parser.epilog = (
         "examples:\n"

@@ -12,23 +12,19 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shlex
 import signal
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.client.connection import add_bus_arguments
+from gateway.campaign.options import add_rig_arguments, same_command, write_line
 from protocol.bus.topics import check_name
+from protocol.ending import on_signals
 from protocol.errors import UsageError, require
 
 if TYPE_CHECKING:
     from gateway.investigate.decide import Offer
     from gateway.investigate.journal import Journal
-    from gateway.investigate.work import Work
 
 BUDGET_S = 240.0  # twice the default campaign
 
@@ -45,31 +41,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("board", metavar="RIG", help="name of the board")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="made or continued (default: investigation-RIG)")
-    add_bus_arguments(parser)
-    parser.add_argument(
-        "--plant",
-        type=Path,
-        metavar="FILE",
-        help="TOML with the [plant] of this rig (default: that of FOLDER, else a published CE 152)",
-    )
+    add_rig_arguments(parser, who="investigate")
     parser.add_argument(
         "--budget", type=float, default=BUDGET_S, metavar="S", help=f"longest time on the rig ({BUDGET_S:.0f} s)"
     )
     parser.add_argument("--quick", action="store_true", help="shorter recordings, and no thorough diagnosis at the end")
     parser.add_argument("--dry-run", action="store_true", help="print the plan and end")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the random signals (default 1)")
-    for option, unit, what in (
-        ("--u-max", "V", "highest u_c"),
-        ("--x-min", "MM", "lowest reference"),
-        ("--x-max", "MM", "highest reference"),
-    ):
-        parser.add_argument(option, type=float, metavar=unit, help=f"{what} (default: the board's limit)")
     parser.add_argument("--workers", type=int, default=2, help="threads of a diagnosis (2)")
     parser.add_argument("--json", action="store_true", help="print the steps and the answer as JSON")
-    parser.add_argument(
-        "--issued", type=int, default=0, metavar="NS", help="when it was ordered, Unix time: a STOP since then ends it"
-    )
-    parser.add_argument("--who", default="investigate", help="who sends the commands, for the log (investigate)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,30 +68,20 @@ def run(args: argparse.Namespace) -> int:
         _print_plan(args, journal, menu)
         return 0
     ordered_ns = args.issued or time.time_ns()
-    work = Work(folder, _rig_words(args), ordered_ns=ordered_ns, workers=args.workers, write_line=_write_line)
+    work = Work(folder, _rig_words(args), ordered_ns=ordered_ns, workers=args.workers, write_line=write_line)
 
-    def write_line(line: str) -> None:
-        _write_line(f"[{journal.rig_s:3.0f} s on the rig] {line}")
+    def write_step(line: str) -> None:
+        write_line(f"[{journal.rig_s:3.0f} s on the rig] {line}")
 
-    with _passing_on(work):
+    # Ctrl-C and SIGTERM end the step, not this process: the ball is parked first.
+    with on_signals(work.stop, signal.SIGINT, signal.SIGTERM):
         try:
-            investigate(work, journal, menu, budget_s=args.budget, quick=args.quick, write_line=write_line)
+            investigate(work, journal, menu, budget_s=args.budget, quick=args.quick, write_line=write_step)
         finally:
             if journal.ended is None and journal.steps:
-                _write_line(f"To continue: {_again()}")
+                write_line(f"To continue: {same_command('investigate')}")
     _report(args, journal)
     return 0 if journal.ended is not None and journal.ended.stands else 1
-
-
-@contextmanager
-def _passing_on(work: Work) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the step, not this process: the ball is parked first."""
-    previous = {number: signal.signal(number, lambda *_: work.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def _rig_words(args: argparse.Namespace) -> list[str]:
@@ -161,11 +130,3 @@ def _report(args: argparse.Namespace, journal: Journal) -> None:
     ending = journal.ended.why if journal.ended is not None else "interrupted; the ball is parked"
     print(f"{ending}. {journal.rig_s:.0f} s on the rig, {len(newest.recordings)} recordings")
     print(f"report   {journal.folder / 'diagnosis' / 'report.html'}")
-
-
-def _again() -> str:
-    return "board51 " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["investigate"] else "the same command"
-
-
-def _write_line(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -15,46 +15,19 @@ import shlex
 from gateway.client import commands
 from gateway.client.connection import add_bus_arguments
 from gateway.client.rig import Rig
-from protocol.arguments import number, whole_number
+from protocol.arguments import argument, number, whole_number
 from protocol.bus import board51_pb2 as pb
 
-
-def _number(text: str) -> float:
-    value = number(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
-    return value
-
-
-def _whole(text: str) -> int:
-    value = whole_number(text)
-    if not 0 <= value < 2**32:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 0 to 2^32 - 1")
-    return value
-
-
-def _wait(text: str) -> float:
-    value = _number(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} is not a time to wait")
-    return value
+_number = argument(number, math.isfinite, "is not a finite number")
+_whole = argument(whole_number, lambda value: 0 <= value < 2**32, "is not a whole number from 0 to 2^32 - 1")
+_wait = argument(_number, lambda value: value > 0, "is not a time to wait")
+_seconds = argument(_number, lambda value: value > 0, "s is not a duration; write 'endless' for one without end")
+_unix_time = argument(whole_number, lambda value: 0 < value < 2**64, "is not a Unix time in ns")
 
 
 def _duration(text: str) -> float:
     """Seconds; without end only by its name."""
-    if text == "endless":
-        return math.inf
-    value = _number(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} s is not a duration; write 'endless' for one without end")
-    return value
-
-
-def _unix_time(text: str) -> int:
-    value = whole_number(text)
-    if not 0 < value < 2**64:
-        raise argparse.ArgumentTypeError(f"{text} is not a Unix time in ns")
-    return value
+    return math.inf if text == "endless" else _seconds(text)
 
 
 def _text(text: str) -> str:

@@ -16,19 +16,18 @@ import tempfile
 import threading
 import uuid
 import webbrowser
-from collections.abc import Iterator
 from pathlib import Path
 
 from gateway.access.listeners import endpoint_host, is_loopback
 from gateway.processes.supervisor import Service, running
 from gateway.views.listen import address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.ending import on_signals
 from protocol.errors import ServiceError, UsageError, require
 
 PAGE = "127.0.0.1:8051"
 READY_S = 90.0  # includes the first compilation of the kernels on a slow machine
 POLL_S = 0.1
-_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -90,7 +89,8 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     # A link without a folder around it: the emulated board removes it, also when this process is killed.
     tty = Path(tempfile.gettempdir()) / f"board51-{uuid.uuid4().hex}"
-    with _until_stopped() as stopped:
+    stopped = threading.Event()
+    with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         services = _services(args, tty)
         with running(services):
             if _answers(page, stopped):
@@ -138,18 +138,6 @@ def _check_free(address: tuple[str, int], *, option: str) -> None:
             f"Cannot listen on {host}:{port} ({error.strerror})",
             remedy=f"If another board51 runs here, stop it, or give {option}HOST:PORT",
         ) from None
-
-
-@contextlib.contextmanager
-def _until_stopped() -> Iterator[threading.Event]:
-    """Yield an event that SIGINT, SIGTERM and SIGHUP set."""
-    stopped = threading.Event()
-    before = {number: signal.signal(number, lambda *_: stopped.set()) for number in _STOPS}
-    try:
-        yield stopped
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _answers(address: tuple[str, int], stopped: threading.Event) -> bool:

@@ -30,16 +30,23 @@ from typing import Self, TypedDict, Unpack
 
 from gateway.emulator.faults import Fault, parse
 from gateway.emulator.firmware_model.board import Firmware
-from gateway.emulator.firmware_model.flash import T_S_US
+from gateway.emulator.firmware_model.flash import CE152_BOARD, T_S_US, BoardProfile
+from gateway.emulator.firmware_model.magnetoshield import magnetoshield
 from gateway.emulator.line import Board, BoardLine, LineCounts
+from gateway.emulator.plant.levitation import EmulatedPlant
+from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
-from gateway.emulator.rigs import RIGS
 from protocol.errors import ServiceError, UsageError
 
 _T_NS = T_S_US * 1000
 _BURST = 50  # ticks made up for at once at most
 _CATCH_UP = 2.0  # times the speed, where more is late
 _PATIENCE_S = 1.0  # speed 0: how long a host may leave its buffer full before bytes are lost
+
+RIGS: Mapping[str, tuple[type[EmulatedPlant], BoardProfile]] = {  # a plant, and the board that controls it
+    "ce152": (EmulatedPlant, CE152_BOARD),
+    "magnetoshield": (EmulatedMagnetoShield, magnetoshield()),
+}
 
 
 class BoardOptions(TypedDict, total=False):
@@ -52,7 +59,7 @@ class BoardOptions(TypedDict, total=False):
     board_id: int  # of the first board; the others count up (1)
     # Makes a board: the model (default), the core in C (`native`), or a chip (`firmware.sim`).
     firmware: Callable[..., Board]
-    rig: str  # plant and board (`rigs.RIGS`; ce152)
+    rig: str  # plant and board (`RIGS`; ce152)
 
 
 class Server:
@@ -196,9 +203,7 @@ class Emulator:
         if not tcp and pty is None:
             self._folder = tempfile.TemporaryDirectory(prefix="board51-")
             pty = Path(self._folder.name) / "board"
-        ports: list[EmulatedPort] = (
-            [TcpPort("127.0.0.1", 0) for _ in range(boards)] if pty is None or tcp else list(pty_ports(pty, boards))
-        )
+        ports = tcp_ports("127.0.0.1", 0, boards) if tcp or pty is None else pty_ports(pty, boards)
         self._server = Server(build_lines(ports, **options), speed=None if lockstep else speed)
         self._lockstep = lockstep
         self._thread = threading.Thread(target=self._server.run, name="emulator", daemon=True)
@@ -315,12 +320,12 @@ def build_lines(ports: Iterable[EmulatedPort], **options: Unpack[BoardOptions]) 
     """
     parsed = [parse(fault) if isinstance(fault, str) else fault for fault in options.get("faults", ())]
     seed, baud, first_id = options.get("seed", 0), options.get("baud", 115200), options.get("board_id", 1)
-    make, rig = options.get("firmware", Firmware), RIGS[options.get("rig", "ce152")]
+    make, (plant_of, profile) = options.get("firmware", Firmware), RIGS[options.get("rig", "ce152")]
     lines: list[BoardLine] = []
     try:
         for n, port in enumerate(ports):
-            plant = rig.plant(effects=options.get("effects", {}), seed=seed + n)
-            board = make(plant, board_id=first_id + n, profile=rig.profile)
+            plant = plant_of(effects=options.get("effects", {}), seed=seed + n)
+            board = make(plant, board_id=first_id + n, profile=profile)
             lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n))
     except BaseException:
         for line in lines:

@@ -184,7 +184,11 @@ class CommandHandler:
             return None
         before_s = (self.stopped_ns - self._issued_ns(command, sender)) * 1e-9
         if before_s > 0:
-            return _before_stop(before_s)
+            return Refusal(
+                "superseded-by-stop",
+                f"It was issued {before_s:.3f} s before the last STOP of this rig arrived, so it was not sent. If it is"
+                " newer than the STOP, the clocks of its sender and of the gateway differ: set them.",
+            )
         return self._carry_on(request, now_s, link, reason, sender.left_s(command))
 
     def answered(self, answer: Answer, host_ns: int) -> bool:
@@ -329,14 +333,6 @@ def _down(link: str, reason: str) -> Refusal:
     return Refusal(
         "link-down",
         f"The board is not available ({link}: {reason})." if reason else f"The board is not available ({link}).",
-    )
-
-
-def _before_stop(seconds: float) -> Refusal:
-    return Refusal(
-        "superseded-by-stop",
-        f"It was issued {seconds:.3f} s before the last STOP of this rig arrived, so it was not sent. If it is newer"
-        " than the STOP, the clocks of its sender and of the gateway differ: set them.",
     )
 
 

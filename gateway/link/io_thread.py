@@ -19,6 +19,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from gateway.access.authorize import Sender
 from gateway.link.driver import BoardDriver
@@ -82,12 +83,7 @@ class LinkThread:
 
         def act() -> None:
             line = self._line_of_driver[id(driver)]
-            try:
-                driver.command(payload, reply, time.monotonic(), sender)
-                self._write_output(line)
-            except Exception:
-                _logger.exception("%s: after a command", driver.config.name)
-                self._give_up(line)
+            self._attempt(line, "after a command", lambda: driver.command(payload, reply, time.monotonic(), sender))
 
         if not self.post(act):
             act()  # says that the link is down
@@ -114,11 +110,7 @@ class LinkThread:
                     if line is None:
                         self._run_actions()
                     else:
-                        try:
-                            self._serve(line, mask)
-                        except Exception:
-                            _logger.exception("%s: while reading", line.driver.config.name)
-                            self._give_up(line)
+                        self._attempt(line, "while reading", partial(self._serve, line, mask))
                 now_s = time.monotonic()
                 if now_s >= next_poll_s:
                     next_poll_s = now_s + POLL_S
@@ -142,13 +134,10 @@ class LinkThread:
             return
         data = line.port.read()
         now_ns = time.monotonic_ns()
-        if data is None:
-            return
-        if not data:
+        if data:
+            line.driver.received(data, now_ns)
+        elif data is not None:
             self._close(line, f"{line.port.name} is gone.")
-            return
-        line.driver.received(data, now_ns)
-        self._write_output(line)
 
     def _poll(self, now_s: float) -> int:
         """Process what is due on all boards; return the number of streaming boards."""
@@ -161,12 +150,7 @@ class LinkThread:
                 continue
             streaming += driver.link == "streaming"
             if now_s >= driver.deadline_s:
-                try:
-                    driver.poll(now_s)
-                    self._write_output(line)
-                except Exception:
-                    _logger.exception("%s: while something was due", driver.config.name)
-                    self._give_up(line)
+                self._attempt(line, "while something was due", partial(driver.poll, now_s))
         return streaming
 
     def _run_actions(self) -> None:
@@ -179,9 +163,15 @@ class LinkThread:
             except Exception:
                 _logger.exception("an action of the link thread failed")
 
-    def _give_up(self, line: _Line) -> None:
-        """Close the connection after an internal error, so that other boards continue; call it in an except block."""
-        self._close(line, "An internal error; see the gateway's log.")
+    def _attempt(self, line: _Line, doing: str, work: Callable[[], None]) -> None:
+        """Do work of one board and write its output; an internal error closes only the connection to this board."""
+        try:
+            work()
+            if line.port is not None:
+                self._write_output(line)
+        except Exception:
+            _logger.exception("%s: %s", line.driver.config.name, doing)
+            self._close(line, "An internal error; see the gateway's log.")
 
     # -- opening and closing
 

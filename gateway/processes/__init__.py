@@ -1,1 +1,1 @@
-"""`board51` commands as child processes: start and end (`command`), run with a log (`run`), keep (`supervisor`)."""
+"""`board51` commands as child processes: start, wait for and end (`command`), keep (`supervisor`)."""

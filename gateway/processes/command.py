@@ -1,22 +1,27 @@
-"""Starts `board51` commands as processes, and ends them reliably."""
+"""Starts `board51` commands as processes, waits for them, and ends them reliably.
+
+Rule: each has a process session of its own.  So Ctrl-C reaches only their parent, which then stops them in order: the
+      campaign parks the ball while gateway and board still run.  They end with it, also after kill -9.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from gateway.processes.child import SAME_PRIORITY
+from protocol.errors import ServiceError
 
+START_LIMIT_S = 90.0  # includes the first compilation of the kernels on a slow machine
+STOP_LIMIT_S = 15.0
 Process = subprocess.Popen[Any]  # of bytes or of text
-
-
-def words_of(*command: str) -> list[str]:
-    """Return the command line of `board51 COMMAND`."""
-    return [sys.executable, "-m", "board51", *command]
 
 
 def start(*command: str, nicer: bool = True, **options: Any) -> Process:
@@ -63,3 +68,109 @@ def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: floa
             if process.stdin is not None:
                 process.stdin.close()
     return unfinished
+
+
+@contextlib.contextmanager
+def running(out: Path, name: str, *words: str) -> Iterator[Process]:
+    """Run a command in the background with output to OUT/NAME.log; a context manager.
+
+    At the end of the block the process is stopped, and killed after STOP_LIMIT_S.
+    """
+    with (out / f"{name}.log").open("wb") as log:
+        process = start(name, *words, nicer=False, stdout=log, stderr=log)
+    try:
+        yield process
+    finally:
+        end([process], signal.SIGTERM, STOP_LIMIT_S)
+
+
+def call(
+    out: Path,
+    name: str,
+    *words: str,
+    good: tuple[int, ...] = (0,),
+    on_line: Callable[[str], None] = lambda _: None,
+    log: str = "",
+) -> tuple[int, list[str]]:
+    """Run a command to its end.
+
+    Args:
+        out: folder for its log.
+        name: of the command.
+        words: its arguments.
+        good: exit codes that are not errors.
+        on_line: is called with each line of output.
+        log: name of the log without suffix; empty: `name`.
+
+    Returns:
+        Exit code and lines of output.
+
+    Raises:
+        ServiceError: the exit code is not in `good`; the message has the last line.
+    """
+    process = start(name, *words, nicer=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    lines: list[str] = []
+    path = out / f"{log or name}.log"
+    assert process.stdout is not None
+    with process.stdout, path.open("w", encoding="utf-8") as file:
+        try:
+            for raw in process.stdout:
+                file.write(raw)
+                lines.append(line := raw.rstrip())
+                on_line(line)
+            code = process.wait()
+        finally:
+            end([process], signal.SIGINT, STOP_LIMIT_S)  # as Ctrl-C: a campaign parks the ball and prints its summary
+            file.write(process.stdout.read())
+    _check(code, good, name, lines, path)
+    return code, lines
+
+
+def finish(process: Process, out: Path, name: str, *, good: tuple[int, ...], limit_s: float) -> int:
+    """Wait for a process of `running`; returns its exit code.
+
+    Raises:
+        ServiceError: it takes longer than `limit_s`, or its exit code is not in `good`.
+    """
+    path = out / f"{name}.log"
+    try:
+        code = process.wait(timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        raise ServiceError(
+            f"board51 {name} has not ended after {limit_s:.0f} s more",
+            remedy=f"Its output so far is in {path}; run it alone on the same campaign",
+        ) from None
+    _check(code, good, name, path.read_text(encoding="utf-8", errors="replace").splitlines(), path)
+    return code
+
+
+def _check(code: int, good: tuple[int, ...], name: str, lines: list[str], path: Path) -> None:
+    if code not in good:
+        raise ServiceError(
+            f"board51 {name} ended with exit code {code}: {lines[-1] if lines else 'it said nothing'}".rstrip("."),
+            remedy=f"Its output is in {path}",
+        )
+
+
+def wait(ready: Callable[[], bool], process: Process, what: str) -> None:
+    """Wait until `ready()` is true.  Raises ServiceError if the process ends before or START_LIMIT_S is over."""
+    end_s = time.monotonic() + START_LIMIT_S
+    while not ready():
+        if process.poll() is not None or time.monotonic() > end_s:
+            code = process.returncode
+            problem = f"did not appear within {START_LIMIT_S:.0f} s" if code is None else f"ended with exit code {code}"
+            raise ServiceError(f"{what} {problem}", remedy="Its messages are in the .log files of --out")
+        time.sleep(0.05)
+
+
+def free_port() -> int:
+    """A free TCP port on loopback."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def listens(port: int) -> bool:
+    """Return whether a server listens on this port of loopback."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0

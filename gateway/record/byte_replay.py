@@ -72,7 +72,7 @@ class RecordedBoard:
         self.pieces: list[Piece] = []
         self.removed = 0  # answers taken out of the stream
         self.refused = 0
-        self._identities, self._parameters, self._pongs = _Known(), _Known(), _Known()
+        self._known = {name: _Known() for name in ("IDENTITY", "PARAMETERS", "PONG")}
         self._resets: list[int] = []
         self._host = StreamDecoder()
         self._board = StreamDecoder()
@@ -82,7 +82,7 @@ class RecordedBoard:
                 rest = self._take(chunk.host_time_ns, rest + chunk.data)
         if not self.pieces:
             raise DataError("The log holds no bytes of the board", remedy="Replay it without --bytes")
-        if not self._identities.messages:
+        if not self._known["IDENTITY"].messages:
             raise DataError(
                 "The log holds no IDENTITY: the board's scalings are unknown",
                 remedy="Include the part of the log in which the board was connected, or replay without --bytes",
@@ -103,7 +103,8 @@ class RecordedBoard:
             elif isinstance(event, Message):
                 if event.name in _ANSWERS:
                     self.removed += 1
-                    self._remember(event)
+                    if event.name in self._known:
+                        self._known[event.name].add(len(self.pieces), event)
                     continue
                 if event.name == "EVENT" and event.int("code") in RESETS:
                     self._resets.append(len(self.pieces))
@@ -112,14 +113,9 @@ class RecordedBoard:
             self.pieces.append(Piece(time_ns, bytes(retained), sequence))
         return data[end:]
 
-    def _remember(self, message: Message) -> None:
-        known = {"IDENTITY": self._identities, "PARAMETERS": self._parameters, "PONG": self._pongs}.get(message.name)
-        if known is not None:
-            known.add(len(self.pieces), message)
-
     def _count_ticks(self) -> None:
         """Unwrap the sequence numbers; every IDENTITY sets the tick."""
-        anchors = {*self._resets, *self._identities.at}
+        anchors = {*self._resets, *self._known["IDENTITY"].at}
         tick: int | None = None
         for index, piece in enumerate(self.pieces):
             if index in anchors:
@@ -132,13 +128,13 @@ class RecordedBoard:
                 tick += (piece.tick - tick) & 0xFFFF
             self.pieces[index] = Piece(piece.time_ns, piece.data, tick)
 
-    def _since(self, at: int) -> int:
-        """Return the piece of the newest reset up to piece `at`."""
+    def _in_force(self, name: str, at: int) -> Message | None:
+        """Return the answer that holds at piece `at`, with the newest reset up to it."""
         newest = bisect_right(self._resets, at) - 1
-        return self._resets[newest] if newest >= 0 else 0
+        return self._known[name].in_force_at(at, self._resets[newest] if newest >= 0 else 0)
 
     def _identity(self, at: int) -> Message:
-        identity = self._identities.in_force_at(at, self._since(at))
+        identity = self._in_force("IDENTITY", at)
         assert identity is not None  # checked at the start
         return identity
 
@@ -170,9 +166,9 @@ class RecordedBoard:
                 return _again(identity, id=number, tick=tick)
             return self._refuse(command, Reason.VERSION, identity.int("version"))
         if command.name == "PING":
-            pong = self._pongs.in_force_at(at, self._since(at)) or Message("PONG", {"bad_frames": 0, "overruns": 0})
+            pong = self._in_force("PONG", at) or Message("PONG", {"bad_frames": 0, "overruns": 0})
             return _again(pong, id=number, tick=tick)
-        parameters = self._parameters.in_force_at(at, self._since(at))
+        parameters = self._in_force("PARAMETERS", at)
         if command.name == "GET_PARAMETERS" and parameters is not None:
             return _again(parameters, id=number)
         return self._refuse(command, Reason.NOT_AVAILABLE, 0)

@@ -34,17 +34,8 @@ class Recovery:
     last_good_s: float | None
     last_good_ns: int | None
     gaps: tuple[Gap, ...]  # in the numbering of samples, by board
-
-    @property
-    def bytes_lost(self) -> int:
-        """The number of bytes of the broken file that could not be read completely."""
-        return sum(damage.bytes for damage in self.damages)
-
-    @property
-    def seconds_lost(self) -> float | None:
-        """The time from the last saved message to the last one known to have been logged; None if unknown."""
-        known = [damage.until_ns for damage in self.damages if damage.until_ns]
-        return max(0.0, (max(known) - self.last_good_ns) / 1e9) if known and self.last_good_ns is not None else None
+    bytes_lost: int  # of the broken file: could not be read completely
+    seconds_lost: float | None  # from the last saved message to the last one known to have been logged
 
 
 def recover(broken: Path, clean: Path) -> Recovery:
@@ -86,6 +77,7 @@ def recover(broken: Path, clean: Path) -> Recovery:
         clean.unlink()
         reasons = "; ".join(damage.reason for damage in scan.damages) or "it holds no Board51 messages"
         raise DataError(f"Nothing of {broken} can be recovered: {reasons}", remedy="Use another part of the log")
+    until_ns = max((damage.until_ns or 0 for damage in scan.damages), default=0)
     return Recovery(
         broken=broken,
         clean=clean,
@@ -98,4 +90,6 @@ def recover(broken: Path, clean: Path) -> Recovery:
         last_good_s=None if last_ns is None or first_ns is None else (last_ns - first_ns) / 1e9,
         last_good_ns=last_ns,
         gaps=tuple(gap for board in gaps.values() for gap in board.gaps),
+        bytes_lost=sum(damage.bytes for damage in scan.damages),
+        seconds_lost=max(0.0, (until_ns - last_ns) / 1e9) if until_ns and last_ns is not None else None,
     )

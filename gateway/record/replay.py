@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 import zenoh
 from google.protobuf.message import Message
@@ -28,16 +27,6 @@ SESSIONS_PER_PASS = 100_000  # --loop: passes are not continuous, so each pass h
 DEFAULT_TOPICS = tuple(
     topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.source == "gateway"
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReplayReport:
-    """The summary of a replay."""
-
-    messages: int
-    passes: int
-    seconds: float  # duration of the replay
-    log_seconds: float  # duration of the replayed log
 
 
 def pace(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 from protocol.bus import board51_pb2 as pb
@@ -92,9 +92,9 @@ class TopicSummary:
 class BoardSummary:
     """The sums of one board."""
 
+    gaps: SampleGaps
     topics: dict[str, TopicSummary] = field(default_factory=dict)
     ranges: dict[str, Range] = field(default_factory=dict)
-    gaps: SampleGaps | None = None
     resets: int = 0  # by events of the board
     events: dict[str, int] = field(default_factory=dict)
     parameters: pb.Parameters | None = None
@@ -104,14 +104,14 @@ class BoardSummary:
 
 @dataclass(slots=True)
 class LogSummary:
-    """The summary of a complete log."""
+    """The summary of a complete log; its fields are the keys of `as_json`."""
 
     parts: list[dict[str, object]]
     start_ns: int
     duration_s: float
     boards: dict[str, BoardSummary]
-    foreign: Mapping[str, int]
-    unparsable: Mapping[str, int]
+    foreign_messages: Mapping[str, int]
+    unparsable_messages: Mapping[str, int]
     damages: list[dict[str, object]]
     metadata: Mapping[str, Mapping[str, str]]
     schemas: list[str]
@@ -129,7 +129,7 @@ def summarise(paths: Path | Sequence[Path]) -> LogSummary:
     last_ns = 0
     for record in reader.records():
         name = f"{record.site}/{record.board}"
-        board = boards.setdefault(name, BoardSummary(gaps=SampleGaps(record.board)))
+        board = boards.setdefault(name, BoardSummary(SampleGaps(record.board)))
         first_ns = record.time_ns if first_ns is None else min(first_ns, record.time_ns)
         last_ns = max(last_ns, record.time_ns)
         topic = board.topics.setdefault(record.topic, TopicSummary(first_ns=record.time_ns))
@@ -141,8 +141,7 @@ def summarise(paths: Path | Sequence[Path]) -> LogSummary:
                 _take_state(board, state)
             case pb.Parameters() as parameters:
                 board.parameters = parameters
-                if board.gaps is not None:
-                    board.gaps.divider = max(parameters.stream_divider, 1)
+                board.gaps.divider = max(parameters.stream_divider, 1)
             case pb.TwinModel() as model:
                 if not board.models or board.models[-1] != model:
                     board.models.append(model)
@@ -151,9 +150,6 @@ def summarise(paths: Path | Sequence[Path]) -> LogSummary:
                 board.resets += event.source == "board" and event.name.startswith("reset")
     if not boards:
         reader.check(last_ns=None)
-    damages = [
-        {"file": scan.path.name, **asdict(damage)} for scan in reader.scans for damage in scan.damages
-    ]  # fmt: skip
     return LogSummary(
         parts=[
             {"file": str(scan.path), "bytes": scan.size, "complete": scan.finished, "library": scan.library}
@@ -162,9 +158,9 @@ def summarise(paths: Path | Sequence[Path]) -> LogSummary:
         start_ns=first_ns or 0,
         duration_s=(last_ns - first_ns) / 1e9 if first_ns is not None else 0.0,
         boards=boards,
-        foreign=dict(reader.foreign),
-        unparsable=dict(reader.unparsable),
-        damages=damages,
+        foreign_messages=dict(reader.foreign),
+        unparsable_messages=dict(reader.unparsable),
+        damages=[{"file": scan.path.name, **asdict(damage)} for scan in reader.scans for damage in scan.damages],
         metadata=reader.metadata,
         schemas=sorted({schema.name for scan in reader.scans for schema in scan.schemas.values()}),
     )
@@ -175,27 +171,16 @@ def _take_state(board: BoardSummary, state: pb.State) -> None:
         if state.HasField(name):
             board.ranges.setdefault(name, Range()).take(getattr(state, name))
     board.modes.add(pb.Mode.Name(state.mode).removeprefix("MODE_").lower().replace("_", " "))
-    assert board.gaps is not None
     board.gaps.take(state)
 
 
 def as_json(summary: LogSummary) -> dict[str, object]:
     """Return the summary as plain data for `--json`."""
-    return {
-        "parts": summary.parts,
-        "start_ns": summary.start_ns,
-        "duration_s": summary.duration_s,
-        "boards": {name: _board_json(board) for name, board in summary.boards.items()},
-        "foreign_messages": dict(summary.foreign),
-        "unparsable_messages": dict(summary.unparsable),
-        "damages": summary.damages,
-        "metadata": {name: dict(values) for name, values in summary.metadata.items()},
-        "schemas": summary.schemas,
-    }
+    boards = {name: _board_json(board) for name, board in summary.boards.items()}
+    return {key.name: getattr(summary, key.name) for key in fields(summary)} | {"boards": boards}
 
 
 def _board_json(board: BoardSummary) -> dict[str, object]:
-    assert board.gaps is not None
     parameters = board.parameters
     return {
         "topics": {
@@ -210,13 +195,7 @@ def _board_json(board: BoardSummary) -> dict[str, object]:
         "resets": board.resets,
         "modes": sorted(board.modes),
         "twin_models": [
-            {
-                "name": model.name,
-                "sha256": model.sha256,
-                "session": model.session,
-                "since_tick": model.since_tick,
-                "who": model.who,
-            }
+            {name: getattr(model, name) for name in ("name", "sha256", "session", "since_tick", "who")}
             for model in board.models
         ],
         "events": board.events,
@@ -242,7 +221,6 @@ def _lines(summary: LogSummary) -> Iterable[str]:
         yield f"{part['file']}: {part['bytes']} bytes, {state}"
     yield f"duration {summary.duration_s:.3f} s, {len(summary.boards)} board(s)"
     for name, board in summary.boards.items():
-        assert board.gaps is not None
         known = board.parameters
         details = f", T_s {known.sample_time_s * 1e3:g} ms, firmware {known.firmware or '-'}" if known else ""
         yield f"\n{name}: {board.gaps.sessions} session(s), {board.resets} reset(s){details}"
@@ -263,7 +241,7 @@ def _lines(summary: LogSummary) -> Iterable[str]:
             yield f"    after tick {gap.after_tick} ({gap.at_s:.3f} s): {gap.missing} missing"
         if len(board.gaps.gaps) > 10:
             yield f"    and {board.gaps.count - 10} more; --json lists them"
-    for topic, count in summary.foreign.items():
+    for topic, count in summary.foreign_messages.items():
         yield f"foreign: {topic}, {count} messages"
     for damage in summary.damages:
         yield f"DAMAGED {damage['file']} at byte {damage['offset']}: {damage['reason']} ({damage['bytes']} bytes)"

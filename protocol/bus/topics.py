@@ -29,45 +29,41 @@ class Topic:
 
     name: str
     message: type[Message]
-    source: Literal["gateway", "twin", "client"]
     rate: str
-    bus: bool
-    logged: bool
     description: str
+    source: Literal["gateway", "twin", "client"] = "gateway"
+    bus: bool = True
+    logged: bool = True
 
 
 TOPICS: tuple[Topic, ...] = (
-    Topic(name="state", message=pb.State, source="gateway", rate="every tick (500 Hz)", bus=True, logged=True,
-          description="one control tick in SI units"),
-    Topic(name="states", message=pb.StateBatch, source="gateway", rate="every 20 ms (50 Hz)", bus=True, logged=False,
+    Topic(name="state", message=pb.State, rate="every tick (500 Hz)", description="one control tick in SI units"),
+    Topic(name="states", message=pb.StateBatch, rate="every 20 ms (50 Hz)", logged=False,
           description="the ticks of the last 20 ms in one message"),
-    Topic(name="status", message=pb.Status, source="gateway", rate="1 Hz", bus=True, logged=True,
-          description="health of link, bus and log"),
-    Topic(name="event", message=pb.Event, source="gateway", rate="on event", bus=True, logged=True,
-          description="faults, resets, limits hit, link changes"),
-    Topic(name="alarms", message=pb.Alarms, source="gateway", rate="on change, and every 5 s", bus=True, logged=True,
+    Topic(name="status", message=pb.Status, rate="1 Hz", description="health of link, bus and log"),
+    Topic(name="event", message=pb.Event, rate="on event", description="faults, resets, limits hit, link changes"),
+    Topic(name="alarms", message=pb.Alarms, rate="on change, and every 5 s",
           description="conditions that the gateway detects, and acknowledgements of alarms"),
-    Topic(name="parameters", message=pb.Parameters, source="gateway", rate="on change, and every 5 s", bus=True,
-          logged=True, description="identity, gains, operating point, limits, scalings"),
-    Topic(name="capture", message=pb.CaptureRecord, source="gateway", rate="on request", bus=True, logged=True,
-          description="25 kHz burst of i_c around a step"),
-    Topic(name="command", message=pb.Command, source="client", rate="query", bus=True, logged=False,
+    Topic(name="parameters", message=pb.Parameters, rate="on change, and every 5 s",
+          description="identity, gains, operating point, limits, scalings"),
+    Topic(name="capture", message=pb.CaptureRecord, rate="on request", description="25 kHz burst of i_c around a step"),
+    Topic(name="command", message=pb.Command, source="client", rate="query", logged=False,
           description="queryable: one Command in, one CommandReply out"),
-    Topic(name="command/record", message=pb.CommandRecord, source="gateway", rate="on command", bus=True, logged=True,
+    Topic(name="command/record", message=pb.CommandRecord, rate="on command",
           description="who, when, what, result of each command"),
-    Topic(name="raw", message=pb.RawBytes, source="gateway", rate="each read and write", bus=False, logged=True,
+    Topic(name="raw", message=pb.RawBytes, rate="each read and write", bus=False,
           description="bytes of the UART, both ways"),
-    Topic(name="twin/state", message=pb.TwinState, source="twin", rate="every tick", bus=True, logged=True,
+    Topic(name="twin/state", message=pb.TwinState, source="twin", rate="every tick",
           description="the free-running closed-loop twin"),
-    Topic(name="twin/divergence", message=pb.Divergence, source="twin", rate="every tick", bus=True, logged=True,
+    Topic(name="twin/divergence", message=pb.Divergence, source="twin", rate="every tick",
           description="measured against twin, and one-step innovations"),
-    Topic(name="twin/alarm", message=pb.Alarm, source="twin", rate="on change", bus=True, logged=True,
+    Topic(name="twin/alarm", message=pb.Alarm, source="twin", rate="on change",
           description="divergence alarms with hysteresis"),
-    Topic(name="twin/alarms", message=pb.TwinAlarms, source="twin", rate="every 5 s", bus=True, logged=True,
+    Topic(name="twin/alarms", message=pb.TwinAlarms, source="twin", rate="every 5 s",
           description="all active alarms of the twin, for late subscribers"),
-    Topic(name="twin/model", message=pb.TwinModel, source="twin", rate="on change, and every 5 s", bus=True,
-          logged=True, description="the model the twin runs on, since when, from whom"),
-    Topic(name="twin/command", message=pb.TwinCommand, source="client", rate="query", bus=True, logged=False,
+    Topic(name="twin/model", message=pb.TwinModel, source="twin", rate="on change, and every 5 s",
+          description="the model the twin runs on, since when, from whom"),
+    Topic(name="twin/command", message=pb.TwinCommand, source="client", rate="query", logged=False,
           description="queryable: one TwinCommand in, one CommandReply per board out"),
 )  # fmt: skip
 TOPIC_OF_NAME = {topic.name: topic for topic in TOPICS}

@@ -74,16 +74,17 @@ def _decompress(name: bytes, packed: bytes, max_bytes: int) -> bytes:
 
 def channel_records(written: bytes) -> dict[int, bytes]:
     """Return the channel records in the complete chunks of `written`, by channel id."""
-    records = {}
-    for opcode, chunk in _records(written):
-        for inner, content in _records(unpack(chunk)[0]) if opcode == CHUNK else ():
+    channels = {}
+    for opcode, chunk in records(written):
+        for inner, content in records(unpack(chunk)[0]) if opcode == CHUNK else ():
             if inner == CHANNEL:
                 (number,) = struct.unpack_from("<H", content)
-                records[number] = RECORD.pack(CHANNEL, len(content)) + content
-    return records
+                channels[number] = RECORD.pack(CHANNEL, len(content)) + content
+    return channels
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+def records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record; the last one may be cut off."""
     at = 0
     while at + RECORD.size <= len(data):
         opcode, length = RECORD.unpack_from(data, at)

@@ -93,7 +93,7 @@ class LogReader:
         if self._start_ns is None:
             starts = []
             for scan in self.scans:
-                first = scan.span_ns[0] if scan.span_ns else next((m.time_ns for m in scan.messages()), None)
+                first = scan.first_ns if scan.first_ns is not None else next((m.time_ns for m in scan.messages()), None)
                 starts += [] if first is None else [first]
             self._start_ns = min(starts, default=0)
         return self._start_ns

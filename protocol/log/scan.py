@@ -20,22 +20,31 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from protocol.errors import DataError
 from protocol.files import open_regular
-from protocol.log.chunk import CHUNK_HEAD, LARGEST_CHUNK, stated_size, text, text_map, unpack, unpack_prefix
+from protocol.log.chunk import (
+    CHUNK_HEAD,
+    LARGEST_CHUNK,
+    RECORD,
+    records,
+    stated_size,
+    text,
+    text_map,
+    unpack,
+    unpack_prefix,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
 _STATISTICS, _METADATA, _DATA_END = 0x0B, 0x0C, 0x0F
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
 _CUT = "the file ends within"
-_RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-_FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
+_FOOTER_BYTES = RECORD.size + 20 + len(MAGIC)
 _READ = (_HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA)  # the others are skipped: attachments, indexes
 LARGEST_RECORD = LARGEST_CHUNK + (1 << 20)  # bytes; an incompressible chunk is a little longer than its content
 LARGEST_SUMMARY = 1 << 28  # bytes; the index of a log of 20 GB
@@ -86,15 +95,6 @@ class Damage:
         return self.reason.startswith(_CUT)
 
 
-@dataclass(slots=True)
-class _Tail:
-    """The summary at the end of a finished file."""
-
-    first_ns: int | None = None
-    last_ns: int | None = None
-    counts: dict[int, int] = field(default_factory=dict)
-
-
 class Scan:
     """A log file, opened for one or more passes.
 
@@ -115,21 +115,10 @@ class Scan:
         self.library = ""
         self.size = _check(path)
         self.unpacked = 0  # bytes of chunks in this pass, also of those that were no chunks
-        self._searched: tuple[int, int] | None = (
-            None  # from where, and the next intact chunk: the size if there is none
-        )
-        self._tail = self._read_tail()
-
-    @property
-    def indexed(self) -> bool:
-        """Return whether the file has its index, so that topics and times are known without a pass."""
-        return self._tail is not None
-
-    @property
-    def span_ns(self) -> tuple[int, int] | None:
-        """The first and last log time according to the index; None without an index."""
-        tail = self._tail
-        return None if tail is None or tail.first_ns is None or tail.last_ns is None else (tail.first_ns, tail.last_ns)
+        # From where, and the next intact chunk: the size if there is none.
+        self._searched: tuple[int, int] | None = None
+        self.first_ns: int | None = None  # the first log time, by the index
+        self.indexed = self._read_summary()  # if so, topics and times are known without a pass
 
     def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64) -> Iterator[McapMessage]:
         """Yield all messages with start_ns <= log time < end_ns, in the order of the file."""
@@ -141,14 +130,14 @@ class Scan:
             at = proven = len(MAGIC)  # everything before `proven` was verified
             while at < self.size:
                 file.seek(at)
-                head = file.read(_RECORD.size)
-                opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
-                end = at + _RECORD.size + length
+                head = file.read(RECORD.size)
+                opcode, length = RECORD.unpack(head) if len(head) == RECORD.size else (0, 0)
+                end = at + RECORD.size + length
                 if wrong := _why(head, opcode, end, self.size):
                     # Search from `proven`, not from `at`: a damaged length may have skipped whole chunks.
                     resumed = self._next_chunk(file, proven)
                     if resumed is None and opcode == _CHUNK and end > self.size:
-                        yield from self._cut_chunk(_read_at(file, at + _RECORD.size, LARGEST_RECORD), at)
+                        yield from self._cut_chunk(_read_at(file, at + RECORD.size, LARGEST_RECORD), at)
                         return
                     after = self.size if resumed is None else resumed
                     self._damage(min(at, after), abs(after - at), wrong)
@@ -196,7 +185,7 @@ class Scan:
         """Return the offset of the next chunk with a correct CRC, from `start` on."""
         if self._searched is None or not self._searched[0] <= start <= self._searched[1]:
             candidates = _chunk_heads(file, start, self.size)
-            intact = (at for at, length in candidates if not self._unpack(_read_at(file, at + _RECORD.size, length))[1])
+            intact = (at for at, length in candidates if not self._unpack(_read_at(file, at + RECORD.size, length))[1])
             self._searched = (start, next(intact, self.size))
         # The next damaged chunk asks again: without this answer, a file of them would be searched once for each.
         return self._searched[1] if self._searched[1] < self.size else None
@@ -212,7 +201,7 @@ class Scan:
     def _messages_between(self, plain: bytes, start: int, end: int, *, cut: bool = False) -> Iterator[McapMessage]:
         """Yield the messages among the records in `plain`, the content of the file from `start` to `end`."""
         at, size = 0, len(plain)
-        unpack_record, unpack_message, channels = _RECORD.unpack_from, _MESSAGE_HEAD.unpack_from, self.channels
+        unpack_record, unpack_message, channels = RECORD.unpack_from, _MESSAGE_HEAD.unpack_from, self.channels
         while at + 9 <= size:
             opcode, length = unpack_record(plain, at)
             at += 9
@@ -259,35 +248,28 @@ class Scan:
             return False
         return True
 
-    def _read_tail(self) -> _Tail | None:
-        """Read schemas, channels and statistics from the summary; None if the file has no summary."""
+    def _read_summary(self) -> bool:
+        """Read schemas, channels and the first time from the summary at the end; return whether there is one."""
         if self.size < len(MAGIC) + _FOOTER_BYTES:
-            return None
+            return False
         with self.path.open("rb") as file:
-            file.seek(self.size - _FOOTER_BYTES)
-            footer = file.read()
-            opcode, length = _RECORD.unpack_from(footer)
-            start, _, crc = struct.unpack_from("<QQI", footer, _RECORD.size)
+            footer = _read_at(file, self.size - _FOOTER_BYTES, _FOOTER_BYTES)
+            opcode, length = RECORD.unpack_from(footer)
+            start, _, crc = struct.unpack_from("<QQI", footer, RECORD.size)
             if opcode != _FOOTER or length != 20 or not footer.endswith(MAGIC) or not 0 < start < self.size:
-                return None
+                return False
             if self.size - start > LARGEST_SUMMARY:
-                return None
+                return False
             summary = _read_at(file, start, max(0, self.size - _FOOTER_BYTES - start))
-        if crc and zlib.crc32(footer[: _RECORD.size + 16], zlib.crc32(summary)) != crc:
-            return None  # do not use a damaged index: the pass finds the same records in the data
-        tail = _Tail()
-        at = 0
-        while at + _RECORD.size <= len(summary):
-            opcode, length = _RECORD.unpack_from(summary, at)
-            content = summary[at + _RECORD.size : at + _RECORD.size + length]
-            if opcode == _STATISTICS and len(content) >= 46:
-                count, first_ns, last_ns = struct.unpack_from("<Q18xQQ", content)
-                if count:
-                    tail.first_ns, tail.last_ns = first_ns, last_ns
+        if crc and zlib.crc32(footer[: RECORD.size + 16], zlib.crc32(summary)) != crc:
+            return False  # do not use a damaged index: the pass finds the same records in the data
+        for kind, content in records(summary):
+            if kind == _STATISTICS and len(content) >= 46:
+                count, first_ns = struct.unpack_from("<Q18xQ", content)
+                self.first_ns = first_ns if count else self.first_ns
             else:
-                self._take(opcode, content)
-            at += _RECORD.size + length
-        return tail
+                self._take(kind, content)
+        return True
 
     def _damage(self, offset: int, size: int, reason: str, *, chunk: bytes = b"") -> None:
         until_ns = struct.unpack_from("<8xQ", chunk)[0] if len(chunk) >= 16 else 0
@@ -322,26 +304,26 @@ def _read_at(file: BinaryIO, at: int, size: int) -> bytes:
 
 def _why(head: bytes, opcode: int, end: int, size: int) -> str:
     """Return why these bytes do not begin a record that can be read; "" if they do."""
-    if len(head) < _RECORD.size:
+    if len(head) < RECORD.size:
         return f"{_CUT} a record"
     if not (0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE):
         return "not a record"
     if end > size:
         return f"{_CUT} a record" if opcode <= _LAST_OPCODE else "not a record"
-    if opcode in _READ and _RECORD.unpack(head)[1] > LARGEST_RECORD:
+    if opcode in _READ and RECORD.unpack(head)[1] > LARGEST_RECORD:
         return f"a record of more than {LARGEST_RECORD} bytes"
     return ""
 
 
 def _chunk_heads(file: BinaryIO, start: int, size: int) -> Iterator[tuple[int, int]]:
     """Yield offset and length of what may be chunks, from `start` on."""
-    head_bytes = _RECORD.size + CHUNK_HEAD.size
+    head_bytes = RECORD.size + CHUNK_HEAD.size
     while len(piece := _read_at(file, start, _PIECE)) >= head_bytes:
         at = piece.find(_CHUNK)
         while 0 <= at <= len(piece) - head_bytes:
-            _, length = _RECORD.unpack_from(piece, at)
+            _, length = RECORD.unpack_from(piece, at)
             (crc, name_length) = struct.unpack_from("<II", piece, at + head_bytes - 8)
-            fits = length <= LARGEST_RECORD and start + at + _RECORD.size + length <= size
+            fits = length <= LARGEST_RECORD and start + at + RECORD.size + length <= size
             if crc and name_length <= 4 and fits:
                 yield start + at, length
             at = piece.find(_CHUNK, at + 1)

@@ -51,17 +51,12 @@ _STATE_SIZE = BODY_SIZE["STATE"] + 2
 class StreamDecoder:
     """Decodes a byte stream into states, messages and bad frames.
 
-    Use one decoder per connection and direction.  The bytes of an unfinished frame (`pending` of them) wait for their
-    delimiter.  A frame longer than MAX_ENCODED is reported once, as `oversize`, when its delimiter arrives.
+    Use one decoder per connection and direction.  The bytes of an unfinished frame wait for their delimiter.  A frame
+    longer than MAX_ENCODED is reported once, as `oversize`, when its delimiter arrives.
     """
 
     def __init__(self) -> None:
         self._pending = b""
-
-    @property
-    def pending(self) -> int:
-        """The number of bytes that wait for their delimiter."""
-        return len(self._pending)
 
     def feed(self, data: bytes) -> list[Event]:
         """Return the events that `data` completes, in order; never raises."""

@@ -91,10 +91,6 @@ class CommandExchange:
         """Note that the port has accepted `count` bytes of `output`."""
         self._sending.wrote(count)
 
-    def take_output(self) -> bytes:
-        """Return all bytes to write, for a port that accepts any number of bytes."""
-        return self._sending.take()
-
     def take_outcomes(self) -> list[Event]:
         """Return the outcomes of commands that ended within `submit`, because a STOP cancelled them."""
         pending, self._pending = self._pending, []

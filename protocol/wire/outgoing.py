@@ -77,14 +77,6 @@ class SendQueue:
             self._rest = self._writer.frame
         self._rest = self._rest[count:]
 
-    def take(self) -> bytes:
-        """Return all bytes to write, for a port that accepts any number of bytes."""
-        frames = bytearray()
-        while data := self.output():
-            frames += data
-            self.wrote(len(data))
-        return bytes(frames)
-
     def add(self, command: Command) -> None:
         """Schedule a command for writing unless it is scheduled already."""
         if command in self._due:

@@ -124,8 +124,9 @@ class Session(CommandExchange):
                 unwrapper.settle(now_s)
         self.counters.states += states
         self.counters.valid_frames += good + states
-        if unwrapper.in_doubt:
-            self._request_tick(now_s)
+        # A full tick contradicts the count, and a second one, from a PING, decides.
+        if unwrapper.in_doubt and not any(c.name == "PING" for c in [*self._outstanding.values(), *self._queue]):
+            self.submit("PING", now_s)
         if self._pending or self._queue:
             self._pump(now_s)
         return events + self.take_outcomes() if self._pending else events
@@ -195,11 +196,6 @@ class Session(CommandExchange):
             jump = self.unwrapper.witness(tick, now_s)
             if jump is not None:
                 self._jumped(jump, now_s, events)
-
-    def _request_tick(self, now_s: float) -> None:
-        """Send a PING soon: a full tick contradicts the count, and a second one decides."""
-        if not any(c.name == "PING" for c in [*self._outstanding.values(), *self._queue]):
-            self.submit("PING", now_s)
 
     def _jumped(self, jump: Jump, now_s: float, events: list[Event]) -> None:
         self._restart(events, "tick", board_reset=jump.board_reset, now_s=now_s, doubtful=jump.doubtful)

@@ -72,11 +72,6 @@ class TickUnwrapper:
         self._quick = False
 
     @property
-    def last_tick(self) -> int:
-        """The newest tick placed; before the first one, the tick of the anchor."""
-        return max(self._last, 0)
-
-    @property
     def in_doubt(self) -> bool:
         """Return whether a full tick contradicts the count, so that a second full tick is needed."""
         return self._claim is not None

@@ -24,6 +24,7 @@ from protocol.wire.messages import ROW_OF_TYPE, EventCode, Message
 from tests.harness.firmware.avr_bench import skip_without_avr
 from tests.harness.firmware.random_host import Script
 from tests.harness.gateway.board_host import Bench, frame
+from tests.harness.protocol.port import take_output
 
 TICKS = 6000
 SPACING = 14  # ticks between two commands: the longest answer has left by then
@@ -82,8 +83,8 @@ class Pair:
         self._take()
 
     def _take(self) -> None:
-        self.chip_events += self._decoders[0].feed(self.chip.take_output())
-        self.core_events += self._decoders[1].feed(self.core.take_output())
+        self.chip_events += self._decoders[0].feed(take_output(self.chip))
+        self.core_events += self._decoders[1].feed(take_output(self.core))
 
 
 @dataclass
@@ -173,7 +174,7 @@ def test_the_identity_says_what_the_chip_has() -> None:
     for _ in range(20):
         board.tick()
 
-    events = StreamDecoder().feed(board.take_output())
+    events = StreamDecoder().feed(take_output(board))
 
     (identity,) = [event for event in events if isinstance(event, Message) and event.name == "IDENTITY"]
     fields = ("board_id", "adc_bits", "capture_time", "capture_size", "sample_time")

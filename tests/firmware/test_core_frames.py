@@ -12,6 +12,7 @@ from protocol.wire.messages import ROW_OF_NAME, ROWS, Message, Reason, Row
 from tests.harness.firmware.core import Core
 from tests.harness.gateway.board_host import FIRMWARES, Bench, frame
 from tests.harness.protocol.golden import BAD, FRAMES, Golden
+from tests.harness.protocol.port import take_output
 
 COMMANDS = [golden for golden in FRAMES if ROW_OF_NAME[golden.title].to_board]
 
@@ -98,6 +99,6 @@ def test_both_boards_answer_a_golden_command_alike(golden: Golden) -> None:
         board.tick()
         board.feed(golden.hex("wire"))
         board.tick()
-        outputs.append(board.take_output())
+        outputs.append(take_output(board))
 
     assert outputs[0] == outputs[1]

@@ -12,6 +12,7 @@ from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Message, Mode
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.board_host import Bench, frame
+from tests.harness.protocol.port import take_output
 
 WATCHDOG_TICKS = 16  # 31.25 ms
 BOOT_TICKS = 5
@@ -47,7 +48,7 @@ class Flight:
             if alive and self.ticks % 100 == 0:
                 self.board.feed(frame("PING", id=self.ticks // 100 % 100 + 150))
             self.board.tick()
-            for event in self.decoder.feed(self.board.take_output()):
+            for event in self.decoder.feed(take_output(self.board)):
                 if isinstance(event, State):
                     self.states.append(event)
                 elif isinstance(event, Message):

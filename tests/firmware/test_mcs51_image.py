@@ -19,6 +19,7 @@ from protocol.wire.decoder import StreamDecoder
 from protocol.wire.messages import Message, Value
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.board_host import Bench, frame
+from tests.harness.protocol.port import take_output
 
 CALLED_BY_THE_INTERRUPT = {
     "capture_interrupt",
@@ -71,7 +72,7 @@ class Bus:
     def run(self, ticks: int) -> None:
         for _ in range(ticks):
             self.board.tick()
-            self.messages += [e for e in self._decoder.feed(self.board.take_output()) if isinstance(e, Message)]
+            self.messages += [e for e in self._decoder.feed(take_output(self.board)) if isinstance(e, Message)]
 
     def ask(self, name: str, *, ticks: int = 12, **fields: Value) -> None:
         self._id = self._id % 255 + 1
@@ -236,7 +237,7 @@ def test_the_emulated_board_in_program_memory_is_that_of_the_emulator() -> None:
     here = NativeFirmware(Bench())
     here.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("GET_PARAMETERS", id=2))
     here.tick()
-    expected = [e for e in StreamDecoder().feed(here.take_output()) if isinstance(e, Message)]
+    expected = [e for e in StreamDecoder().feed(take_output(here)) if isinstance(e, Message)]
     bus = Bus(Mcs51Board(Bench(), eeprom=b""))
     bus.run(20)
     bus.ask("HELLO", session=1, version_min=1, version_max=1)

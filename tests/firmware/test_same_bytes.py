@@ -15,6 +15,7 @@ from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.messages import ROWS, EventCode, Reason
 from tests.harness.firmware.random_host import Seen, play
 from tests.harness.gateway.board_host import Bench, Host, frame, skip_without_compiler
+from tests.harness.protocol.port import take_output
 
 MINUTE = 30_000  # ticks
 EVERYTHING = (
@@ -69,7 +70,7 @@ def test_both_fly_the_emulated_rig_along_the_same_path() -> None:
 
 def test_a_transmitter_that_takes_a_byte_at_a_time_gets_whole_frames_and_the_newest_state_first() -> None:
     board = NativeFirmware(Bench())
-    board.take_output()
+    take_output(board)
     board.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1))
     board.tick()
     received = board.take_frame(1) + board.take_frame(1)  # of the STATE
@@ -88,7 +89,7 @@ def test_a_reset_waits_for_the_last_byte_of_its_ack() -> None:
     board = NativeFirmware(Bench())
     board.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("SET_STREAM", id=2, divider=0))
     board.tick()
-    board.take_output()
+    take_output(board)
     board.feed(frame("RESET", id=3))
     board.tick()
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.processes.run import listens
+from gateway.processes.command import listens
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.harness.ports import free_port
 from tests.patience import HANG_S

@@ -46,7 +46,8 @@ tables = st.one_of(
 columns = st.builds(Column, column=words, scale=finite.filter(lambda value: value != 0.0), offset=finite, table=tables)
 recordings = st.builds(
     Recording, file=words, kind=st.sampled_from(KINDS), use=st.sampled_from(USES), skip_s=st.floats(0.0, 1e6),
-    board=st.one_of(st.just(""), words), columns=st.dictionaries(st.sampled_from(CHANNELS), columns, max_size=3),
+    instrument=st.one_of(st.just(""), words), board=st.one_of(st.just(""), words),
+    columns=st.dictionaries(st.sampled_from(CHANNELS), columns, max_size=3),
 )  # fmt: skip
 campaigns = st.builds(
     Campaign, where=st.just("campaign.toml"), folder=st.just(Path()), plant=plants,

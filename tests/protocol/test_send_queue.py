@@ -6,6 +6,7 @@ import pytest
 
 from protocol.wire.messages import Value
 from protocol.wire.outgoing import Command, SendQueue
+from tests.harness.protocol.port import take_output
 
 BEGUN = 3  # bytes of a frame that the port has taken
 
@@ -41,7 +42,7 @@ def test_a_stop_that_was_begun_is_finished_whoever_is_given_up(mode: Command, st
     queue.drop(mode)
     queue.drop(stop)
 
-    assert queue.take() == stop.frame[BEGUN:]
+    assert take_output(queue) == stop.frame[BEGUN:]
 
 
 def test_a_stop_that_waits_goes_out_after_it_was_given_up(mode: Command, stop: Command) -> None:
@@ -50,7 +51,7 @@ def test_a_stop_that_waits_goes_out_after_it_was_given_up(mode: Command, stop: C
     queue.drop(stop)
     queue.withdraw(stop)
 
-    assert queue.take() == mode.frame[BEGUN:] + stop.frame
+    assert take_output(queue) == mode.frame[BEGUN:] + stop.frame
 
 
 def test_what_was_given_up_is_not_finished(mode: Command, stop: Command) -> None:
@@ -58,7 +59,7 @@ def test_what_was_given_up_is_not_finished(mode: Command, stop: Command) -> None
 
     queue.drop(mode)
 
-    assert queue.take() == stop.frame
+    assert take_output(queue) == stop.frame
 
 
 def test_the_rest_of_a_frame_is_of_the_command_that_began_it(mode: Command) -> None:
@@ -67,4 +68,4 @@ def test_the_rest_of_a_frame_is_of_the_command_that_began_it(mode: Command) -> N
 
     queue.drop(other)
 
-    assert queue.take() == mode.frame[BEGUN:]
+    assert take_output(queue) == mode.frame[BEGUN:]

@@ -13,6 +13,7 @@ from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, S
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import ROW_OF_NAME, EventCode, Message, Reason
 from protocol.wire.session import Session
+from tests.harness.protocol.port import take_output
 
 SCALES = {"i_offset": 0.0, "i_lsb": 1e-3, "x_offset": 0.0, "x_lsb": 1e-6, "u_offset": 0.0, "u_lsb": 1e-3}
 
@@ -33,7 +34,7 @@ def state(tick: int) -> bytes:
 
 
 def sent(session: Session) -> list[Message]:
-    messages = StreamDecoder().feed(session.take_output())
+    messages = StreamDecoder().feed(take_output(session))
     assert all(isinstance(m, Message) for m in messages)
     return [m for m in messages if isinstance(m, Message)]
 

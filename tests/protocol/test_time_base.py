@@ -19,6 +19,7 @@ from protocol.wire.events import Event, Restarted, Sample
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import ROW_OF_NAME, EventCode, Message
 from protocol.wire.session import Session
+from tests.harness.protocol.port import take_output
 
 T_S = 0.002
 PING_TICKS = 60
@@ -84,7 +85,7 @@ class Rig:
         if self.session.is_open and self._steps % PING_TICKS == 0:
             self.session.submit("PING", self.now_s)
         self.events += self.session.poll(self.now_s)
-        commands = [m for m in self._heard.feed(self.session.take_output()) if isinstance(m, Message)]
+        commands = [m for m in self._heard.feed(take_output(self.session)) if isinstance(m, Message)]
         if self.divider and self.tick % self.divider == 0:
             self._send(state(self.tick), is_state=True)
         for command in commands:

@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 
 import board51
 from gateway.emulator.serve import Emulator
-from gateway.processes.run import listens
+from gateway.processes.command import listens
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
 from tests.patience import HANG_S

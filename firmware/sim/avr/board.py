@@ -19,8 +19,7 @@ from pathlib import Path
 
 from firmware.sim.avr.build import Image, image, simulator
 from gateway.emulator.firmware_model.board import AnalogSide
-from gateway.emulator.firmware_model.flash import CE152_BOARD, DAC_BITS, FIRMWARE, T_S_US, BoardProfile, FlashLimits
-from gateway.emulator.firmware_model.law import Gains
+from gateway.emulator.firmware_model.flash import CE152_BOARD, T_S_US, BoardProfile
 from gateway.emulator.firmware_model.output import OutputFault
 from protocol.errors import ServiceError
 from protocol.wire.framing import cobs_decode
@@ -78,19 +77,8 @@ def _load(path: Path) -> ctypes.CDLL:
 
 def stored(board_id: int, profile: BoardProfile = CE152_BOARD) -> bytes:
     """Return the content of the EEPROM (firmware/avr/store.c): identity and settings, each with its CRC."""
-    scales = (profile.current, profile.position, profile.input)
-    scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
-    identity = struct.pack("<I4B24s8s", board_id, *FIRMWARE, ADC_BITS, DAC_BITS, scalings, profile.build.ljust(8)[:8])
-    settings = _packed_gains(profile.gains) + _packed_limits(profile.limits)
-    return b"".join(part + crc_hqx(part, 0xFFFF).to_bytes(2, "little") for part in (identity, settings))
-
-
-def _packed_gains(gains: Gains) -> bytes:
-    return struct.pack("<B4B4h3H", gains.law, *gains.shifts, *gains.mantissas, gains.i_0, gains.x_0, gains.u_0)
-
-
-def _packed_limits(limits: FlashLimits) -> bytes:
-    return struct.pack("<5H", limits.x_ref_min, limits.x_ref_max, limits.x_ref_step, limits.x_ref_slew, limits.u_max)
+    parts = (profile.identity(board_id, ADC_BITS), profile.settings.packed())
+    return b"".join(part + crc_hqx(part, 0xFFFF).to_bytes(2, "little") for part in parts)
 
 
 class AvrBoard:
@@ -194,10 +182,6 @@ class AvrBoard:
         self._held = b""
         return self._without_lost(sent) if self._lost else sent
 
-    def take_output(self) -> bytes:
-        """Return the same."""
-        return self.take_frame()
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -217,11 +201,6 @@ class AvrBoard:
     def bad_frames(self) -> int:
         """The number of frames rejected since the reset."""
         return self._number(2, 2)
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return self._number(4, 4, signed=True)
 
     @property
     def next_tick(self) -> int:
@@ -248,13 +227,13 @@ class AvrBoard:
         self._held = b""
         self._held_ticks = 0
 
-    def _number(self, field: int, size: int, *, signed: bool = False) -> int:
+    def _number(self, field: int, size: int) -> int:
         """A field of `struct board`; 0 until start-up has cleared the RAM."""
         board = self.image.ram("board")
         if self._view.memory[board + self._fields[3]] == _RAM_PATTERN:
             return 0
         at = board + self._fields[field]
-        return int.from_bytes(bytes(self._view.memory[at : at + size]), "little", signed=signed)
+        return int.from_bytes(bytes(self._view.memory[at : at + size]), "little")
 
     def _run_to(self, cycle: int) -> None:
         while (event := self._library.chip_run(self._chip, cycle)) != _TIME_IS_OVER:

@@ -23,7 +23,6 @@ from firmware.sim.mcs51.library import Chip, load
 from gateway.emulator.firmware_model.board import AnalogSide
 from gateway.emulator.firmware_model.flash import CE152_BOARD, CURRENT, INPUT, POSITION, T_S_US, BoardProfile
 from gateway.emulator.firmware_model.output import OutputFault
-from gateway.emulator.native.board import identity_of, settings_of
 from protocol.errors import UsageError
 from protocol.wire.framing import crc16
 from protocol.wire.messages import EventCode, Mode
@@ -155,10 +154,6 @@ class Mcs51Board:
         frame, self._sent = self._sent[:end], self._sent[end:]
         return frame
 
-    def take_output(self) -> bytes:
-        """Return all frames that the chip has sent."""
-        return b"".join(iter(self.take_frame, b""))
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -179,16 +174,6 @@ class Mcs51Board:
     def bad_frames(self) -> int:
         """The number of frames rejected since the reset."""
         return self._look("bad_frames")
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return self._look("sum")
-
-    @property
-    def allowance(self) -> int:
-        """The largest jump of the reference that is accepted now, counts."""
-        return self._look("allowance") // 1_000_000
 
     @property
     def next_tick(self) -> int:
@@ -217,14 +202,6 @@ class Mcs51Board:
 
 
 def memory_of(board_id: int) -> bytes:
-    """Return the content of the data memory of a board: identity and settings as C lays them out, and their CRC."""
-    identity, settings = identity_of(board_id), settings_of(CE152_BOARD.settings)
-    gains, limits = settings.gains, settings.limits
-    data = struct.pack("<I4B", board_id, *(getattr(identity, name) for name in _VERSIONS))
-    data += bytes(identity.scalings) + bytes(identity.build)
-    data += struct.pack("<B4B4h3H", gains.law, *gains.shift, *gains.mantissa, gains.i_0, gains.x_0, gains.u_0)
-    data += struct.pack("<5H", *(getattr(limits, name) for name, _ in limits._fields_))
+    """Return the content of the data memory of a board: identity and settings, and their CRC."""
+    data = CE152_BOARD.identity(board_id, CE152_BOARD.adc_bits) + CE152_BOARD.settings.packed()
     return data + crc16(data).to_bytes(2, "big")
-
-
-_VERSIONS = ("firmware_major", "firmware_minor", "adc_bits", "dac_bits")

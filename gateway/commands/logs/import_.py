@@ -64,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
     for warning in warnings:
         print(f"! {warning}", file=sys.stderr)
     if args.json:
-        plain = [{**asdict(report), "source": str(report.source), "log": str(report.log)} for report in reports]
-        print(json.dumps(plain, indent=2))
+        print(json.dumps([asdict(report) for report in reports], indent=2, default=str))
     else:
         print("\n".join(_as_text(report) for report in reports))
     return 0

@@ -26,19 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Recover and say what was lost."""
     result = recover(args.broken, args.out)
-    print(_as_json(result) if args.json else _as_text(result))
+    print(json.dumps(asdict(result), indent=2, default=str) if args.json else _as_text(result))
     return 0
-
-
-def _as_json(result: Recovery) -> str:
-    plain = asdict(result)
-    plain.update(
-        broken=str(result.broken),
-        clean=str(result.clean),
-        bytes_lost=result.bytes_lost,
-        seconds_lost=result.seconds_lost,
-    )
-    return json.dumps(plain, indent=2)
 
 
 def _as_text(result: Recovery) -> str:

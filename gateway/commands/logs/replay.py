@@ -9,12 +9,10 @@ command is refused with NOT_AVAILABLE: a recording cannot be influenced.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 from gateway.access.listeners import check_bus_listeners
@@ -81,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
 def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     import zenoh
 
-    from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, ReplayReport, contents, pace
+    from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, contents, pace
 
     if args.connect and args.listen:
         raise UsageError("--connect and --listen exclude each other", remedy="Give one of the two")
@@ -130,12 +128,12 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
             replay.session_offset += SESSIONS_PER_PASS
             if not args.loop or not count:
                 break
-    report = ReplayReport(messages=sent, passes=passes, seconds=time.monotonic() - begin_s, log_seconds=log_s)
+    lasted_s = time.monotonic() - begin_s
     progress.end()
     if args.json:
-        print(json.dumps(dataclasses.asdict(report)))
+        print(json.dumps({"messages": sent, "passes": passes, "seconds": lasted_s, "log_seconds": log_s}))
     else:
-        print(f"{sent} messages, {log_s:.3f} s of the log, in {report.seconds:.3f} s")
+        print(f"{sent} messages, {log_s:.3f} s of the log, in {lasted_s:.3f} s")
     reader.check(last_ns=None)
     return 0 if sent else 1
 
@@ -150,18 +148,19 @@ def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:
 def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
     from gateway.record.byte_port import open_pty, open_tcp, serve
     from gateway.record.byte_replay import RecordedBoard
+    from gateway.record.replay import contents
 
     if (args.pty is None) == (args.tcp is None):
         raise UsageError("--bytes needs a destination", remedy="Give --pty PATH or --tcp HOST:PORT")
     if args.loop or args.rename or args.topic or args.connect or args.listen:
         raise UsageError("--bytes does not go with the options of the bus", remedy="Leave those out")
     reader = LogReader(args.logs)
-    channels = contents_raw(reader, args.board)
-    if len(channels) > 1:
-        raise UsageError(
-            f"The log has bytes of several boards: {', '.join(channels)}", remedy="Choose one with --board"
-        )
-    board = RecordedBoard(_raw(reader, args))
+    boards = list(dict.fromkeys(board for _, board, _ in contents(reader, topics_=("raw",), boards=args.board)))
+    if len(boards) > 1:
+        raise UsageError(f"The log has bytes of several boards: {', '.join(boards)}", remedy="Choose one with --board")
+    records = reader.raw(topics_=("raw",), boards=args.board, start_s=args.start, end_s=args.end)
+    messages = (parse(pb.RawBytes, record.data) for record in records)
+    board = RecordedBoard(message for message in messages if message is not None)
     if args.pty is not None:
         with open_pty(args.pty) as port:
             print(f"board on {args.pty}", flush=True)
@@ -174,20 +173,6 @@ def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
     account = {"pieces": sent, "of": len(board.pieces), "answers_removed": board.removed, "refused": board.refused}
     print(json.dumps(account) if args.json else ", ".join(f"{name} {value}" for name, value in account.items()))
     return 0 if sent == len(board.pieces) else 1
-
-
-def contents_raw(reader: LogReader, boards: list[str] | None) -> list[str]:
-    """Names of the boards whose bytes are in the log."""
-    from gateway.record.replay import contents
-
-    return list(dict.fromkeys(board for _, board, _ in contents(reader, topics_=("raw",), boards=boards)))
-
-
-def _raw(reader: LogReader, args: argparse.Namespace) -> Iterator[pb.RawBytes]:
-    for record in reader.raw(topics_=("raw",), boards=args.board, start_s=args.start, end_s=args.end):
-        message = parse(pb.RawBytes, record.data)
-        if message is not None:
-            yield message
 
 
 def _address(text: str) -> tuple[str, int]:

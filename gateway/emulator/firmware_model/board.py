@@ -3,10 +3,10 @@
     firmware = Firmware(EmulatedPlant(), board_id=1)
     firmware.feed(frame)               # between two ticks
     firmware.tick()                    # T_s of plant time, then one run of the loop
-    line.write(firmware.take_output())
+    line.write(firmware.take_frame())
 
 Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5 and 13,
-`host_watch.py`, `control_loop.py` and `commands.py` have the others.
+`control_loop.py` and `commands.py` have the others.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gateway.emulator.firmware_model.commands import (
     parameters,
     refuse_range,
 )
-from gateway.emulator.firmware_model.control_loop import ControlLoop, Tick
+from gateway.emulator.firmware_model.control_loop import ControlLoop, HostWatch, Tick
 from gateway.emulator.firmware_model.flash import (
     BOOT_TICKS,
     CE152_BOARD,
@@ -33,9 +33,7 @@ from gateway.emulator.firmware_model.flash import (
     BoardProfile,
     Settings,
 )
-from gateway.emulator.firmware_model.host_watch import HostWatch
 from gateway.emulator.firmware_model.output import InputConverter, OutputFault
-from gateway.emulator.firmware_model.settings import first_bad_field
 from gateway.emulator.firmware_model.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
@@ -97,7 +95,7 @@ class Firmware:
         self._reset_wait = 0  # ticks left to get the ACK of RESET out; 0: no reset pending
         self._hung_ticks = 0
         self._dead_ticks = 0
-        field = first_bad_field(self._stored)
+        field = self._stored.first_bad_field()
         settings = self._profile.settings if field else self._stored
         self.loop = ControlLoop(self._emit, settings, self._converter)
         self._host = HostWatch(self.loop, self._emit)
@@ -171,10 +169,6 @@ class Firmware:
         """Return the next frame for the line, or b""."""
         return b"" if self._dead_ticks else self.outbox.take()
 
-    def take_output(self) -> bytes:
-        """Return all waiting frames, in the order of transmission."""
-        return b"".join(iter(self.take_frame, b""))
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -189,16 +183,6 @@ class Firmware:
     def dropped(self) -> int:
         """The number of frames for which the line had no time, since power-on."""
         return self.outbox.dropped
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return self.loop.law.sum
-
-    @property
-    def allowance(self) -> int:
-        """The largest jump of the reference that is accepted now, counts."""
-        return self.loop.reference.allowance
 
     @property
     def bad_frames(self) -> int:

@@ -19,9 +19,9 @@ from gateway.emulator.firmware_model.flash import (
     FIRMWARE,
     T_S_US,
     BoardProfile,
+    Settings,
 )
 from gateway.emulator.firmware_model.law import Gains
-from gateway.emulator.firmware_model.settings import in_parameters
 from protocol.wire.messages import ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
 
 
@@ -96,7 +96,7 @@ def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardPro
 
 def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Acceptance:
     """Return the answer to GET_PARAMETERS: the values in force."""
-    values = in_parameters(loop.law.gains, loop.limits)
+    values = Settings(gains=loop.law.gains, limits=loop.limits).in_parameters()
     values |= {"divider": divider, "policy": int(policy), "timeout": timeout_ms, "tick": loop.gains_tick}
     return Acceptance("PARAMETERS", values)
 

@@ -1,6 +1,6 @@
 """The control loop between two converters: modes, reference, excitation, law, faults.  Counts in, counts out.
 
-Rules 6 to 9, 11 and the board's half of 12 and 13 of protocol/README.md.  `board.py` handles frames, ids and sessions,
+Rules 6 to 11 and the board's half of 12 and 13 of protocol/README.md.  `board.py` handles frames, ids and sessions,
 `commands.py` the effect of commands on the loop.
 """
 
@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 from gateway.emulator.firmware_model.capture import FirmwareCapture
 from gateway.emulator.firmware_model.excitation import Excitation
-from gateway.emulator.firmware_model.flash import TICKS_PER_S, FlashLimits, Settings
+from gateway.emulator.firmware_model.flash import T_S_US, TICKS_PER_S, FlashLimits, Settings
 from gateway.emulator.firmware_model.law import ControlLaw
 from gateway.emulator.firmware_model.output import InputConverter, Output
-from protocol.wire.messages import COUNTS_MAX, EventCode, Flag, Mode
+from protocol.wire.messages import COUNTS_MAX, EventCode, Flag, HostLoss, Mode
 
+HOST_LOSS_MS = 500
 OVER_CURRENT_TICKS = 50
 SENSOR_FAULT_TICKS = 500
 TARGET_U, TARGET_X_REF = 0, 1
@@ -218,3 +219,37 @@ class ControlLoop:
         flags |= _FAULT if self.fault else 0
         self.overrun = False
         return flags
+
+
+class HostWatch:
+    """Acts on the loop when no frame of the host has come for `timeout_ms`: rule 10.
+
+    Args:
+        loop: The control loop.
+        emit: Sends an event with its detail.
+    """
+
+    def __init__(self, loop: ControlLoop, emit: Callable[[EventCode, int], None]) -> None:
+        self.policy = HostLoss.COIL_OFF
+        self.timeout_ms = HOST_LOSS_MS
+        self._loop, self._emit = loop, emit
+        self._silent_us = 0
+
+    def heard(self) -> None:
+        """Note a frame of the host."""
+        self._silent_us = 0
+        if self._loop.host_lost:
+            self._loop.host_lost = False
+            self._emit(EventCode.HOST_BACK, 0)
+
+    def watch(self) -> None:
+        """Count one tick of silence; act once, when the host is lost."""
+        self._silent_us += T_S_US
+        if self._loop.host_lost or self._silent_us < self.timeout_ms * 1000:
+            return
+        self._loop.host_lost = True
+        self._emit(EventCode.HOST_LOST, self.policy)
+        if self.policy == HostLoss.HOLD and self._loop.mode == Mode.CLOSED_LOOP:
+            self._loop.end_excitation()
+        elif self.policy != HostLoss.KEEP:
+            self._loop.switch_off()

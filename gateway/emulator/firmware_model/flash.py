@@ -15,11 +15,12 @@ K puts the fast pair at about 108 rad/s with damping 0.7, and the integral at 14
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import struct
+from dataclasses import asdict, astuple, dataclass
 
 from gateway.emulator.firmware_model.law import Gains
 from protocol.wire.mantissa import to_mantissa
-from protocol.wire.messages import COUNTS_MAX, Law
+from protocol.wire.messages import COUNTS_MAX, ROW_OF_NAME, Law, Value
 
 T_S_US = 2000  # eq. (15)
 TICKS_PER_S = 1_000_000 // T_S_US
@@ -83,6 +84,32 @@ class Settings:
 
     gains: Gains
     limits: FlashLimits
+
+    def in_parameters(self) -> dict[str, Value]:
+        """Return the fields of PARAMETERS that say gains, operating point and limits."""
+        gains = self.gains
+        values: dict[str, Value] = {"law": gains.law, "i_0": gains.i_0, "x_0": gains.x_0, "u_0": gains.u_0}
+        for n, (mantissa, shift) in enumerate(zip(gains.mantissas, gains.shifts, strict=True), start=1):
+            values |= {f"k{n}_mantissa": mantissa, f"k{n}_shift": shift}
+        return values | asdict(self.limits)
+
+    def first_bad_field(self) -> int:
+        """Return the first field out of its range (rule 1), from 1 in the order of PARAMETERS; 0 if there is none."""
+        values = self.in_parameters()
+        fields = [field for field in ROW_OF_NAME["PARAMETERS"].fields if field.name in values]
+        for n, field in enumerate(fields, start=1):
+            low, high, value = field.low, field.high, values[field.name]
+            if low is None or high is None or not isinstance(value, int) or not low <= value <= high:
+                return n
+        if self.limits.x_ref_min > self.limits.x_ref_max:
+            return 1 + [field.name for field in fields].index("x_ref_max")
+        return 0
+
+    def packed(self) -> bytes:
+        """Return the settings as the firmware in C stores them."""
+        gains = self.gains
+        values = (gains.law, *gains.shifts, *gains.mantissas, gains.i_0, gains.x_0, gains.u_0, *astuple(self.limits))
+        return struct.pack("<5B4h8H", *values)
 
 
 LIMITS = FlashLimits(
@@ -157,6 +184,16 @@ class BoardProfile:
     def settings(self) -> Settings:
         """The gains, operating point and limits."""
         return Settings(gains=self.gains, limits=self.limits)
+
+    @property
+    def scalings(self) -> bytes:
+        """The scalings as the firmware in C stores them."""
+        scales = (self.current, self.position, self.input)
+        return struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
+
+    def identity(self, board_id: int, adc_bits: int) -> bytes:
+        """Return the identity of a board as the firmware in C stores it."""
+        return struct.pack("<I4B24s8s", board_id, *FIRMWARE, adc_bits, DAC_BITS, self.scalings, self.build.ljust(8)[:8])
 
     def current_count(self, pin: float) -> int:
         """Return the count of i_c."""

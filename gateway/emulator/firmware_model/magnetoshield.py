@@ -12,7 +12,6 @@ about 90 rad/s with damping 0.8 and the integral at 10 rad/s, in a loop sampled 
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
 
 from gateway.emulator.firmware_model.flash import (
@@ -160,8 +159,6 @@ def magnetoshield(curve: HallCurve | None = None) -> MagnetoShieldProfile:
 
 def header(profile: MagnetoShieldProfile) -> str:
     """The profile as the C header that `firmware/avr/store.c` and `hardware.c` include."""
-    scales = (profile.current, profile.position, profile.input)
-    scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
     gains, limits = profile.gains, profile.limits
     numbers = (limits.x_ref_min, limits.x_ref_max, limits.x_ref_step, limits.x_ref_slew, limits.u_max)
     return "\n".join(
@@ -170,7 +167,7 @@ def header(profile: MagnetoShieldProfile) -> str:
             " * are explained there and in ../magnetoshield.md. */",
             f"#define PROFILE_FIRMWARE {FIRMWARE[0]}, {FIRMWARE[1]}, {profile.adc_bits}, {DAC_BITS}",
             "#define PROFILE_SCALINGS \\",
-            _rows([f"0x{byte:02X}" for byte in scalings], 8),
+            _rows([f"0x{byte:02X}" for byte in profile.scalings], 8),
             "#define PROFILE_BUILD " + ", ".join(f"0x{byte:02X}" for byte in profile.build.ljust(8)[:8]),
             f"#define PROFILE_GAINS {int(gains.law)}, {_braced(gains.shifts)}, {_braced(gains.mantissas)}, "
             f"{gains.i_0}, {gains.x_0}, {gains.u_0}",

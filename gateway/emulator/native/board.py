@@ -9,21 +9,18 @@ in C; so the two firmwares share no code, and each is the other's test (tests/fi
 from __future__ import annotations
 
 import ctypes
-import struct
 from pathlib import Path
 
 from gateway.emulator.firmware_model.board import AnalogSide
 from gateway.emulator.firmware_model.flash import (
     CE152_BOARD,
-    DAC_BITS,
-    FIRMWARE,
     T_S_US,
     BoardProfile,
     Settings,
 )
 from gateway.emulator.firmware_model.output import OutputFault
 from gateway.emulator.native.build import library
-from gateway.emulator.native.library import CGains, CIdentity, CLimits, CSettings, CView, load
+from gateway.emulator.native.library import CIdentity, CSettings, CView, load
 from protocol.wire.messages import EventCode, Mode
 
 _PLANT_STEP_US = 20
@@ -61,8 +58,8 @@ class NativeFirmware:
         self._view = CView.from_buffer(self._memory)
         self._frame = ctypes.create_string_buffer(_LONGEST_FRAME)
         self._elapsed_us = 0  # plant time since the last tick
-        identity, settings = identity_of(board_id, profile), settings_of(profile.settings)
-        self._library.posix_open(self._board, ctypes.byref(identity), ctypes.byref(settings))
+        identity = CIdentity.from_buffer_copy(profile.identity(board_id, profile.adc_bits))
+        self._library.posix_open(self._board, ctypes.byref(identity), ctypes.byref(settings_of(profile.settings)))
 
     def __del__(self) -> None:
         if hasattr(self, "_board"):
@@ -117,10 +114,6 @@ class NativeFirmware:
         size: int = self._library.posix_take(self._board, self._frame, room)
         return self._frame.raw[:size]
 
-    def take_output(self) -> bytes:
-        """Return all waiting frames, in the order of transmission."""
-        return b"".join(iter(self.take_frame, b""))
-
     @property
     def u(self) -> int:
         """Count of the input converter."""
@@ -140,16 +133,6 @@ class NativeFirmware:
     def bad_frames(self) -> int:
         """The number of frames rejected since the reset."""
         return int(self._view.bad_frames)
-
-    @property
-    def integral(self) -> int:
-        """The sum of x_ref - x in the law, counts."""
-        return int(self._view.sum)
-
-    @property
-    def allowance(self) -> int:
-        """The largest jump of the reference that is accepted now, counts."""
-        return int(self._view.allowance) // 1_000_000
 
     @property
     def next_tick(self) -> int:
@@ -174,31 +157,7 @@ class NativeFirmware:
             self._library.posix_pass(self._board, step_us)
 
 
-def identity_of(board_id: int, profile: BoardProfile = CE152_BOARD) -> CIdentity:
-    """Return what the emulated board is."""
-    scales = (profile.current, profile.position, profile.input)
-    scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
-    return CIdentity(
-        board_id,
-        *FIRMWARE,
-        profile.adc_bits,
-        DAC_BITS,
-        (ctypes.c_uint8 * 24)(*scalings),
-        (ctypes.c_uint8 * 8)(*profile.build.ljust(8)[:8]),
-    )
-
-
 def settings_of(settings: Settings) -> CSettings:
-    """Return gains, operating point and limits as C lays them out."""
-    gains, limits = settings.gains, settings.limits
-    return CSettings(
-        CGains(
-            gains.law,
-            (ctypes.c_uint8 * 4)(*gains.shifts),
-            (ctypes.c_int16 * 4)(*gains.mantissas),
-            gains.i_0,
-            gains.x_0,
-            gains.u_0,
-        ),
-        CLimits(limits.x_ref_min, limits.x_ref_max, limits.x_ref_step, limits.x_ref_slew, limits.u_max),
-    )
+    """Return gains, operating point and limits as C lays them out: a byte aligns the mantissas."""
+    packed = settings.packed()
+    return CSettings.from_buffer_copy(packed[:5] + b"\0" + packed[5:])

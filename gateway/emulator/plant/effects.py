@@ -24,12 +24,11 @@ DISTURBANCE_FREQUENCY_HZ = 7.0  # periodic-disturbance: a table that rocks; insi
 MAX_DELAY_S = 20e-3  # actuation-delay, sampling-delay: ten ticks
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect: its parameter, the range of its values, and its description."""
+    """An effect: its parameter, the range of its values, and its description; a row of the table."""
 
     name: str
-    family: str  # amplifier | force | motion | sensing | timing
     parameter: str
     unit: str  # empty: a pure number
     low: float  # smallest possible value
@@ -37,141 +36,108 @@ class Effect:
     weak: float
     medium: float
     strong: float
-    neutral: float = 0.0  # the value at which the effect is absent
-    signed: bool = False  # the value mirrored at the neutral one is as plausible
     description: str
     where: str
     source: str
-
-
-def _effect(  # one row of the table, in the order of its columns
-    name: str,
-    parameter: str,
-    unit: str,
-    limits: tuple[float, float],
-    strengths: tuple[float, float, float],
-    description: str,
-    where: str,
-    source: str,
-    *,
-    family: str,
-    neutral: float = 0.0,
-    signed: bool = False,
-) -> Effect:
-    low, high = limits
-    weak, medium, strong = strengths
-    return Effect(
-        name=name,
-        family=family,
-        parameter=parameter,
-        unit=unit,
-        low=low,
-        high=high,
-        weak=weak,
-        medium=medium,
-        strong=strong,
-        neutral=neutral,
-        signed=signed,
-        description=description,
-        where=where,
-        source=source,
-    )
+    family: str  # amplifier | force | motion | sensing | timing
+    neutral: float = 0.0  # the value at which the effect is absent
+    signed: bool = False  # the value mirrored at the neutral one is as plausible
 
 
 # fmt: off
-# columns: name, parameter, unit, (low, high), (weak, medium, strong), what it does, where it acts, source
+# columns: name, parameter, unit, low, high, weak, medium, strong, what it does, where it acts, source
 _TABLE = (
     # --- amplifier
-    _effect("amplifier-gain-drift", "loss", "1/A^2", (0.0, 0.3), (0.02, 0.06, 0.15),
-            "the coil heats and the gain falls: K_A (1 - loss w), 30 s w' + w = i^2; loss at a steady 1 A",
-            "target current", "coil heating, which the paper neglects on purpose", family="amplifier"),
-    _effect("current-limit", "limit", "A", (0.05, 1.5), (1.3, 1.15, 1.02),
-            "the amplifier gives no more than this current (the ball lifts off at 0.98 A)",
-            "target current and its rate", "a power supply smaller than the rig's",
-            family="amplifier", neutral=math.inf),
-    _effect("slew-rate-limit", "rate", "A/s", (1.0, 100000.0), (300.0, 100.0, 30.0),
-            "the current changes no faster than this, in both directions",
-            "rate of the current", "coil voltage is finite: di/dt <= U/L", family="amplifier", neutral=math.inf),
-    _effect("amplifier-dead-zone", "width", "V", (0.0, 2.0), (0.05, 0.15, 0.4),
-            "no current below this input, and that much less input above it",
-            "target current", "threshold of the output stage; assumed size", family="amplifier"),
-    _effect("amplifier-offset", "offset", "A", (-0.3, 0.3), (0.01, 0.03, 0.08),
-            "target current is K_A u + offset, never below 0",
-            "target current", "offset of the output stage; an INTECO rig gives 0.043 A at zero input",
-            family="amplifier", signed=True),
-    _effect("position-dependent-inductance", "growth", "", (0.0, 10.0), (0.3, 1.0, 3.0),
-            "T_A grows towards the coil by 1/gap: T_A at the bottom stop, T_A (1 + growth) at the top stop",
-            "rate of the current", "L = L_0 + 2 K_c/gap goes with eq. (3) by energy; neglected by the paper on purpose",
-            family="amplifier"),
-    _effect("motional-emf", "coupling", "s/m", (0.0, 10.0), (0.05, 0.2, 1.0),
-            "a rising ball pushes the current down: T_A i' + i = K_A u - coupling i v (gap_mid/gap)^2",
-            "rate of the current", "i v dL/dx over the resistance, dL/dx = 2 K_c/gap^2; about 0.04 s/m with 10 ohm",
-            family="amplifier"),
-    _effect("actuation-delay", "delay", "s", (0.0, MAX_DELAY_S), (0.0004, 0.001, 0.002),
-            "the input acts this much later",
-            "input", "computing time between sampling and output; up to one tick", family="amplifier"),
+    Effect("amplifier-gain-drift", "loss", "1/A^2", 0.0, 0.3, 0.02, 0.06, 0.15,
+           "the coil heats and the gain falls: K_A (1 - loss w), 30 s w' + w = i^2; loss at a steady 1 A",
+           "target current", "coil heating, which the paper neglects on purpose", family="amplifier"),
+    Effect("current-limit", "limit", "A", 0.05, 1.5, 1.3, 1.15, 1.02,
+           "the amplifier gives no more than this current (the ball lifts off at 0.98 A)",
+           "target current and its rate", "a power supply smaller than the rig's",
+           family="amplifier", neutral=math.inf),
+    Effect("slew-rate-limit", "rate", "A/s", 1.0, 100000.0, 300.0, 100.0, 30.0,
+           "the current changes no faster than this, in both directions",
+           "rate of the current", "coil voltage is finite: di/dt <= U/L", family="amplifier", neutral=math.inf),
+    Effect("amplifier-dead-zone", "width", "V", 0.0, 2.0, 0.05, 0.15, 0.4,
+           "no current below this input, and that much less input above it",
+           "target current", "threshold of the output stage; assumed size", family="amplifier"),
+    Effect("amplifier-offset", "offset", "A", -0.3, 0.3, 0.01, 0.03, 0.08,
+           "target current is K_A u + offset, never below 0",
+           "target current", "offset of the output stage; an INTECO rig gives 0.043 A at zero input",
+           family="amplifier", signed=True),
+    Effect("position-dependent-inductance", "growth", "", 0.0, 10.0, 0.3, 1.0, 3.0,
+           "T_A grows towards the coil by 1/gap: T_A at the bottom stop, T_A (1 + growth) at the top stop",
+           "rate of the current", "L = L_0 + 2 K_c/gap goes with eq. (3) by energy; neglected by the paper on purpose",
+           family="amplifier"),
+    Effect("motional-emf", "coupling", "s/m", 0.0, 10.0, 0.05, 0.2, 1.0,
+           "a rising ball pushes the current down: T_A i' + i = K_A u - coupling i v (gap_mid/gap)^2",
+           "rate of the current", "i v dL/dx over the resistance, dL/dx = 2 K_c/gap^2; about 0.04 s/m with 10 ohm",
+           family="amplifier"),
+    Effect("actuation-delay", "delay", "s", 0.0, MAX_DELAY_S, 0.0004, 0.001, 0.002,
+           "the input acts this much later",
+           "input", "computing time between sampling and output; up to one tick", family="amplifier"),
     # --- force
-    _effect("air-gap-offset", "d", "m", (-0.002, 0.005), (0.0001, 0.0003, 0.0008),
-            "the coil's plane is this much higher than the rig says",
-            "magnetic force", "the measured equilibria need 2.4 mm against eq. (3); this comes on top",
-            family="force", signed=True),
-    _effect("force-exponent", "n", "", (1.0, 4.0), (2.1, 2.4, 3.0),
-            "force falls with gap^n instead of gap^2; unchanged in the middle of the travel",
-            "magnetic force", "iron paths of finite size give other powers than 2; assumed size",
-            family="force", neutral=2.0),
-    _effect("core-saturation", "i_s", "A", (0.3, 20.0), (3.0, 2.0, 1.5),
-            "the force sees i / sqrt(1 + (i/i_s)^2)",
-            "magnetic force", "iron saturates; the smaller i_s, the earlier", family="force", neutral=math.inf),
-    _effect("residual-magnetism", "i_r", "A", (-0.3, 0.3), (0.01, 0.03, 0.08),
-            "a constant field as of this current, unseen by the current sensor; no hysteresis loop",
-            "magnetic force", "remanence of core and ball; assumed size", family="force"),
-    _effect("eddy-current-lag", "tau", "s", (5e-05, 0.02), (0.0005, 0.0015, 0.004),
-            "the force sees the current through a first-order lag",
-            "magnetic force", "eddy currents in a solid core; assumed size", family="force"),
+    Effect("air-gap-offset", "d", "m", -0.002, 0.005, 0.0001, 0.0003, 0.0008,
+           "the coil's plane is this much higher than the rig says",
+           "magnetic force", "the measured equilibria need 2.4 mm against eq. (3); this comes on top",
+           family="force", signed=True),
+    Effect("force-exponent", "n", "", 1.0, 4.0, 2.1, 2.4, 3.0,
+           "force falls with gap^n instead of gap^2; unchanged in the middle of the travel",
+           "magnetic force", "iron paths of finite size give other powers than 2; assumed size",
+           family="force", neutral=2.0),
+    Effect("core-saturation", "i_s", "A", 0.3, 20.0, 3.0, 2.0, 1.5,
+           "the force sees i / sqrt(1 + (i/i_s)^2)",
+           "magnetic force", "iron saturates; the smaller i_s, the earlier", family="force", neutral=math.inf),
+    Effect("residual-magnetism", "i_r", "A", -0.3, 0.3, 0.01, 0.03, 0.08,
+           "a constant field as of this current, unseen by the current sensor; no hysteresis loop",
+           "magnetic force", "remanence of core and ball; assumed size", family="force"),
+    Effect("eddy-current-lag", "tau", "s", 5e-05, 0.02, 0.0005, 0.0015, 0.004,
+           "the force sees the current through a first-order lag",
+           "magnetic force", "eddy currents in a solid core; assumed size", family="force"),
     # --- motion
-    _effect("quadratic-drag", "c", "N s^2/m^2", (0.0, 20.0), (0.2, 1.0, 4.0),
-            "additional drag c |v| v",
-            "net force", "neglected by the paper on purpose; air alone gives 4e-5, a guide tube far more",
-            family="motion"),
-    _effect("coulomb-friction", "force", "N", (0.0, 0.05), (0.0005, 0.002, 0.006),
-            "dry friction against the motion; holds a resting ball against smaller forces",
-            "net force", "a ball that touches its guide; weight is 0.081 N", family="motion"),
-    _effect("constant-force", "force", "N", (-0.05, 0.05), (0.001, 0.004, 0.01),
-            "a force on the ball, up if positive",
-            "net force", "wrong mass, a tilted rig, a draught; weight is 0.081 N", family="motion", signed=True),
-    _effect("periodic-disturbance", "amplitude", "N", (0.0, 0.05), (0.0005, 0.002, 0.008),
-            "a sinusoidal force at 7 Hz, phase 0 at time 0",
-            "net force", "floor vibration, a fan", family="motion"),
+    Effect("quadratic-drag", "c", "N s^2/m^2", 0.0, 20.0, 0.2, 1.0, 4.0,
+           "additional drag c |v| v",
+           "net force", "neglected by the paper on purpose; air alone gives 4e-5, a guide tube far more",
+           family="motion"),
+    Effect("coulomb-friction", "force", "N", 0.0, 0.05, 0.0005, 0.002, 0.006,
+           "dry friction against the motion; holds a resting ball against smaller forces",
+           "net force", "a ball that touches its guide; weight is 0.081 N", family="motion"),
+    Effect("constant-force", "force", "N", -0.05, 0.05, 0.001, 0.004, 0.01,
+           "a force on the ball, up if positive",
+           "net force", "wrong mass, a tilted rig, a draught; weight is 0.081 N", family="motion", signed=True),
+    Effect("periodic-disturbance", "amplitude", "N", 0.0, 0.05, 0.0005, 0.002, 0.008,
+           "a sinusoidal force at 7 Hz, phase 0 at time 0",
+           "net force", "floor vibration, a fan", family="motion"),
     # --- sensing
-    _effect("position-sensor-offset", "offset", "m", (-0.002, 0.002), (5e-05, 0.0002, 0.0006),
-            "x reads this much too high",
-            "position sensor", "assumed size", family="sensing", signed=True),
-    _effect("position-sensor-gain", "gain", "", (0.5, 1.5), (0.98, 0.94, 0.85),
-            "x reads gain times itself",
-            "position sensor", "published sensor slopes of the CE 152 differ: 800 .. 870 V/m",
-            family="sensing", neutral=1.0, signed=True),
-    _effect("position-sensor-nonlinearity", "bow", "m", (-0.001, 0.001), (3e-05, 0.0001, 0.0003),
-            "x reads too high by bow in the middle, right at both stops (a parabola)",
-            "position sensor", "inductive sensors are calibrated at two points", family="sensing", signed=True),
-    _effect("position-sensor-lag", "tau", "s", (5e-05, 0.02), (0.0004, 0.001, 0.0025),
-            "x is read through a first-order lag",
-            "position sensor", "demodulator and anti-alias filter; assumed size", family="sensing"),
-    _effect("sensor-crosstalk", "coupling", "m/A", (-0.002, 0.002), (2e-05, 6e-05, 0.00015),
-            "the coil's current shows in x",
-            "position sensor", "an inductive sensor in the coil's stray field", family="sensing", signed=True),
-    _effect("current-sensor-offset", "offset", "A", (-0.3, 0.3), (0.01, 0.03, 0.08),
-            "i_c reads this much too high",
-            "current sensor", "assumed size", family="sensing", signed=True),
-    _effect("current-sensor-gain", "gain", "", (0.5, 1.5), (0.98, 0.94, 0.85),
-            "i_c reads gain times itself",
-            "current sensor", "tolerance of the shunt", family="sensing", neutral=1.0, signed=True),
+    Effect("position-sensor-offset", "offset", "m", -0.002, 0.002, 5e-05, 0.0002, 0.0006,
+           "x reads this much too high",
+           "position sensor", "assumed size", family="sensing", signed=True),
+    Effect("position-sensor-gain", "gain", "", 0.5, 1.5, 0.98, 0.94, 0.85,
+           "x reads gain times itself",
+           "position sensor", "published sensor slopes of the CE 152 differ: 800 .. 870 V/m",
+           family="sensing", neutral=1.0, signed=True),
+    Effect("position-sensor-nonlinearity", "bow", "m", -0.001, 0.001, 3e-05, 0.0001, 0.0003,
+           "x reads too high by bow in the middle, right at both stops (a parabola)",
+           "position sensor", "inductive sensors are calibrated at two points", family="sensing", signed=True),
+    Effect("position-sensor-lag", "tau", "s", 5e-05, 0.02, 0.0004, 0.001, 0.0025,
+           "x is read through a first-order lag",
+           "position sensor", "demodulator and anti-alias filter; assumed size", family="sensing"),
+    Effect("sensor-crosstalk", "coupling", "m/A", -0.002, 0.002, 2e-05, 6e-05, 0.00015,
+           "the coil's current shows in x",
+           "position sensor", "an inductive sensor in the coil's stray field", family="sensing", signed=True),
+    Effect("current-sensor-offset", "offset", "A", -0.3, 0.3, 0.01, 0.03, 0.08,
+           "i_c reads this much too high",
+           "current sensor", "assumed size", family="sensing", signed=True),
+    Effect("current-sensor-gain", "gain", "", 0.5, 1.5, 0.98, 0.94, 0.85,
+           "i_c reads gain times itself",
+           "current sensor", "tolerance of the shunt", family="sensing", neutral=1.0, signed=True),
     # --- timing
-    _effect("sampling-delay", "delay", "s", (0.0, MAX_DELAY_S), (0.0004, 0.001, 0.002),
-            "both sensors show what was this much earlier",
-            "sense()", "sample-and-hold and multiplexing before conversion", family="timing"),
-    _effect("lost-samples", "probability", "", (0.0, 0.9), (0.005, 0.02, 0.1),
-            "each state frame is lost with this probability, independently",
-            "drop_sample()", "an overrun buffer on the board", family="timing"),
+    Effect("sampling-delay", "delay", "s", 0.0, MAX_DELAY_S, 0.0004, 0.001, 0.002,
+           "both sensors show what was this much earlier",
+           "sense()", "sample-and-hold and multiplexing before conversion", family="timing"),
+    Effect("lost-samples", "probability", "", 0.0, 0.9, 0.005, 0.02, 0.1,
+           "each state frame is lost with this probability, independently",
+           "drop_sample()", "an overrun buffer on the board", family="timing"),
 )
 # fmt: on
 

@@ -24,7 +24,7 @@ from gateway.emulator.plant.physics import Constants, PlantState, advance, readi
 from protocol.errors import UsageError
 
 STEP_S = 20e-6  # divides the tick (2 ms) and the capture period (40 us)
-_NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
+NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 
 
 class EmulatedPlant:
@@ -43,7 +43,7 @@ class EmulatedPlant:
     def __init__(
         self,
         rig: PlantConstants = CE152,
-        effects: Mapping[str, float] = _NO_EFFECTS,
+        effects: Mapping[str, float] = NO_EFFECTS,
         *,
         seed: int = 0,
         step_s: float = STEP_S,

@@ -20,12 +20,11 @@ Rule 2: effects on the position sensor act on x before the field is computed: a 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 
 from gateway.emulator.plant.constants import PlantConstants
-from gateway.emulator.plant.levitation import STEP_S, EmulatedPlant
+from gateway.emulator.plant.levitation import NO_EFFECTS, EmulatedPlant
 
 GAP_BOTTOM_M = 17e-3  # coil to the top of the magnet that lies on the ground
 _TRAVEL_M = 5e-3
@@ -42,7 +41,6 @@ _HALL_ZERO_V, _HALL_GAUSS_V = 2.5, 800.0
 _CURRENT_A_V = 33.3333e-3
 _DRIVER = (1.41353993, -15.4070873, 389.266686, -11.7613432)
 _PIN_MAX_V = 3.3  # Zener diodes
-_CODE_MAX = 4095.0
 
 MAGNETOSHIELD = PlantConstants(
     mass_kg=_MASS_KG,
@@ -61,7 +59,6 @@ MAGNETOSHIELD = PlantConstants(
     force_exponent=4.0,
     magnet_current_a=_MAGNET_A,
 )
-_NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 _VOLTS = np.linspace(0.0, MAGNETOSHIELD.input_max_v, 1001)
 _CODES = np.maximum.accumulate(np.clip(np.polyval(_DRIVER, _VOLTS), 0.0, None))
 
@@ -69,26 +66,14 @@ _CODES = np.maximum.accumulate(np.clip(np.polyval(_DRIVER, _VOLTS), 0.0, None))
 class EmulatedMagnetoShield(EmulatedPlant):
     """An emulated MagnetoShield, initially at rest: magnet on the ground, no current.
 
-    Args:
-        rig: Constants of magnet and coil.
-        effects: Strength of each effect by name (`effects.EFFECTS`); an effect not named is absent.
-        seed: Seed of noise and lost frames.
-        step_s: Integration step, s.
-
-    Raises:
-        UsageError: an unknown effect, or a strength out of its range or impossible on this rig.
+    Its arguments and errors are those of `EmulatedPlant`.
     """
 
     def __init__(
-        self,
-        rig: PlantConstants = MAGNETOSHIELD,
-        effects: Mapping[str, float] = _NO_EFFECTS,
-        *,
-        seed: int = 0,
-        step_s: float = STEP_S,
+        self, rig: PlantConstants = MAGNETOSHIELD, effects: Mapping[str, float] = NO_EFFECTS, *, seed: int = 0
     ) -> None:
         self._hall_noise = np.random.default_rng([seed, 0xA3])
-        super().__init__(rig, effects, seed=seed, step_s=step_s)
+        super().__init__(rig, effects, seed=seed)
 
     def advance(self, u_v: float, duration_s: float) -> None:
         """Advance the physical time with `u_v` in the input converter: its CODE, 0 .. 4095, not volts.

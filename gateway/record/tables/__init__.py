@@ -1,1 +1,1 @@
-"""Import of tables into logs (`table`, `mat`, `table_import`) and export of logs (`export`): CSV, MATLAB, Parquet."""
+"""Import of tables into logs (`table`, `table_import`) and export of logs (`export`): CSV, MATLAB, Parquet."""

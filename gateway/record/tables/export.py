@@ -2,33 +2,38 @@
 
 Columns are the fields of the message, nested ones joined with `_` (x_m_error), `t_s` first.  Absent numbers are an
 empty cell in CSV, null in Parquet, NaN in MATLAB.  A capture has one row per sample, t_s counted from the step.
+
+Rule: a table with a column for each field of State is an export of the topic state, and `exported_states` reads it
+      back.  Ticks, sessions, modes, flags and times are then those of the rig, to the bit, and nothing is concluded
+      from the times of the rows.
 """
 
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.json_format import MessageToJson
-from google.protobuf.message import Message
 
-from gateway.record.tables.mat import write_mat
+from gateway.record.tables.table import Table
 from gateway.record.writer import LogError
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.errors import DataError
+from protocol.errors import DataError, quoted
 from protocol.log.reader import LogReader, LogRecord
 
 Format = Literal["csv", "mat", "parquet"]
 Cell = float | int | str | None
-Getter = Callable[[Message], Cell]
-Reach = Callable[[Any], Any]  # from a message to the nested message with the field; None if that is absent
+_FIELDS: tuple[Any, ...] = tuple(pb.State.DESCRIPTOR.fields)  # two classes, by protobuf's backend
+_FLOATS = (FieldDescriptor.TYPE_DOUBLE, FieldDescriptor.TYPE_FLOAT)
+Kind = Literal["text", "message", "optional", "plain"]
 
 
 @dataclass(slots=True)
@@ -61,13 +66,13 @@ def export(
     reader = LogReader(logs)
     last_ns = None
     tables: dict[str, Columns] = {}
-    getters = _getters(topics.TOPIC_OF_NAME[topic].message)
+    sources = dict(_sources(topics.TOPIC_OF_NAME[topic].message.DESCRIPTOR))
     for record in reader.records(topics_=[topic], boards=boards, start_s=start_s, end_s=end_s):
         last_ns = record.time_ns
         columns = tables.get(record.board)
         if columns is None:
-            columns = tables[record.board] = Columns(_names(record, getters), [])
-        columns.rows += _rows(record, getters, start_ns=reader.start_ns)
+            columns = tables[record.board] = Columns(_names(record, sources), [])
+        columns.rows += _rows(record, sources, start_ns=reader.start_ns)
     reader.check(last_ns=last_ns)
     if not tables:
         present = sorted({c.topic for scan in reader.scans for c in scan.channels.values()})
@@ -88,13 +93,13 @@ def export(
     return files
 
 
-def _names(record: LogRecord, getters: dict[str, Getter]) -> list[str]:
+def _names(record: LogRecord, sources: dict[str, _Source]) -> list[str]:
     if isinstance(record.message, pb.CaptureRecord):
         return ["t_s", "i_c_a", "u_c_v", "session", "capture_tick"]
-    return ["t_s", *(name for name in getters if name != "t_s")]
+    return ["t_s", *(name for name in sources if name != "t_s")]
 
 
-def _rows(record: LogRecord, getters: dict[str, Getter], *, start_ns: int) -> Iterator[list[Cell]]:
+def _rows(record: LogRecord, sources: dict[str, _Source], *, start_ns: int) -> Iterator[list[Cell]]:
     message = record.message
     if isinstance(message, pb.CaptureRecord):
         for index, i_c_a in enumerate(message.i_c_a):
@@ -103,67 +108,49 @@ def _rows(record: LogRecord, getters: dict[str, Getter], *, start_ns: int) -> It
             t_s = (index - message.step_index) * message.sample_time_s
             yield [t_s, i_c_a, u_c_v, message.session, message.tick]
         return
-    time_getter = getters.get("t_s")
-    time_s = time_getter(message) if time_getter else (record.time_ns - start_ns) / 1e9
-    yield [time_s, *(getter(message) for name, getter in getters.items() if name != "t_s")]
+    time_s = _cell(message, sources["t_s"]) if "t_s" in sources else (record.time_ns - start_ns) / 1e9
+    yield [time_s, *(_cell(message, source) for name, source in sources.items() if name != "t_s")]
 
 
-def _getters(message: type[Message]) -> dict[str, Getter]:
-    """Return the functions that read a cell from a message, by column name."""
-    return dict(_walk(message.DESCRIPTOR, "", lambda root: root))
+class _Source(NamedTuple):
+    """The field of a message that gives a column."""
+
+    above: tuple[str, ...]  # the messages around the field, from the outermost
+    name: str
+    kind: Kind
 
 
-def _walk(descriptor: Any, prefix: str, reach: Reach) -> Iterator[tuple[str, Getter]]:
+def _sources(descriptor: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, _Source]]:
+    """Yield the name and the source of each column of a message."""
     for field in descriptor.fields:
-        name = prefix + field.name
+        kind: Kind = "optional" if field.has_presence else "plain"
         if field.is_repeated or field.type == FieldDescriptor.TYPE_BYTES:
-            yield name, _text_of(field.name, reach)
+            kind = "text"
         elif field.message_type is not None and field.containing_oneof is None:
-            yield from _walk(field.message_type, f"{name}_", _step(field.name, reach))
+            yield from _sources(field.message_type, (*above, field.name))
+            continue
         elif field.message_type is not None:
-            yield name, _json_of(field.name, reach)
-        elif field.has_presence:
-            yield name, _present(field.name, reach)
-        else:
-            yield name, _plain(field.name, reach)
+            kind = "message"
+        yield "_".join((*above, field.name)), _Source(above, field.name, kind)
 
 
-def _step(name: str, reach: Reach) -> Reach:
-    """Return the access to the nested message `name`; None if it or its parent is absent."""
-
-    def get(root: Any) -> Any:
-        holder = reach(root)
-        return getattr(holder, name) if holder is not None and holder.HasField(name) else None
-
-    return get
-
-
-def _plain(name: str, reach: Reach) -> Getter:
-    return lambda root: None if (holder := reach(root)) is None else _cell(getattr(holder, name))
-
-
-def _present(name: str, reach: Reach) -> Getter:
-    return lambda root: None if (value := _step(name, reach)(root)) is None else _cell(value)
-
-
-def _json_of(name: str, reach: Reach) -> Getter:
-    return lambda root: None if (value := _step(name, reach)(root)) is None else MessageToJson(value, indent=None)
-
-
-def _text_of(name: str, reach: Reach) -> Getter:
-    def get(root: Message) -> Cell:
-        holder = reach(root)
-        value: Any = () if holder is None else getattr(holder, name)
-        if isinstance(value, bytes):
+def _cell(message: Any, source: _Source) -> Cell:
+    for name in source.above:
+        if not message.HasField(name):
+            return "" if source.kind == "text" else None
+        message = getattr(message, name)
+    if source.kind in ("message", "optional") and not message.HasField(source.name):
+        return None
+    value: Any = getattr(message, source.name)
+    match source.kind:
+        case "text" if isinstance(value, bytes):
             return value.hex()
-        if hasattr(value, "items"):
+        case "text" if hasattr(value, "items"):
             return " ".join(f"{key}={item}" for key, item in sorted(value.items()))
-        return " ".join(repr(item) for item in value)
-
-    return get
-
-
-def _cell(value: float | int | str | bool) -> Cell:
+        case "text":
+            return " ".join(repr(item) for item in value)
+        case "message":
+            return MessageToJson(value, indent=None)
     return int(value) if isinstance(value, bool) else value
 
 
@@ -180,6 +167,8 @@ def _csv_cell(cell: Cell) -> str | int:
 
 
 def _write_mat(path: Path, columns: Columns) -> None:
+    from scipy.io import savemat
+
     arrays: dict[str, npt.NDArray[Any]] = {}
     for name, cells in zip(columns.names, zip(*columns.rows, strict=True), strict=True):
         if any(isinstance(cell, str) for cell in cells):
@@ -188,7 +177,8 @@ def _write_mat(path: Path, columns: Columns) -> None:
             arrays[name] = np.array(cells, dtype=np.uint64 if max(cells) >= 2**53 else np.float64)
         else:
             arrays[name] = np.array([np.nan if cell is None else cell for cell in cells], dtype=float)
-    write_mat(path, arrays)
+    named = {name.replace(".", "_").replace("/", "_"): values for name, values in arrays.items()}
+    savemat(path, named, oned_as="column")
 
 
 def _write_parquet(path: Path, columns: Columns) -> None:
@@ -205,3 +195,42 @@ _WRITERS: dict[Format, Callable[[Path, Columns], None]] = {
     "mat": _write_mat,
     "parquet": _write_parquet,
 }
+
+
+def is_export(table: Table) -> bool:
+    """Return whether the table was written by `export`."""
+    return all(field.name in table.names for field in _FIELDS)
+
+
+def exported_states(table: Table) -> list[pb.State]:
+    """Return the rows as messages.
+
+    Raises:
+        DataError: a cell is not a value of its field; the message names file, line, column and value.
+    """
+    return [_state(table, row) for row in range(table.rows)]
+
+
+def _state(table: Table, row: int) -> pb.State:
+    state = pb.State()
+    for field in _FIELDS:
+        cell = table.cell(field.name, row)
+        if field.has_presence and (cell == "" or (isinstance(cell, float) and math.isnan(cell))):
+            continue  # absent: an empty cell of CSV, NaN of MATLAB
+        try:
+            value = float(cell) if field.type in _FLOATS else _whole(cell)
+            if not math.isfinite(value):
+                raise ValueError
+            setattr(state, field.name, value)
+        except (ValueError, OverflowError):
+            raise DataError(
+                f"{table.path}, {table.label(row)}: {field.name} = {quoted(cell)} is not a value of an exported log",
+                remedy="Export the log again, or name the columns with --map",
+            ) from None
+    return state
+
+
+def _whole(cell: str | float) -> int:
+    if isinstance(cell, float) and not cell.is_integer():
+        raise ValueError
+    return int(cell)

@@ -1,6 +1,7 @@
-"""Reads columns of numbers from a CSV file (also .gz), with errors that name file, line, column and value.
+"""Reads columns of numbers from a CSV file (also .gz), a MATLAB or a Parquet file.
 
-Only requested columns are converted to numbers, so that a file may have text columns.
+Only requested columns are converted to numbers, so that a file may have text columns.  An error names file, line,
+column and value.
 """
 
 from __future__ import annotations
@@ -9,14 +10,18 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from protocol.errors import DataError, quoted
-from protocol.table_file import read_csv_bytes, read_header, split
+from protocol import table_file
+from protocol.errors import DataError, missing_extra, quoted
+from protocol.files import open_regular
+from protocol.table_file import LARGEST_TABLE, REMEDY, read_csv_bytes, read_header, split
 
 FloatArray = npt.NDArray[np.float64]
+_BYTES_PER_CELL = 8  # of Parquet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,9 +33,7 @@ class Table:
     rows: int
     label: Callable[[int], str]  # row -> "line 7" or "sample 6"
     cell: Callable[[str, int], str | float]
-    unusable: Mapping[str, str] = field(
-        default_factory=dict
-    )  # other variables by name, with the reason why they are not columns
+    unusable: Mapping[str, str] = field(default_factory=dict)  # other variables: why they are not columns
 
     def numbers(self, column: str) -> FloatArray:
         """Return a column, shape (rows,), with NaN where a cell is not a finite number.
@@ -102,3 +105,65 @@ def read_csv(path: Path) -> Table:
         label=lambda row: f"line {numbers[row]}",
         cell=lambda column, row: rows[row][index[column]],
     )
+
+
+def read_mat(path: Path) -> Table:
+    """Read the numeric vectors of a .mat file up to version 7.
+
+    Raises:
+        DataError: the file is absent, not a MATLAB file, of version 7.3, without vectors, or with vectors of different
+            lengths.
+    """
+    columns, unusable = table_file.read_mat(path)
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise DataError(f"{path}: vectors differ in length: {listed}", remedy="Save vectors of equal length")
+    return Table(
+        path=path,
+        names=tuple(columns),
+        rows=next(iter(lengths.values())),
+        label=lambda row: f"sample {row + 1}",
+        cell=lambda column, row: columns[column][row].item(),  # whole numbers stay exact: times in ns have 61 bits
+        unusable=unusable,
+    )
+
+
+def read_parquet(path: Path) -> Table:
+    """Read a Parquet file; cells of columns that hold no numbers are refused where they are used.
+
+    The bound is checked with the numbers of rows and columns, before anything is unpacked: equal rows take no space.
+
+    Raises:
+        DataError: the file is absent, not Parquet, without rows, or too large.
+        InstallError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise missing_extra("export", "pyarrow") from None
+    with open_regular(path, remedy=REMEDY) as file:
+        try:
+            source = pyarrow.parquet.ParquetFile(file)
+            rows, names = source.metadata.num_rows, tuple(source.schema_arrow.names)
+            groups = [source.metadata.row_group(n).total_byte_size for n in range(source.metadata.num_row_groups)]
+            if max(rows * len(names) * _BYTES_PER_CELL, sum(groups)) > LARGEST_TABLE:
+                raise DataError(f"{path} holds more than {LARGEST_TABLE // 1_000_000} MB", remedy="Split it")
+            columns: dict[str, list[Any]] = {name: source.read([name])[name].to_pylist() for name in names}
+        except (pyarrow.ArrowException, OSError, KeyError) as error:
+            raise DataError(f"{path} is not a Parquet file, or is cut off: {error}", remedy=REMEDY) from None
+    if not rows:
+        raise DataError(f"{path} has no rows", remedy="Name a file with data")
+    return Table(
+        path=path,
+        names=names,
+        rows=rows,
+        label=lambda row: f"row {row + 1}",
+        cell=lambda column, row: _cell(columns[column][row]),
+    )
+
+
+def _cell(value: object) -> str | float:
+    """Return a number, or the text of anything else; null is an empty cell, as in CSV."""
+    return "" if value is None else value if isinstance(value, int | float) else str(value)

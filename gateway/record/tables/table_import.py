@@ -6,7 +6,7 @@ Rule 2: T_s is the median step of t; `tick` counts in T_s from the first row.  A
         the tick jumps, `lost_before` says by how much.  `t_s` stays the table's own time, to the bit.
 Rule 3: log time is the table's time from the epoch 0: an imported log has no date.
 Rule 4: the log's metadata contain its source (file, SHA-256, columns, campaign).
-Rule 5: a table that `export` wrote is read back as it was (`exported`), unless its columns are mapped.
+Rule 5: a table that `export` wrote is read back as it was (`exported_states`), unless its columns are mapped.
 """
 
 from __future__ import annotations
@@ -15,16 +15,14 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from gateway.record.tables.exported import exported_states, is_export
-from gateway.record.tables.mat import read_mat
-from gateway.record.tables.parquet import read_parquet
-from gateway.record.tables.table import FloatArray, Table, read_csv
+from gateway.record.tables.export import exported_states, is_export
+from gateway.record.tables.table import FloatArray, Table, read_csv, read_mat, read_parquet
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -51,9 +49,10 @@ class ImportReport:
     duration_s: float
     gaps: int
     samples_missing: int
-    irregular_steps: int
-    worst_step_s: float  # the step farthest from a whole number of T_s
-    beyond_table: Mapping[str, int]  # values for which a look-up table was extrapolated, by channel
+    irregular_steps: int = 0
+    worst_step_s: float = 0.0  # the step farthest from a whole number of T_s
+    # Values for which a look-up table was extrapolated, by channel.
+    beyond_table: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()  # implausible values, and columns that cannot be used
 
 
@@ -149,9 +148,6 @@ def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) 
         duration_s=(states[-1].host_time_ns - states[0].host_time_ns) / 1e9,
         gaps=sum(state.lost_before > 0 for state in states),
         samples_missing=sum(state.lost_before for state in states),
-        irregular_steps=0,
-        worst_step_s=0.0,
-        beyond_table={},
     )
 
 
@@ -288,9 +284,9 @@ def _states(
             t_s=at_s,
             lost_before=step - 1,
         )
-        for field, column in columns:
+        for name, column in columns:
             if not math.isnan(column[row]):
-                setattr(state, field, column[row])
+                setattr(state, name, column[row])
         yield state
 
 

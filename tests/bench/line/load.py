@@ -27,6 +27,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import Message
+from tests.harness.protocol.port import take_output
 
 PERIOD_NS = 2_000_000
 STAGGER = 4  # groups of boards within a period
@@ -40,7 +41,7 @@ def recorded_states(count: int) -> list[State]:
     decoder, states = StreamDecoder(), list[State]()
     while len(states) < count + 1000:
         board.tick()
-        states += [event for event in decoder.feed(board.take_output()) if isinstance(event, State)]
+        states += [event for event in decoder.feed(take_output(board)) if isinstance(event, State)]
     return states[1000:]
 
 

@@ -31,7 +31,7 @@ def payloads(start: int, end: int) -> list[bytes]:
 
 def test_a_stalled_bus_costs_the_oldest_and_the_caller_nothing() -> None:
     target, publisher = Gated(), Publisher("test", capacity=100)
-    channel = PublishQueue(target)
+    channel = PublishQueue(target.put)
     publisher.start()
     publisher.put(channel, payloads(0, 1))
     assert target.entered.wait(HANG_S)
@@ -50,7 +50,7 @@ def test_a_stalled_bus_costs_the_oldest_and_the_caller_nothing() -> None:
 
 def test_latency_is_from_the_read_to_the_last_put_of_that_read() -> None:
     target, publisher = Gated(), Publisher("test", capacity=100)
-    channel = PublishQueue(target)
+    channel = PublishQueue(target.put)
     publisher.start()
     publisher.put(channel, payloads(0, 3), time.monotonic_ns() - 50_000_000)
     target.gate.set()
@@ -66,7 +66,7 @@ def test_latency_is_from_the_read_to_the_last_put_of_that_read() -> None:
 def test_what_waits_is_put_before_the_end() -> None:
     target, publisher = Gated(), Publisher("test", capacity=1000)
     target.gate.set()
-    publisher.put(PublishQueue(target), payloads(0, 500))
+    publisher.put(PublishQueue(target.put), payloads(0, 500))
 
     publisher.start()
     publisher.stop(patience_s=10.0)
@@ -77,7 +77,7 @@ def test_what_waits_is_put_before_the_end() -> None:
 def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
     target, publisher = Gated(), Publisher("test", capacity=1000)
     publisher.start()
-    publisher.put(PublishQueue(target), payloads(0, 5))
+    publisher.put(PublishQueue(target.put), payloads(0, 5))
 
     assert target.entered.wait(HANG_S)
     publisher.stop(patience_s=0.2)
@@ -89,7 +89,7 @@ def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
 def test_gathered_payloads_are_one_message_per_channel_in_order_and_of_bounded_length() -> None:
     first, second = Gated(), Gated()
     publisher = Publisher("test", capacity=1000, gather_s=0.001, join=b",".join)
-    channels = [PublishQueue(first), PublishQueue(second)]
+    channels = [PublishQueue(first.put), PublishQueue(second.put)]
     publisher.hold(held=True)
     publisher.start()
     for n in range(600):

@@ -18,6 +18,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import HostLoss, Mode, Value
 from tests.harness.gateway.board_host import skip_without_compiler
+from tests.harness.protocol.port import take_output
 
 PROFILE = magnetoshield()
 QUIET = replace(MAGNETOSHIELD, current_noise_a=0.0)
@@ -43,7 +44,7 @@ class Flight:
         seen = []
         for _ in range(750):
             self.board.tick()
-            self.board.take_output()
+            take_output(self.board)
             seen.append(self.plant.x_m)
         return statistics.mean(seen[-250:])
 

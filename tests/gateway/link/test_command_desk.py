@@ -24,6 +24,7 @@ from protocol.wire.events import Answer, Opened
 from protocol.wire.messages import ROW_OF_NAME, Message
 from protocol.wire.session import Session
 from tests.harness.gateway.gateway_peers import Collector, frame, identity_values
+from tests.harness.protocol.port import take_output
 
 S = 1_000_000_000
 START_NS = 1_700_000_000 * S
@@ -44,7 +45,7 @@ class Rig:
         self.answering = True
         self.session.connect(self.now_s)
         self.session.poll(self.now_s)
-        (hello,) = StreamDecoder().feed(self.session.take_output())
+        (hello,) = StreamDecoder().feed(take_output(self.session))
         assert isinstance(hello, Message)
         (opened,) = self.session.feed(
             frame("IDENTITY", id=hello.int("id"), tick=self.tick, **identity_values()), self.now_s
@@ -80,7 +81,7 @@ class Rig:
             for event in self.session.take_outcomes():
                 assert isinstance(event, Answer)
                 self.handler.answered(event, self.now_ns)
-            heard = [m for m in StreamDecoder().feed(self.session.take_output()) if isinstance(m, Message)]
+            heard = [m for m in StreamDecoder().feed(take_output(self.session)) if isinstance(m, Message)]
             self.wire += heard
             if not heard or not self.answering:
                 return

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gateway.processes.run import listens, running
+from gateway.processes.command import listens, running
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[3]
 def test_no_process_outlives_a_demo_that_is_killed(tmp_path: Path) -> None:
     port = free_port()
     code = (
-        "from gateway.processes.run import running\nfrom pathlib import Path\nimport time\n"
+        "from gateway.processes.command import running\nfrom pathlib import Path\nimport time\n"
         f"with running(Path({str(tmp_path)!r}), 'router', '--listen', 'tcp/127.0.0.1:{port}'): time.sleep(600)"
     )
     demo = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT)

@@ -10,6 +10,7 @@ from gateway.emulator.firmware_model.board import AnalogSide
 from protocol.wire.decoder import BadFrame, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message, Value
 from tests.harness.gateway.board_host import Bench, frame
+from tests.harness.protocol.port import take_output
 
 _LONGEST_WAIT = 400  # ticks
 
@@ -39,7 +40,7 @@ class AvrHost:
             before = self.board.cycles_awake
             self.board.tick()
             self.cycles.append(self.board.cycles_awake - before)
-            for event in self._decoder.feed(self.board.take_output()):
+            for event in self._decoder.feed(take_output(self.board)):
                 if isinstance(event, BadFrame):
                     self.bad_frames += 1  # cut off by a reset
                 elif isinstance(event, State):

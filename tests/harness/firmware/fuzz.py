@@ -16,6 +16,7 @@ from protocol.wire.codec import BODY_SIZE
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import ROWS
 from tests.harness.firmware.random_host import Wandering
+from tests.harness.protocol.port import take_output
 
 COMMANDS = [row for row in ROWS if row.to_board]
 
@@ -65,7 +66,7 @@ def fuzz(seed: int, frames: int, path: Path) -> int:
         if n % 4 == 3:
             for board in boards:
                 board.tick()
-            python, c = (board.take_output() for board in boards)
+            python, c = (take_output(board) for board in boards)
             assert python == c, (seed, n, data.hex(" "), python.hex(" "), c.hex(" "))
             assert boards[0].bad_frames == boards[1].bad_frames, (seed, n, data.hex(" "))
             count += len(c)

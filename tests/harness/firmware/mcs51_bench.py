@@ -17,6 +17,7 @@ from gateway.emulator.native.board import NativeFirmware
 from protocol.wire.framing import cobs_decode, encode_frame
 from protocol.wire.messages import ROW_OF_NAME, ROWS
 from tests.harness.gateway.board_host import frame, skip_without_compiler
+from tests.harness.protocol.port import take_output
 
 BYTE_US = 87  # of a line at 115200 baud
 ROOM_US = 1400  # after a tick of the loop: a frame ends there, and not where the next tick may come first
@@ -141,7 +142,7 @@ def play_to_chip(readings: Readings, sent: Sent, script: Iterable[tuple[int, byt
             at_us, data = todo.pop(0)
             board.feed(data, into_tick_us=at_us - tick * T_S_US)
         board.tick()
-        sent.take(board.take_output())
+        sent.take(take_output(board))
     return board
 
 
@@ -150,6 +151,6 @@ def play_to_core(board: NativeFirmware, sent: Sent, script: Iterable[tuple[int, 
     todo = sorted(script)
     for tick in range(ticks):
         board.tick()
-        sent.take(board.take_output())
+        sent.take(take_output(board))
         while todo and todo[0][0] == tick:
             board.feed(todo.pop(0)[1])

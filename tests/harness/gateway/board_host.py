@@ -13,6 +13,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Message, Value
+from tests.harness.protocol.port import take_output
 
 FIRMWARES: dict[str, type[Firmware] | type[NativeFirmware]] = {"python": Firmware, "c": NativeFirmware}
 
@@ -86,7 +87,7 @@ class Host:
         return states
 
     def collect(self) -> list[State]:
-        return self.sort(self._decoder.feed(self.firmware.take_output()))
+        return self.sort(self._decoder.feed(take_output(self.firmware)))
 
     def sort(self, received: list[Event]) -> list[State]:
         states: list[State] = []

@@ -22,6 +22,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import Law, Message, Mode, Shape, Value
+from tests.harness.protocol.port import take_output
 from twin.estimation.record import Capture, Record
 
 TICK_S = 2e-3
@@ -88,7 +89,7 @@ class Lab:
     def run(self, ticks: int) -> None:
         for _ in range(ticks):
             self.firmware.tick()
-            for event in self._decoder.feed(self.firmware.take_output()):
+            for event in self._decoder.feed(take_output(self.firmware)):
                 if isinstance(event, State):
                     self._states.append(event)
                 elif isinstance(event, Message) and event.name != "EVENT":
