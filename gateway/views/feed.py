@@ -38,8 +38,7 @@ from google.protobuf.message import Message
 from gateway.board.conditions import LINK
 from gateway.client.connection import BusBoard, Subscription, send
 from gateway.views.alarms import Alarm, AlarmBook
-from gateway.views.bins import TopicBins, channels
-from gateway.views.decimate import Decimator
+from gateway.views.decimate import TopicBins
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import is_replayed, parse
@@ -157,15 +156,11 @@ class BoardFeed:
         with self._lock:
             return tuple(self._commands)
 
-    def tap(self, message: type[Message], *, width_s: float, keep: int = 256) -> TopicBins:
+    def tap(self, message: type[Message], *, width_s: float) -> TopicBins:
         """Return bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, at least 1."""
-
-        def decimator() -> Decimator:
-            parameters = self.latest(pb.Parameters)
-            period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
-            return Decimator(channels(message), max(1, round(width_s / period_s)), keep=keep)
-
-        tap = TopicBins(message, decimator, self._lock)
+        parameters = self.latest(pb.Parameters)
+        period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
+        tap = TopicBins(message, max(1, round(width_s / period_s)), self._lock)
         with self._lock:
             self._taps.setdefault(message.DESCRIPTOR.full_name, []).append(tap)
         return tap

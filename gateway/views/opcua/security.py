@@ -25,7 +25,6 @@ from gateway.access.folder import OPCUA_URI, SecurityFolder
 from gateway.access.logins import Logins, TooMany
 from gateway.access.private import read_private
 from gateway.access.users import User, Users
-from gateway.views.opcua.operations import Visitor
 from protocol.errors import ConfigError
 
 S = ua.StatusCodes
@@ -65,7 +64,7 @@ class Security:
         self._logins = Logins(self._users, clock=clock)
         self._trusted = path / "opcua" / "trusted"
 
-    def identify(self, name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:
+    def identify(self, name: str | None, password: str | None, certificate: bytes | None, host: str) -> User | None:
         """Return the user; None for a wrong password, an unknown certificate or an unknown name.
 
         Raises:
@@ -78,7 +77,7 @@ class Security:
         )
         if isinstance(user, TooMany):
             raise ServiceError(S.BadTooManyOperations)
-        return None if user is None else Visitor(name=user.name, role=user.role)
+        return user
 
     async def check_client(self, certificate: x509.Certificate, application: ua.ApplicationDescription) -> None:
         """The certificate of a client application; raises ServiceError where it is not to be let in."""

@@ -18,13 +18,14 @@ from datetime import UTC, datetime
 from asyncua import Server, ua
 
 from gateway.access.roles import Role
+from gateway.access.users import User
 from gateway.views.feed import Feed
 from gateway.views.opcua import processor
-from gateway.views.opcua.address_space.history import Historian, RingHistory
+from gateway.views.opcua.address_space.history import RingHistory
 from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
 from gateway.views.opcua.nodes import BoardNodes
-from gateway.views.opcua.operations import Operations, Visitor
+from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer, Reception
 from gateway.views.opcua.types.build import Builder
@@ -69,9 +70,9 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     """
     _check_free(settings)
     security = settings.security
-    anonymous = Visitor(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
+    anonymous = User(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
 
-    def identify(name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:
+    def identify(name: str | None, password: str | None, certificate: bytes | None, host: str) -> User | None:
         if name is None and certificate is None:
             return anonymous
         return security.identify(name, password, certificate, host) if security is not None else None
@@ -82,7 +83,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     await server.init()
     server.set_endpoint(f"opc.tcp://{settings.host}:{settings.port}/board51/")
     server.set_server_name(f"Board51 {feed.site}")
-    await server.set_build_info("urn:board51:gateway", "Board51", "Board51 OPC UA", "0.1", "0", _build_date())
+    await server.set_build_info("urn:board51:gateway", "Board51", "Board51 OPC UA", "0.1", "0", datetime.now(UTC))
     tokens: list[type] = [ua.AnonymousIdentityToken] if anonymous is not None else []
     if security is not None:
         await server.set_application_uri(security.application_uri)
@@ -98,8 +99,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     await describe(server, POLICIES if security is not None else _OPEN, tokens, 1000.0 / settings.rate_hz)
     inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
     inner.spaces = await register(server)
-    history = RingHistory()
-    inner.history_manager = Historian(inner, history)
+    history = inner.history_manager = RingHistory(inner)
     try:
         await server.start()
     except OSError as error:
@@ -172,7 +172,3 @@ def _listen_error(settings: OpcuaSettings, error: OSError) -> ServiceError:
         f"OPC UA cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
         remedy="End the program that uses the port, or give another one with --listen HOST:PORT",
     )
-
-
-def _build_date() -> datetime:
-    return datetime.now(UTC)

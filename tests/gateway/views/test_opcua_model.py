@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
 import pytest
 from asyncua import ua
+from asyncua.server.internal_server import InternalServer
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -131,7 +131,7 @@ def test_stamps_always_rise(samples: list[tuple[int, float, int]]) -> None:
 
 
 def history_of(rows: int, retained: int) -> RingHistory:
-    track, history = Track(1, retained), RingHistory()
+    track, history = Track(1, retained), RingHistory(InternalServer())
     history.add(NODE, track, 0)
     for n in range(rows):
         track.append(n * 1_000_000_000, [float(n)], [S.Good if n % 10 else S.BadNoCommunication])
@@ -143,9 +143,7 @@ def at(second: float) -> datetime:
 
 
 def read(history: RingHistory, start: float | None, end: float | None, count: int = 0) -> list[float | None]:
-    values, _ = asyncio.run(
-        history.read_node_history(NODE, None if start is None else at(start), None if end is None else at(end), count)
-    )
+    values, _ = history.read(NODE, None if start is None else at(start), None if end is None else at(end), count)
     return [value.Value.Value for value in values]
 
 
@@ -162,9 +160,9 @@ def test_history_is_the_newest_rows_between_two_times() -> None:
 def test_a_long_history_is_read_in_pages() -> None:
     history = history_of(30, 30)
 
-    values, more = asyncio.run(history.read_node_history(NODE, at(1), at(29), 5))
+    values, more = history.read(NODE, at(1), at(29), 5)
     assert more is not None
-    rest, end = asyncio.run(history.read_node_history(NODE, more, at(29), 0))
+    rest, end = history.read(NODE, more, at(29), 0)
 
     assert len(values) + len(rest) == 29
     assert end is None
