@@ -12,7 +12,7 @@ from gateway.views.account import ACCOUNT
 from gateway.views.listen import address
 from protocol.errors import require
 
-NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn")}  # view: extra, libraries
+NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn", "jinja2")}  # view: extra, libraries
 
 
 def views_for(config: GatewayConfig) -> list[Service]:

@@ -43,6 +43,11 @@ class ModelFile:
         return self.name.startswith(f"{_REPLACED}/")
 
     @property
+    def plant_assumed(self) -> bool:
+        """Return whether nobody stated the plant of its rig."""
+        return plant_assumed(self.content)
+
+    @property
     def summary(self) -> str:
         """Return parameters and causes in one line."""
         return summary(self.content)
