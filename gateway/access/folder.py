@@ -158,7 +158,7 @@ class SecurityFolder:
 
     def people(self) -> Mapping[str, Role]:
         """The role of each user, by name."""
-        return Users.load(self.users).names()
+        return Users(self.users).names()
 
     @property
     def site(self) -> str:

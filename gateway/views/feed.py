@@ -19,7 +19,7 @@ Rule 3: messages that are malformed, of unknown type or beyond the number of boa
 Rule 4: a board is known by messages of its gateway; those of the twin alone make none.
 Rule 5: what a replay sends is marked (protocol/bus/encoding.py).  A feed takes either live or
         replayed messages.  So a replay is never shown as a rig, and is never among the rigs of STOP.
-Rule 6: `feed.now_ns()` stamps alarms that the views raise themselves; samples have the time stamp of the gateway.
+Rule 6: alarms that the views raise themselves have the time of this host; samples have that of the gateway.
 """
 
 from __future__ import annotations
@@ -304,7 +304,7 @@ class Feed:
         if reply.reason == "not-delivered":
             reply = pb.CommandReply(accepted=True, text="Acknowledged in this view only: no gateway answers.")
         if reply.accepted:  # at once: the record may take a moment
-            feed.acknowledge(alarm, who, self.now_ns(), comment)
+            feed.acknowledge(alarm, who, time.time_ns(), comment)
         return reply
 
     def command(
@@ -324,10 +324,6 @@ class Feed:
             BusBoard(self._session, self.site, board), command,
             timeout_s=timeout_s, role=as_role, typed=False, since_ns=issued_ns,
         )  # fmt: skip
-
-    def now_ns(self) -> int:
-        """Return the Unix time of this host."""
-        return time.time_ns()
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if is_replayed(sample.attachment) != self._replays:

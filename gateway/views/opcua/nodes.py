@@ -18,13 +18,11 @@ from asyncua import ua
 from gateway.views.decimate import Bin, TopicBins
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space import quality
-from gateway.views.opcua.address_space.clock import StampClock
 from gateway.views.opcua.address_space.extras import EXTRAS, Extra, extra_value
 from gateway.views.opcua.address_space.history import RingHistory, Track
 from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Leaf, leaves
-from gateway.views.opcua.address_space.nameplate import nameplate
-from gateway.views.opcua.address_space.ranges import instrument_ranges, ranges
-from gateway.views.opcua.address_space.values import Value, data_value, datetime_of, notify
+from gateway.views.opcua.address_space.parameters import instrument_ranges, nameplate, ranges
+from gateway.views.opcua.address_space.values import StampClock, Value, data_value, datetime_of, notify
 from gateway.views.opcua.sessions import GuardedServer
 from gateway.views.opcua.types.build import Builder
 from gateway.views.opcua.types.layout import MACHINES, RIG_TYPE, SETPOINTS, Layout

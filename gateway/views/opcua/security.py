@@ -60,7 +60,7 @@ class Security:
         self.certificate_der = loaded.public_bytes(serialization.Encoding.DER)
         check_certificate(folder.ca, what="The authority's certificate")
         self._authority = _load(folder.ca)
-        self._users = Users.load(folder.users)
+        self._users = Users(folder.users)
         self._logins = Logins(self._users, clock=clock)
         self._trusted = path / "opcua" / "trusted"
 

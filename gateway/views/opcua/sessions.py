@@ -24,8 +24,8 @@ from asyncua.server.internal_session import InternalSession
 
 from gateway.access.roles import may
 from gateway.access.users import User
-from gateway.views.opcua.address_space import timestamps
 from gateway.views.opcua.address_space.model import methods
+from gateway.views.opcua.address_space.values import check_timestamps, stamped
 from gateway.views.opcua.condition_events import ConditionNode
 from gateway.views.opcua.operations import NOBODY, SETPOINTS, Operations, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
@@ -141,7 +141,7 @@ def _own_subscriptions_only(
 
     async def guarded(session: GuardedSession, params: Any) -> Any:
         if hasattr(params, "TimestampsToReturn"):
-            timestamps.check(params.TimestampsToReturn)
+            check_timestamps(params.TimestampsToReturn)
         if any(map(session.is_foreign, ids(params))):
             raise ServiceError(S.BadSubscriptionIdInvalid)
         return await inherited(session, params)
@@ -185,19 +185,17 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """Read values, with the requested timestamps."""
-        timestamps.check(params.TimestampsToReturn)
+        check_timestamps(params.TimestampsToReturn)
         values = await super().read(params)
         now = datetime.now(UTC)
         return [
-            timestamps.stamped(
-                value, params.TimestampsToReturn, now, of_value=item.AttributeId == ua.AttributeIds.Value
-            )
+            stamped(value, params.TimestampsToReturn, now, of_value=item.AttributeId == ua.AttributeIds.Value)
             for item, value in zip(params.NodesToRead, values, strict=True)
         ]
 
     async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
         """Read histories, with the requested timestamps."""
-        timestamps.check(params.TimestampsToReturn, of_history=True)
+        check_timestamps(params.TimestampsToReturn, of_history=True)
         results: list[ua.HistoryReadResult] = await super().history_read(params)
         return results
 

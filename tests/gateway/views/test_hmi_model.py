@@ -11,8 +11,15 @@ from typing import Any
 
 import pytest
 
-from gateway.views.hmi.model.campaigns import board_of, campaigns_of, choose, find_campaign
-from gateway.views.hmi.model.journal import FILE, acts_of, write_act
+from gateway.views.hmi.model.campaigns import (
+    ACTS,
+    acts_of,
+    board_of,
+    campaigns_of,
+    choose,
+    find_campaign,
+    write_act,
+)
 from gateway.views.hmi.model.models import keep, models_of
 from gateway.views.hmi.model.numbers import in_numbers
 from protocol.bus import board51_pb2 as pb
@@ -77,7 +84,7 @@ def test_campaigns_belong_to_the_rig_that_their_folder_names(tmp_path: Path) -> 
 
 def test_who_did_what_is_kept_in_order_and_a_damaged_line_is_left_out(tmp_path: Path) -> None:
     write_act(tmp_path / "new", who="ana", what="began a campaign")
-    with (tmp_path / "new" / FILE).open("a") as stream:
+    with (tmp_path / "new" / ACTS).open("a") as stream:
         stream.write('{"at": 3}\nnot json\n')
     write_act(tmp_path / "new", who="ben", what="identified")
 

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from gateway.views.feed import Link
 from gateway.views.opcua.address_space import quality
-from gateway.views.opcua.address_space.clock import StampClock
 from gateway.views.opcua.address_space.history import RingHistory, Track
-from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods
-from gateway.views.opcua.address_space.units import unit_of
+from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods, unit_of
+from gateway.views.opcua.address_space.values import StampClock
 from gateway.views.opcua.operations import called, code_of, written
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics

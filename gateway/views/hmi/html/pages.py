@@ -20,14 +20,13 @@ from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal, session_of
 from gateway.views.hmi.html.figure import errors_figure
 from gateway.views.hmi.html.render import render
-from gateway.views.hmi.model.campaigns import choose, rig_of
+from gateway.views.hmi.model.campaigns import choose, parse_table, rig_of
 from gateway.views.hmi.model.models import summary
 from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
 from gateway.views.hmi.texts import text_of
 from protocol.diagnosis import load_diagnosis
 from protocol.errors import DataError
 from protocol.experiments import EXPERIMENT_OF_NAME
-from protocol.files import parse_json
 
 REPLAY = "/live-replay"  # where the frames of replays come from
 MAX_REPORTS = 20
@@ -79,15 +78,12 @@ class Pages:
                 problem = str(error)
             page = (chosen.diagnosis.parent / "report.html").resolve()
             report = next((entry.name for entry in self._actions.reports.entries() if entry.path == page), "")
-        try:
-            now = summary(parse_json(running.model_json, where="the twin's model")) if running is not None else ""
-        except (DataError, AttributeError):
-            now = ""
+        now = parse_table(running.model_json, where="the twin's model") if running is not None else {}
         return self._page(
             request, "model.html", live=f"/live/{board}", title=text_of("title.model", rig=board), board=board,
             chips=True, script="model.js", campaigns=campaigns, chosen=chosen, diagnosis=diagnosis, problem=problem,
             report=report, figure=errors_figure(diagnosis.ahead) if diagnosis is not None else None, running=running,
-            running_summary=now, models=self._work.models(board), experiments=EXPERIMENT_OF_NAME,
+            running_summary=summary(now), models=self._work.models(board), experiments=EXPERIMENT_OF_NAME,
             live_min=f"{LIVE_MIN:g}",
         )  # fmt: skip
 

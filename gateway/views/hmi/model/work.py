@@ -10,8 +10,7 @@ import time
 from pathlib import Path
 
 from gateway.views.hmi.actions import Actions, Routes, refusal
-from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign
-from gateway.views.hmi.model.journal import write_act
+from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign, write_act
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.texts import text_of

@@ -20,8 +20,7 @@ from asyncua.server.history import HistoryManager
 from asyncua.server.internal_server import InternalServer
 from asyncua.ua.ua_binary import Primitives
 
-from gateway.views.opcua.address_space.timestamps import stamped
-from gateway.views.opcua.address_space.values import data_value, datetime_of
+from gateway.views.opcua.address_space.values import data_value, datetime_of, stamped
 
 MAX_VALUES = 10_000
 S = ua.StatusCodes

@@ -13,7 +13,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
-from gateway.views.opcua.address_space.nameplate import FIELDS
+from gateway.views.opcua.address_space.parameters import FIELDS
 from gateway.views.opcua.types.build import Builder, Namespaces
 from gateway.views.opcua.types.layout import MACHINE_IDENTIFICATION, MACHINES
 
