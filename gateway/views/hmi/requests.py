@@ -138,27 +138,21 @@ class Requests:
     async def job(self, request: Request) -> Response:
         """Start or stop a job."""
         table = await _json(request) or {}
-        kind, act, board, actions = (
-            str(table.get("kind")),
-            table.get("act"),
-            request.path_params["board"],
-            self._actions,
-        )
+        kind, act, board = str(table.get("kind")), table.get("act"), request.path_params["board"]
         if kind not in self._starts or act not in ("start", "stop"):
             kinds = " | ".join(f'"{kind}"' for kind in self._starts)
             return refusal(400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.')
 
         def do(session: LoginSession, _wish: Wish) -> pb.CommandReply:
             if act == "stop":
-                return actions.stop_job(session, kind, "*" if kind == "replay" else board)
+                return self._actions.stop_job(session, kind, "*" if kind == "replay" else board)
             return self._starts[kind](session, board, table)
 
         return await self._act(request, board if act == "start" and board != EVERY_RIG else "", do)
 
     async def delete(self, request: Request) -> Response:
         """Delete a log."""
-        table = await _json(request)
-        name = table.get("log") if table is not None else None
+        name = (await _json(request) or {}).get("log")
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"log": "..."}.')
         return await self._act(request, "", lambda session, _: self._actions.delete_log(session, name))
@@ -170,8 +164,7 @@ class Requests:
 
     async def acknowledge(self, request: Request) -> Response:
         """Acknowledge an alarm."""
-        table = await _json(request)
-        name = table.get("name") if table is not None else None
+        name = (await _json(request) or {}).get("name")
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"name": "..."}.')
         board = request.path_params["board"]
@@ -211,11 +204,9 @@ class Requests:
         if entry is None:
             return refusal(404, "no-log", text_of("refusal.no_log"))
         text = await self._summaries.text(entry, departure(request))
-        return (
-            refusal(503, "busy", text_of("library.busy"))
-            if text is None
-            else JSONResponse({"accepted": True, "text": text})
-        )
+        if text is None:
+            return refusal(503, "busy", text_of("library.busy"))
+        return JSONResponse({"accepted": True, "text": text})
 
     async def login_form(self, request: Request) -> Response:
         """Return the login form."""
@@ -320,13 +311,7 @@ def _made_s(request: Request) -> float:
 
 
 def _body(reply: pb.CommandReply) -> dict[str, object]:
-    return {
-        "accepted": reply.accepted,
-        "refused_by": reply.refused_by,
-        "reason": reply.reason,
-        "text": reply.text,
-        "tick": reply.tick,
-    }
+    return {name: getattr(reply, name) for name in ("accepted", "refused_by", "reason", "text", "tick")}
 
 
 def _answer(reply: pb.CommandReply) -> JSONResponse:

@@ -177,7 +177,7 @@ def test_a_library_shows_its_own_files_newest_first_and_nothing_else(tmp_path: P
     (inside / "f.mcap").symlink_to(outside / "e.mcap")
     (inside / "g.mcap").symlink_to(inside / "nowhere.mcap")
     (inside / "a.mcap").touch()
-    library = Library({"logs": inside, "none": tmp_path / "absent"}, ("*.mcap",))
+    library = Library({"logs": inside, "none": tmp_path / "absent"}, "*.mcap")
 
     assert {entry.name for entry in library.entries()} == {"logs/a.mcap", "logs/deep/b.mcap"}
     assert library.entries()[0].name == "logs/a.mcap"
