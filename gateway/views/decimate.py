@@ -46,7 +46,8 @@ class TopicBins:
     def __init__(self, message: type[Message], width_ticks: int, lock: threading.Lock) -> None:
         self.channels = tuple(_doubles(message.DESCRIPTOR))
         self._values = attrgetter(*self.channels)
-        self._optional = [n for n, name in enumerate(self.channels) if _is_optional(message.DESCRIPTOR, name)]
+        optional = {field.name for field in message.DESCRIPTOR.fields if field.has_presence}
+        self._optional = [n for n, name in enumerate(self.channels) if name in optional]
         self._width, self._lock = width_ticks, lock
         self._closed: deque[Bin] = deque(maxlen=MAX_BINS)
         self._slot = (-1, -1)  # session and place in it of the bin that is being filled
@@ -108,7 +109,3 @@ def _doubles(descriptor: Any, path: str = "") -> Iterator[str]:
             yield from _doubles(field.message_type, f"{path}{field.name}.")
         elif field.type == FieldDescriptor.TYPE_DOUBLE and field.name != "t_s":
             yield path + field.name
-
-
-def _is_optional(descriptor: Any, name: str) -> bool:
-    return name in descriptor.fields_by_name and descriptor.fields_by_name[name].has_presence

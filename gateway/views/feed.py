@@ -97,7 +97,7 @@ class BoardFeed:
         self._commands: deque[pb.CommandRecord] = deque(maxlen=RETAINED_EVENTS)
         self._taps: dict[str, list[TopicBins]] = {}
         self._book = AlarmBook(name)
-        self._alive = True  # the gateway's token; until one was seen, its absence says nothing
+        self.alive = True  # the gateway's token, before any time-out; until one was seen, its absence says nothing
         self._period_s = 0.0
         self._first_s = now_s()
         self._back_s = self._first_s  # the gateway came, or came back
@@ -118,7 +118,7 @@ class BoardFeed:
         age_s = self.age_s(pb.State)
         status = self.latest(pb.Status)
         limit_s = max(SILENT_S, 3.0 * self._period_s)
-        if age_s < limit_s and self._alive:
+        if age_s < limit_s and self.alive:
             return Link(state="live", reason="", age_s=age_s)
         if min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
             return Link(state="no-gateway", reason="Nothing arrives from the gateway.", age_s=age_s)
@@ -175,7 +175,7 @@ class BoardFeed:
         for tap in self._taps.get(name, ()):
             tap.push(message)
         if isinstance(message, pb.State):
-            self._alive = True  # whatever became of the token: here is a sample
+            self.alive = True  # whatever became of the token: here is a sample
             self._book.state(message, now_ns)
         elif isinstance(message, pb.Event):
             self._events.append(message)
@@ -194,10 +194,6 @@ class BoardFeed:
             self._book.to_board(message, now_ns)
         elif isinstance(message, pb.Parameters):
             self._period_s = message.sample_time_s * max(1, message.stream_divider)
-
-    def alive_is(self, *, alive: bool) -> None:
-        """Note that the gateway's liveliness token appeared or disappeared, before any time-out."""
-        self._alive = alive
 
     def waits(self, alarm: str) -> bool:
         """Return whether there is an alarm of that name to acknowledge."""
@@ -351,4 +347,4 @@ class Feed:
         _, _, rest = str(sample.key_expr).partition("/")
         board = self._boards.get(rest.partition("/")[0])
         if board is not None:
-            board.alive_is(alive=sample.kind == zenoh.SampleKind.PUT)
+            board.alive = sample.kind == zenoh.SampleKind.PUT

@@ -58,7 +58,10 @@ def now(board: BoardFeed) -> dict[str, Any]:
             "host_s": round(state.host_time_ns / 1e9, 3),
             "tick": state.tick,
             "t_s": round(state.t_s, 3),
-            **{name: _if(state, name) for name in ("x_m", "x_ref_m", "i_c_a", "u_c_v")},
+            **{
+                name: number(getattr(state, name)) if state.HasField(name) else None
+                for name in ("x_m", "x_ref_m", "i_c_a", "u_c_v")
+            },
             "mode": MODES.get(state.mode, str(state.mode)),
             "coil": _coil(board, state),
             "flags": [name for flag, name in _FLAGS.items() if state.flags & flag],
@@ -164,10 +167,6 @@ def _coil(board: BoardFeed, state: pb.State) -> str:
 
 def _fields(source: object, *names: str) -> dict[str, Any]:
     return {name: getattr(source, name) for name in names}
-
-
-def _if(state: pb.State, name: str) -> float | None:
-    return number(getattr(state, name)) if state.HasField(name) else None
 
 
 def _status(board: BoardFeed) -> dict[str, Any] | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from asyncua import ua
@@ -145,24 +146,19 @@ class BoardNodes:
 
     def _status_of(self, leaf: Leaf, bin_: Bin, status: int) -> int:
         if isinstance(bin_.message, pb.State):
-            status = quality.of_signal(status, leaf, bin_.message.flags, sensor_fault=self._sensor_fault())
+            status = quality.of_signal(status, leaf, bin_.message.flags, fault=self.feed.fault())
         return quality.of_extreme(status, leaf.statistic, bin_.lost)
-
-    def _sensor_fault(self) -> bool:
-        return self.feed.fault() == "sensor-fault"
 
     def _value_of_message(self, leaf: Leaf, bin_: Bin | None, status: int) -> Value:
         # The message of the numbers that were shown with it, not a newer one.
         message: Any = self.feed.latest(leaf.message) if bin_ is None else bin_.message
         if message is None:
             return data_value(None, leaf.variant, quality.WAITING, 0)
-        value: Any = message
-        for name in leaf.field.split("."):
-            value = getattr(value, name)
+        value: Any = attrgetter(leaf.field)(message)
         if leaf.is_array:
             value = [f"{k}={v}" for k, v in value.items()] if leaf.variant is _V.String else list(value)
         if leaf.topic == "state":
-            status = quality.of_signal(status, leaf, message.flags, sensor_fault=self._sensor_fault())
+            status = quality.of_signal(status, leaf, message.flags, fault=self.feed.fault())
             value = None if _is_absent(message, leaf.field) else value
         stamp_ns = getattr(message, "host_time_ns", 0) if bin_ is None else self._stamps_ns[leaf.topic]
         return data_value(value, leaf.variant, status, stamp_ns)

@@ -99,11 +99,11 @@ def test_a_twin_is_good_in_step_only() -> None:
 def test_a_signal_is_no_better_than_its_sensor() -> None:
     x, i_c = (next(leaf for leaf in leaves() if leaf.path == f"state/{name}") for name in ("x_m", "i_c_a"))
 
-    assert quality.of_signal(S.Good, x, 0, sensor_fault=True) == S.BadSensorFailure
-    assert quality.of_signal(S.Good, i_c, 0, sensor_fault=True) == S.Good
-    assert quality.of_signal(S.Good, x, Flag.POSITION_RANGE, sensor_fault=False) == S.UncertainSensorNotAccurate
-    assert quality.of_signal(S.Good, i_c, Flag.CURRENT_RANGE, sensor_fault=False) == S.UncertainSensorNotAccurate
-    assert quality.of_signal(S.BadNoCommunication, x, 0, sensor_fault=True) == S.BadNoCommunication
+    assert quality.of_signal(S.Good, x, 0, fault="sensor-fault") == S.BadSensorFailure
+    assert quality.of_signal(S.Good, i_c, 0, fault="sensor-fault") == S.Good
+    assert quality.of_signal(S.Good, x, Flag.POSITION_RANGE, fault="") == S.UncertainSensorNotAccurate
+    assert quality.of_signal(S.Good, i_c, Flag.CURRENT_RANGE, fault="") == S.UncertainSensorNotAccurate
+    assert quality.of_signal(S.BadNoCommunication, x, 0, fault="sensor-fault") == S.BadNoCommunication
     assert quality.of_extreme(S.Good, "high", 3) == S.UncertainSubNormal
     assert quality.of_extreme(S.Good, "last", 3) == S.Good
 

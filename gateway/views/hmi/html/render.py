@@ -20,11 +20,14 @@ _TEMPLATES = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
     autoescape=True,
     undefined=StrictUndefined,
+    auto_reload=False,  # pages and code are of one version
     trim_blocks=True,
     lstrip_blocks=True,
 )
 _TEMPLATES.globals |= {"text_of": text_of, "texts_of": texts_of, "json": json.dumps, "all_texts": for_scripts()}
 _TEMPLATES.globals["parts"] = _TEMPLATES.get_template("parts.html").module
+for _name in _TEMPLATES.list_templates(extensions=["html"]):  # now: the first visitor's page would hold up a STOP
+    _TEMPLATES.get_template(_name)
 _INDENT = re.compile(r">\s+<")  # a browser would show it as a blank
 
 
