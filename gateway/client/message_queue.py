@@ -10,7 +10,8 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple, Self, TypeVar
+from contextlib import AbstractContextManager
+from typing import NamedTuple, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
@@ -35,7 +36,7 @@ class Arrival(NamedTuple):
     size: int  # of the payload, bytes
 
 
-class MessageQueue(Iterator[Message]):
+class MessageQueue(AbstractContextManager["MessageQueue"], Iterator[Message]):
     """The messages of some topics from now on: an iterator that ends when it is closed or garbage-collected.
 
     Args:
@@ -58,9 +59,6 @@ class MessageQueue(Iterator[Message]):
         subscription = Subscription(board.session, [f"{board}/{name}" for name in names], self._waiting.put)
         # The callbacks refer to the queue and not to the feed, so that a loop left with `break` ends the subscription.
         self._end = weakref.finalize(self, subscription.close)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -122,7 +120,7 @@ class _Waiting:
                 return Arrival(key, parse(topics.TOPIC_OF_NAME[address[2]].message, data), len(data))
 
 
-class SampleStream(Iterator[Sample]):
+class SampleStream(AbstractContextManager["SampleStream"], Iterator[Sample]):
     """Iterator over the samples of one board for a duration of its time; `rig.samples()` makes it.
 
     It subscribes when it is made, so no sample is missed before the loop begins.
@@ -132,9 +130,6 @@ class SampleStream(Iterator[Sample]):
         self._queue, self._board = queue, board
         self._left_s, self._timeout_s = duration_s, timeout_s
         self._last: Sample | None = None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
