@@ -10,7 +10,7 @@ Rule 4: every client gets a bounded service: sessions, logins, queues, bytes tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -261,28 +261,19 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         return code_of(await self.iserver.operations.command(self.visitor, board, *command))
 
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
-        result = ua.CallMethodResult()
         inputs = request.InputArguments or []
         if request.MethodId in _OF_CONDITIONS:
-            code, codes = await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs)
-            result.StatusCode = ua.StatusCode(code)
-            result.InputArgumentResults = [ua.StatusCode(code) for code in codes]
-            return result
+            return _result(*await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs))
         board, name = self._method(request.ObjectId, request.MethodId)
-        if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
-            result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
-        elif name in _METHODS:
-            command = called(_METHODS[name], inputs)
-            if isinstance(command, pb.Command):
-                reply = await self.iserver.operations.command(self.visitor, board, _METHODS[name].act, command)
-                result.StatusCode = ua.StatusCode(code_of(reply))
-                result.OutputArguments = _outputs(reply)
-            else:
-                result.StatusCode = ua.StatusCode(command[0])
-                result.InputArgumentResults = [ua.StatusCode(code) for code in command[1]]
-        else:
-            result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
-        return result
+        is_ours = request.MethodId in self.aspace and request.ObjectId == ua.NodeId(board, self.iserver.namespace)
+        if not is_ours or name not in _METHODS:
+            return _result(S.BadMethodInvalid)
+        command = called(_METHODS[name], inputs)
+        if not isinstance(command, pb.Command):
+            return _result(*command)
+        reply = await self.iserver.operations.command(self.visitor, board, _METHODS[name].act, command)
+        outputs = [ua.Variant(getattr(reply, output.name), output.variant) for output in OUTPUTS]
+        return _result(code_of(reply), outputs=outputs)
 
     async def _call_of_condition(
         self, node: ua.NodeId, name: str, types: tuple[ua.VariantType, ...], inputs: list[ua.Variant]
@@ -338,5 +329,10 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         return code_of(await self.iserver.operations.command(self.visitor, condition.board, "mark", remark))
 
 
-def _outputs(reply: pb.CommandReply) -> list[ua.Variant]:
-    return [ua.Variant(getattr(reply, output.name), output.variant) for output in OUTPUTS]
+def _result(code: int, codes: Sequence[int] = (), outputs: Sequence[ua.Variant] = ()) -> ua.CallMethodResult:
+    """Return the status code of a call, with a code for each argument or with the outputs."""
+    return ua.CallMethodResult(
+        StatusCode=ua.StatusCode(code),
+        InputArgumentResults=[ua.StatusCode(code) for code in codes],
+        OutputArguments=list(outputs),
+    )
