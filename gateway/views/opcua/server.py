@@ -30,7 +30,7 @@ from gateway.views.opcua.conditions import Conditions
 from gateway.views.opcua.nodes import BoardNodes
 from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.security import Security
-from gateway.views.opcua.sessions import GuardedServer, Reception
+from gateway.views.opcua.sessions import GuardedServer
 from gateway.views.opcua.types.build import Builder
 from gateway.views.opcua.types.nodeset import register
 from protocol.errors import ServiceError
@@ -85,7 +85,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
             return anonymous
         return security.identify(name, password, certificate, host) if security is not None else None
 
-    inner = GuardedServer(Reception(identify), Operations(feed), secured=security is not None)
+    inner = GuardedServer(identify, Operations(feed), secured=security is not None)
     binary_server_asyncio.UaProcessor = PromptProcessor  # asyncua offers no other way to choose the class
     server = Server(iserver=inner)
     await server.init()

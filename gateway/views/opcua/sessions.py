@@ -66,37 +66,19 @@ class Guest(Account):  # type: ignore[misc]  # asyncua's class is untyped
 Identify = Callable[[str | None, str | None, bytes | None, str], User | None]
 
 
-class Reception:
-    """asyncua's user manager over `identify`: (name, password, certificate, host) -> who it is."""
-
-    def __init__(self, identify: Identify) -> None:
-        self._identify = identify
-        self.host = ""  # of the session that is being activated; asyncua's call does not say
-
-    def get_user(
-        self,
-        iserver: InternalServer,
-        username: str | None = None,
-        password: str | None = None,
-        certificate: bytes | None = None,
-    ) -> Guest | None:
-        """Return the guest; None means BadUserAccessDenied."""
-        visitor = self._identify(username, password, certificate, self.host)
-        return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
-
-
 class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes are untyped
-    """asyncua's internal server with our sessions and limits.
+    """asyncua's internal server and user manager with our sessions and limits.
 
     Args:
-        reception: decides who may in.
+        identify: (name, password, certificate, host) -> who it is; None: nobody who may in.
         operations: carries out what they command.
         secured: whether sessions need an encrypted channel.
     """
 
-    def __init__(self, reception: Reception, operations: Operations, *, secured: bool) -> None:
-        super().__init__(user_manager=reception)
-        self.reception = reception
+    def __init__(self, identify: Identify, operations: Operations, *, secured: bool) -> None:
+        super().__init__(user_manager=self)
+        self._identify = identify
+        self.peer_host = ""  # of the session that is being activated; asyncua does not say it to a user manager
         self.operations, self.secured = operations, secured
         self.namespace = 0
         self.spaces = Namespaces(site=0, types=0, di=0, machinery=0)  # until they are registered
@@ -116,6 +98,17 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
     def create_session(self, name: str, user: Account = _NOBODY, external: bool = False) -> InternalSession:
         """Return a new GuardedSession."""
         return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
+
+    def get_user(
+        self,
+        iserver: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: bytes | None = None,
+    ) -> Guest | None:
+        """Return the guest; None means BadUserAccessDenied."""
+        visitor = self._identify(username, password, certificate, self.peer_host)
+        return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
         """Return None (rule 2)."""
@@ -174,7 +167,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
                 raise ServiceError(S.BadSecurityModeInsufficient)
             if not self._certificate.startswith(peer_certificate):  # a chain begins with it
                 raise ServiceError(S.BadCertificateInvalid)
-        self.iserver.reception.host = str((self.name or ("",))[0])  # named after its peer: (address, port)
+        self.iserver.peer_host = str((self.name or ("",))[0])  # named after its peer: (address, port)
         return super().activate_session(params, None)  # an X509 token brings its own, verified by then
 
     @property
