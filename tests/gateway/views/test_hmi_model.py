@@ -20,7 +20,7 @@ from gateway.views.hmi.model.campaigns import (
     find_campaign,
     write_act,
 )
-from gateway.views.hmi.model.models import keep, models_of
+from gateway.views.hmi.model.models import keep, models_of, summary
 from gateway.views.hmi.model.numbers import in_numbers
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
@@ -241,6 +241,10 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
     assert unclamped["reason"] == "person-needed"
     assert (finished["reason"], unnamed["reason"], forbidden.status_code) == ("no-campaign", "no-campaign", 403)
     assert unknown["reason"] == "no-model"
+
+
+def test_a_model_file_of_another_shape_has_an_empty_summary_and_costs_no_page() -> None:
+    assert summary({"parameters": [1], "causes": 3}) == ""
 
 
 def test_a_diagnosis_that_found_nothing_better_offers_no_model(tmp_path: Path) -> None:
