@@ -94,8 +94,8 @@ class Authority:
         return _issued(builder.sign(self._key, hashes.SHA256()), key)
 
 
-def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> float:
-    """Days for which a certificate is still valid.
+def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> x509.Certificate:
+    """Return a certificate that is valid.
 
     Args:
         path: PEM file.
@@ -123,6 +123,11 @@ def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> 
             f"{what} {path} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d}",
             remedy="Set this machine's clock right",
         )
+    return certificate
+
+
+def days_left(certificate: x509.Certificate, now: datetime) -> float:
+    """Return the days for which a certificate is still valid."""
     return (certificate.not_valid_after_utc - now).total_seconds() / 86400
 
 

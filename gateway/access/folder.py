@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gateway.access.bus_rules import LARGEST_MESSAGE, SERVICES, access_control, size_limits
-from gateway.access.certificates import DAYS, Authority, Issued, check_certificate
+from gateway.access.certificates import DAYS, Authority, Issued, check_certificate, days_left
 from gateway.access.private import check_private, read_private, write_private
 from gateway.access.roles import Role
 from gateway.access.users import User, Users, remove_user, set_user
@@ -158,7 +158,7 @@ class SecurityFolder:
 
     def people(self) -> Mapping[str, Role]:
         """The role of each user, by name."""
-        return Users.load(self.users).names()
+        return Users(self.users).names()
 
     @property
     def site(self) -> str:
@@ -175,13 +175,13 @@ class SecurityFolder:
         self._settings()
         people = self.people()
         check_private(self.passwords, what="The password file of the bus")
-        left = {"ca": check_certificate(self.ca, what="The authority's certificate", now=now)}
+        valid = {"ca": check_certificate(self.ca, what="The authority's certificate", now=now)}
         for stem in _SERVERS:
-            left[stem] = check_certificate(self.path / f"{stem}.pem", what="The certificate", now=now)
+            valid[stem] = check_certificate(self.path / f"{stem}.pem", what="The certificate", now=now)
             check_private(self.path / f"{stem}-key.pem", what="The key")
         for name in (*SERVICES, *people):
             identity = self.identity(name)
-            left[f"identities/{name}"] = check_certificate(identity.certificate, what="The certificate", now=now)
+            valid[f"identities/{name}"] = check_certificate(identity.certificate, what="The certificate", now=now)
             if name in people and identity.role != people[name].word:
                 raise ConfigError(
                     f"{name} is {people[name].word} in users.toml and {identity.role} on the bus",
@@ -189,7 +189,7 @@ class SecurityFolder:
                 )
         if (self.path / "ca-key.pem").exists():
             check_private(self.path / "ca-key.pem", what="The authority's key")
-        return left
+        return {name: days_left(certificate, now) for name, certificate in valid.items()}
 
     def router(
         self, listen: Sequence[str], connect: Sequence[str] = (), *, name: str = "gateway", wait_for_router: bool = True

@@ -22,6 +22,8 @@ from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass
 
+from gateway.board.limits import TokenBucket
+
 BURST = 5
 PACE_S = 1.0
 TOGETHER_BURST = 20
@@ -31,42 +33,22 @@ MAX_TRACKED = 1000
 _logger = logging.getLogger("gateway.access")
 
 
-@dataclass(slots=True)
-class Lane:
-    """A rate limiter with burst; `due_s` is when the next attempt would be due without a burst."""
-
-    burst: int = BURST
-    pace_s: float = PACE_S
-    due_s: float = float("-inf")
-
-    def wait_s(self, now_s: float) -> float:
-        """Return the waiting time of an attempt at `now_s`, s."""
-        return max(0.0, self.due_s - now_s - (self.burst - 1) * self.pace_s)
-
-    def take(self, now_s: float) -> None:
-        """Count an attempt."""
-        self.due_s = max(self.due_s, now_s) + self.pace_s
-
-    def give_back(self) -> None:
-        """Reduce the cost of an attempt whose password was right."""
-        self.due_s -= (1.0 - RIGHT_COST) * self.pace_s
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
     """The permission for an attempt."""
 
     granted: bool  # False: refused; another attempt is possible after `wait_s`
     wait_s: float
-    lanes: tuple[Lane, ...]
+    now_s: float  # of the request
+    lanes: tuple[TokenBucket, ...]
 
 
 class Tries:
     """The lanes of one server."""
 
     def __init__(self) -> None:
-        self._lanes: OrderedDict[Hashable, Lane] = OrderedDict()
-        self._strangers = Lane(burst=TOGETHER_BURST, pace_s=TOGETHER_PACE_S)
+        self._lanes: OrderedDict[Hashable, TokenBucket] = OrderedDict()
+        self._strangers = TokenBucket(TOGETHER_BURST, 1.0 / TOGETHER_PACE_S)
         self._known: OrderedDict[Hashable, None] = OrderedDict()
 
     def turn(self, name: str, host: str, now_s: float, *, patience_s: float, browser: str = "") -> Turn:
@@ -88,26 +70,26 @@ class Tries:
         else:
             lane, stranger = self._lane(source), True
         lanes = (lane, self._strangers) if stranger else (lane,)
-        wait_s = max(limiter.wait_s(now_s) for limiter in lanes)
+        wait_s = max(bucket.wait_s(1.0, now_s) for bucket in lanes)
         granted = wait_s <= patience_s
         if granted:
-            free = lane.wait_s(now_s) == 0.0
-            for limiter in lanes:
-                limiter.take(now_s)
-            if free and lane.wait_s(now_s) > 0.0:  # once for each flood
-                _logger.warning("many password attempts from %s: from now on one attempt per %g s", source, lane.pace_s)
-        return Turn(granted=granted, wait_s=wait_s, lanes=lanes)
+            free = lane.wait_s(1.0, now_s) == 0.0
+            for bucket in lanes:
+                bucket.take(1.0, now_s)
+            if free and lane.wait_s(1.0, now_s) > 0.0:  # once for each flood
+                _logger.warning("many password attempts from %s: from now on one attempt per %g s", source, PACE_S)
+        return Turn(granted=granted, wait_s=wait_s, now_s=now_s, lanes=lanes)
 
     def right(self, turn: Turn, name: str, host: str) -> None:
         """Record that the password of this attempt was right."""
         for lane in turn.lanes:
-            lane.give_back()
+            lane.take(RIGHT_COST - 1.0, turn.now_s)
         self._known[name, network(host)] = None
         self._known.move_to_end((name, network(host)))
         _shorten(self._known)
 
-    def _lane(self, key: Hashable) -> Lane:
-        lane = self._lanes.setdefault(key, Lane())
+    def _lane(self, key: Hashable) -> TokenBucket:
+        lane = self._lanes.setdefault(key, TokenBucket(BURST, 1.0 / PACE_S))
         self._lanes.move_to_end(key)
         _shorten(self._lanes)
         return lane
@@ -126,6 +108,6 @@ def network(host: str) -> str:
     return str(ipaddress.ip_network((address, 64), strict=False))
 
 
-def _shorten(retained: OrderedDict[Hashable, Lane] | OrderedDict[Hashable, None]) -> None:
+def _shorten(retained: OrderedDict[Hashable, TokenBucket] | OrderedDict[Hashable, None]) -> None:
     while len(retained) > MAX_TRACKED:
         retained.popitem(last=False)

@@ -58,7 +58,11 @@ class _File:
 
 
 class Users:
-    """The users of one file.  Thread-safe."""
+    """The users of one file.  Thread-safe.
+
+    Raises:
+        ConfigError: the file is missing, open to others or not valid; the message names the key.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -66,47 +70,32 @@ class Users:
         self._entries = _read(path)
         self._stamp = self._file_stamp()
 
-    @classmethod
-    def load(cls, path: Path) -> Users:
-        """Read the file.
-
-        Raises:
-            ConfigError: the file is missing, open to others or not valid; the message names the key.
-        """
-        return cls(path)
-
     def check(self, name: str, password: str) -> User | None:
-        """The user, or None for a wrong name or password; slow on purpose."""
-        with self._lock:
-            self._refresh()
-            entry = self._entries.get(name)
+        """Return the user, or None for a wrong name or password; slow on purpose."""
+        entry = self._current().get(name)
         right = matches(password, entry.password if entry is not None else NOBODY)  # outside the lock
         return _user(name, entry) if right and entry is not None else None
 
     def find(self, name: str) -> User | None:
-        """The user of that name in the current file, or None; sessions use it to notice a change of role."""
-        with self._lock:
-            self._refresh()
-            entry = self._entries.get(name)
+        """Return the user of that name in the current file, or None; sessions notice a change of role by it."""
+        entry = self._current().get(name)
         return None if entry is None else _user(name, entry)
 
     def names(self) -> Mapping[str, Role]:
-        """The role of each user, by name."""
-        with self._lock:
-            self._refresh()
-            return {name: _user(name, entry).role for name, entry in self._entries.items()}
+        """Return the role of each user, by name."""
+        return {name: _user(name, entry).role for name, entry in self._current().items()}
 
-    def _refresh(self) -> None:
-        stamp = self._file_stamp()
-        if stamp == self._stamp:
-            return
-        self._stamp = stamp
-        try:
-            self._entries = _read(self._path)
-        except ConfigError as error:
-            _logger.error("the users do not change: %s", error)
-        else:
-            _logger.info("%s has changed: %d users", self._path, len(self._entries))
+    def _current(self) -> dict[str, _Entry]:
+        with self._lock:
+            stamp = self._file_stamp()
+            if stamp != self._stamp:
+                self._stamp = stamp
+                try:
+                    self._entries = _read(self._path)
+                    _logger.info("%s has changed: %d users", self._path, len(self._entries))
+                except ConfigError as error:
+                    _logger.error("the users do not change: %s", error)
+            return self._entries
 
     def _file_stamp(self) -> tuple[int, int, int] | None:
         try:

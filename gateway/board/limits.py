@@ -125,8 +125,12 @@ class TokenBucket:
         """Return the amount available at `now_s`."""
         return min(self._size, self._level + self._rate * (now_s - self._at_s))
 
+    def wait_s(self, amount: float, now_s: float) -> float:
+        """Return the time until `amount` is available, s."""
+        return max(0.0, (amount - self.level(now_s)) / self._rate)
+
     def take(self, amount: float, now_s: float) -> None:
-        """Take `amount`, which must not exceed `level`."""
+        """Take `amount`; what exceeds the level is a debt, and a negative amount is given back."""
         self._level, self._at_s = self.level(now_s) - amount, now_s
 
 

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
     from gateway.client.errors import CommandNotDeliveredError, CommandRefusedError, NoSamplesError
+    from gateway.client.message_queue import SampleStream
     from gateway.client.recording import Recording
     from gateway.client.rig import Rig
-    from gateway.client.sample_stream import SampleStream
     from gateway.client.values import Capture, Reply, Sample, Samples, read_log
 
 __all__ = [
@@ -49,7 +49,7 @@ _HOMES = {
     "errors": ("CommandNotDeliveredError", "CommandRefusedError", "NoSamplesError"),
     "recording": ("Recording",),
     "rig": ("Rig",),
-    "sample_stream": ("SampleStream",),
+    "message_queue": ("SampleStream",),
     "values": ("Capture", "Reply", "Sample", "Samples", "read_log"),
 }
 

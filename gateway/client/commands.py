@@ -63,15 +63,13 @@ class OperatingPoint:
 
 E_ = TypeVar("E_", bound=enum.StrEnum)
 
-_MODES = {Mode.IDLE: pb.MODE_IDLE, Mode.OPEN_LOOP: pb.MODE_OPEN_LOOP, Mode.CLOSED_LOOP: pb.MODE_CLOSED_LOOP}
-_LAWS = {Law.LQI: pb.LAW_LQI, Law.PID: pb.LAW_PID}
-_POLICIES = {HostLoss.KEEP: 0, HostLoss.COIL_OFF: 1, HostLoss.HOLD: 2}
+_POLICIES = (HostLoss.KEEP, HostLoss.COIL_OFF, HostLoss.HOLD)  # by the number on the bus
 _LARGEST = 2**32 - 1
 
 
 def set_mode(mode: Mode | str) -> pb.Command:
     """Enter a mode; clears a fault."""
-    return pb.Command(set_mode=pb.SetMode(mode=_MODES[_chosen(Mode, mode, "mode")]))
+    return pb.Command(set_mode=pb.SetMode(mode=f"MODE_{_chosen(Mode, mode, 'mode').name}"))
 
 
 def set_reference(x_ref_m: float) -> pb.Command:
@@ -85,7 +83,7 @@ def set_gains(gains: Sequence[float], operating_point: OperatingPoint, *, law: L
         raise UsageError(f"gains has {len(gains)} values", remedy="Give four: k_i k_x k_v k_int, or k_p k_int k_d 0")
     return pb.Command(
         set_gains=pb.SetGains(
-            law=_LAWS[_chosen(Law, law, "law")],
+            law=f"LAW_{_chosen(Law, law, 'law').name}",
             gains=[_finite(gain, "gains") for gain in gains],
             i_0_a=_finite(operating_point.i_c_a, "operating_point.i_c_a"),
             x_0_m=_finite(operating_point.x_m, "operating_point.x_m"),
@@ -154,7 +152,7 @@ def set_stream(divider: int) -> pb.Command:
 
 def set_host_loss(policy: HostLoss | str, *, timeout_s: float = 1.0) -> pb.Command:
     """Set the action of the board after `timeout_s` without its host."""
-    code = _POLICIES[_chosen(HostLoss, policy, "policy")]
+    code = _POLICIES.index(_chosen(HostLoss, policy, "policy"))
     return pb.Command(set_host_loss=pb.SetHostLoss(policy=code, timeout_s=_finite(timeout_s, "timeout_s")))
 
 

@@ -1,4 +1,4 @@
-"""A queue of bus messages in the order of arrival, for a loop that reads at its own pace.
+"""Queues of bus messages and samples in the order of arrival, for a loop that reads at its own pace.
 
 A full queue drops the OLDEST message and counts it, because zenoh's thread must not wait for a slow reader.
 """
@@ -10,12 +10,16 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple, Self, TypeVar
+from contextlib import AbstractContextManager
+from typing import NamedTuple, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
 
 from gateway.client.connection import BusBoard, Subscription
+from gateway.client.errors import NoSamplesError
+from gateway.client.values import Sample
+from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.errors import UsageError
@@ -32,7 +36,7 @@ class Arrival(NamedTuple):
     size: int  # of the payload, bytes
 
 
-class MessageQueue(Iterator[Message]):
+class MessageQueue(AbstractContextManager["MessageQueue"], Iterator[Message]):
     """The messages of some topics from now on: an iterator that ends when it is closed or garbage-collected.
 
     Args:
@@ -55,9 +59,6 @@ class MessageQueue(Iterator[Message]):
         subscription = Subscription(board.session, [f"{board}/{name}" for name in names], self._waiting.put)
         # The callbacks refer to the queue and not to the feed, so that a loop left with `break` ends the subscription.
         self._end = weakref.finalize(self, subscription.close)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -117,6 +118,49 @@ class _Waiting:
             address = topics.split(key)
             if address is not None:
                 return Arrival(key, parse(topics.TOPIC_OF_NAME[address[2]].message, data), len(data))
+
+
+class SampleStream(AbstractContextManager["SampleStream"], Iterator[Sample]):
+    """Iterator over the samples of one board for a duration of its time; `rig.samples()` makes it.
+
+    It subscribes when it is made, so no sample is missed before the loop begins.
+    """
+
+    def __init__(self, queue: MessageQueue, board: str, duration_s: float, timeout_s: float) -> None:
+        self._queue, self._board = queue, board
+        self._left_s, self._timeout_s = duration_s, timeout_s
+        self._last: Sample | None = None
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._queue.close()
+
+    @property
+    def dropped(self) -> int:
+        """Samples dropped because the loop was too slow."""
+        return self._queue.dropped
+
+    def __next__(self) -> Sample:
+        state = None
+        while not isinstance(state, pb.State):
+            arrival = self._queue.take(self._timeout_s)
+            if arrival is None:
+                raise NoSamplesError(
+                    f"No samples from {self._board} for {self._timeout_s:g} s",
+                    remedy="Look at rig.status(): gateway, link or board is gone, or its stream is off",
+                )
+            state = arrival.message
+        sample, last = Sample.of(state), self._last
+        if last is not None and last.session == sample.session:
+            self._left_s -= sample.t_s - last.t_s
+        self._last = sample
+        if self._left_s < 1e-6:  # s; less than a tick, more than rounding errors
+            self.close()
+            raise StopIteration
+        return sample
 
 
 def check_topic(name: str) -> None:

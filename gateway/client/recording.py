@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Self
 
@@ -21,7 +22,7 @@ from protocol.bus.encoding import parse
 from protocol.files import make_folder
 
 
-class Recording:
+class Recording(AbstractContextManager["Recording"]):
     """A recording of all logged topics of one board, or of all boards, from `start` until `close`.
 
     Args:
@@ -73,9 +74,6 @@ class Recording:
         except BaseException:
             self._recorder.close()
             raise
-        return self
-
-    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -19,8 +19,7 @@ from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
 from gateway.client.connection import BoardConnection, ask, new_id
 from gateway.client.errors import accepted
-from gateway.client.message_queue import CAPACITY, MessageQueue, check_topic
-from gateway.client.sample_stream import SampleStream
+from gateway.client.message_queue import CAPACITY, MessageQueue, SampleStream, check_topic
 from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics

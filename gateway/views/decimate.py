@@ -1,86 +1,75 @@
-"""Decimates samples at the tick rate to bins with the lowest, highest and last value of each channel.  Pure.
+"""Decimates messages at the tick rate to bins with the lowest, highest and last of each floating-point value.
 
 Rule 1: no spike is lost: every finite value lies within low .. high of exactly one bin.
 Rule 2: a bin covers `width_ticks` ticks and begins at a multiple of them, so two readers of one board see equal bins.
 Rule 3: a bin never spans two sessions: ticks of different sessions are not comparable.
-Rule 4: memory is bounded: of bins that are not taken, the oldest are dropped and counted.
+Rule 4: memory is bounded: of bins that are not taken, the newest MAX_BINS remain.
 Rule 5: a channel without a finite value in a bin is NaN in low, high and last of it.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
 
-INF = math.inf
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import Message
+
+MAX_BINS = 256
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Bin:
     """Values within one width; `low`, `high`, `last` by the name of the channel."""
 
-    session: int
-    first_tick: int
-    last_tick: int
-    t_s: float  # of the last sample, on the board's clock
-    host_time_ns: int  # of the last sample; 0 where the topic carries none
-    samples: int
-    lost: int  # missing before or within
+    message: Any  # the last one; every per-tick message has session, tick and t_s
+    lost: int  # samples missing before or within
     low: dict[str, float]
     high: dict[str, float]
     last: dict[str, float]
-    message: object = None  # what the last sample came in, for all that is no number
 
 
-class Decimator:
-    """Bins of one topic of one board.
+class TopicBins:
+    """Bins of one topic of one board for one reader.
 
     Args:
-        channels: names of the values, in the order in which `push` gets them.
+        message: type of the topic's messages.
         width_ticks: of a bin; 1 or more.
-        keep: bins that may wait to be taken.
+        lock: held by the caller of `push`.
     """
 
-    def __init__(self, channels: Sequence[str], width_ticks: int, *, keep: int = 256) -> None:
-        if width_ticks < 1:
-            raise ValueError(f"a bin of {width_ticks} ticks holds nothing")
-        self.channels = tuple(channels)
-        self.dropped = 0
-        self._width = width_ticks
-        self._closed: deque[Bin] = deque()
-        self._keep = keep
-        self._session = self._slot = -1
-        self._samples = 0
+    def __init__(self, message: type[Message], width_ticks: int, lock: threading.Lock) -> None:
+        self.channels = tuple(_doubles(message.DESCRIPTOR))
+        self._values = attrgetter(*self.channels)
+        optional = {field.name for field in message.DESCRIPTOR.fields if field.has_presence}
+        self._optional = [n for n, name in enumerate(self.channels) if name in optional]
+        self._width, self._lock = width_ticks, lock
+        self._closed: deque[Bin] = deque(maxlen=MAX_BINS)
+        self._slot = (-1, -1)  # session and place in it of the bin that is being filled
+        self._message: Any = None  # last one of that bin; None: it is closed
         self._lost = 0
-        self._first_tick = self._last_tick = 0
-        self._t_s, self._host_time_ns = 0.0, 0
         self._low: list[float] = []
         self._high: list[float] = []
-        self._last: Sequence[float] = ()
-        self._message: object = None
+        self._last: list[float] = []
 
-    def push(
-        self,
-        values: Sequence[float],
-        *,
-        session: int,
-        tick: int,
-        t_s: float,
-        host_time_ns: int = 0,
-        lost: int = 0,
-        message: object = None,
-    ) -> None:
-        """Add a sample: its values in the order of `channels`, NaN for absent ones, and its message."""
-        slot = tick // self._width
-        if slot != self._slot or session != self._session:
+    def push(self, message: Message) -> None:
+        """Add a message; called by the feed, with its lock."""
+        tick: Any = message
+        values = list(self._values(message))
+        for n in self._optional:
+            if not message.HasField(self.channels[n]):
+                values[n] = math.nan
+        slot = tick.session, tick.tick // self._width
+        if self._message is None or slot != self._slot:
             self._close()
-            self._slot, self._session = slot, session
-            self._begin(tick)
-        self._samples += 1
-        self._lost += lost
-        self._last_tick, self._t_s, self._host_time_ns = tick, t_s, host_time_ns
+            self._slot, self._lost = slot, 0
+            self._low, self._high = [math.inf] * len(values), [-math.inf] * len(values)
+        self._lost += getattr(message, "lost_before", 0)
         low, high = self._low, self._high
         for n, value in enumerate(values):  # comparisons with NaN are false: it moves neither bound
             if value < low[n]:
@@ -90,47 +79,33 @@ class Decimator:
         self._last, self._message = values, message
 
     def take(self, *, unfinished: bool = False) -> list[Bin]:
-        """The finished bins since the last call, oldest first; with `unfinished`, the one being filled too.
+        """Return the bins finished since the last call, oldest first; with `unfinished`, the one being filled too.
 
         The bin being filled is closed then; what follows of its width comes as another bin.
         """
-        if unfinished:
-            self._close()
-        bins = list(self._closed)
-        self._closed.clear()
-        return bins
-
-    def _begin(self, tick: int) -> None:
-        self._first_tick = self._last_tick = tick
-        self._low = [INF] * len(self.channels)
-        self._high = [-INF] * len(self.channels)
-        self._samples = self._lost = 0
+        with self._lock:
+            if unfinished:
+                self._close()
+            bins = list(self._closed)
+            self._closed.clear()
+            return bins
 
     def _close(self) -> None:
-        if not self._samples:
+        if self._message is None:
             return
-        low, high, last = dict[str, float](), dict[str, float](), dict[str, float]()
-        for n, name in enumerate(self.channels):
-            has_readings = self._low[n] <= self._high[n]
-            low[name] = self._low[n] if has_readings else math.nan
-            high[name] = self._high[n] if has_readings else math.nan
-            last[name] = self._last[n] if has_readings else math.nan
-        closed = Bin(
-            session=self._session,
-            first_tick=self._first_tick,
-            last_tick=self._last_tick,
-            t_s=self._t_s,
-            host_time_ns=self._host_time_ns,
-            samples=self._samples,
-            lost=self._lost,
-            low=low,
-            high=high,
-            last=last,
-            message=self._message,
+        has_readings = [low <= high for low, high in zip(self._low, self._high, strict=True)]
+        low, high, last = (
+            {n: v if good else math.nan for n, v, good in zip(self.channels, values, has_readings, strict=True)}
+            for values in (self._low, self._high, self._last)
         )
-        if len(self._closed) >= self._keep:
-            self._closed.popleft()
-            self.dropped += 1
-        self._closed.append(closed)
-        self._samples = 0
-        self._slot = -1
+        self._closed.append(Bin(self._message, self._lost, low, high, last))
+        self._message = None
+
+
+def _doubles(descriptor: Any, path: str = "") -> Iterator[str]:
+    """Yield the names of all floating-point values of a message, such as `x_m.error` in nested messages."""
+    for field in descriptor.fields:
+        if field.message_type is not None:
+            yield from _doubles(field.message_type, f"{path}{field.name}.")
+        elif field.type == FieldDescriptor.TYPE_DOUBLE and field.name != "t_s":
+            yield path + field.name

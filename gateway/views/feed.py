@@ -19,7 +19,7 @@ Rule 3: messages that are malformed, of unknown type or beyond the number of boa
 Rule 4: a board is known by messages of its gateway; those of the twin alone make none.
 Rule 5: what a replay sends is marked (protocol/bus/encoding.py).  A feed takes either live or
         replayed messages.  So a replay is never shown as a rig, and is never among the rigs of STOP.
-Rule 6: `feed.now_ns()` stamps alarms that the views raise themselves; samples have the time stamp of the gateway.
+Rule 6: alarms that the views raise themselves have the time of this host; samples have that of the gateway.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ from google.protobuf.message import Message
 from gateway.board.conditions import LINK
 from gateway.client.connection import BusBoard, Subscription, send
 from gateway.views.alarms import Alarm, AlarmBook
-from gateway.views.bins import TopicBins, channels
-from gateway.views.decimate import Decimator
+from gateway.views.decimate import TopicBins
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import is_replayed, parse
@@ -98,7 +97,7 @@ class BoardFeed:
         self._commands: deque[pb.CommandRecord] = deque(maxlen=RETAINED_EVENTS)
         self._taps: dict[str, list[TopicBins]] = {}
         self._book = AlarmBook(name)
-        self._alive = True  # the gateway's token; until one was seen, its absence says nothing
+        self.alive = True  # the gateway's token, before any time-out; until one was seen, its absence says nothing
         self._period_s = 0.0
         self._first_s = now_s()
         self._back_s = self._first_s  # the gateway came, or came back
@@ -119,7 +118,7 @@ class BoardFeed:
         age_s = self.age_s(pb.State)
         status = self.latest(pb.Status)
         limit_s = max(SILENT_S, 3.0 * self._period_s)
-        if age_s < limit_s and self._alive:
+        if age_s < limit_s and self.alive:
             return Link(state="live", reason="", age_s=age_s)
         if min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
             return Link(state="no-gateway", reason="Nothing arrives from the gateway.", age_s=age_s)
@@ -157,15 +156,11 @@ class BoardFeed:
         with self._lock:
             return tuple(self._commands)
 
-    def tap(self, message: type[Message], *, width_s: float, keep: int = 256) -> TopicBins:
+    def tap(self, message: type[Message], *, width_s: float) -> TopicBins:
         """Return bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, at least 1."""
-
-        def decimator() -> Decimator:
-            parameters = self.latest(pb.Parameters)
-            period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
-            return Decimator(channels(message), max(1, round(width_s / period_s)), keep=keep)
-
-        tap = TopicBins(message, decimator, self._lock)
+        parameters = self.latest(pb.Parameters)
+        period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
+        tap = TopicBins(message, max(1, round(width_s / period_s)), self._lock)
         with self._lock:
             self._taps.setdefault(message.DESCRIPTOR.full_name, []).append(tap)
         return tap
@@ -180,7 +175,7 @@ class BoardFeed:
         for tap in self._taps.get(name, ()):
             tap.push(message)
         if isinstance(message, pb.State):
-            self._alive = True  # whatever became of the token: here is a sample
+            self.alive = True  # whatever became of the token: here is a sample
             self._book.state(message, now_ns)
         elif isinstance(message, pb.Event):
             self._events.append(message)
@@ -199,10 +194,6 @@ class BoardFeed:
             self._book.to_board(message, now_ns)
         elif isinstance(message, pb.Parameters):
             self._period_s = message.sample_time_s * max(1, message.stream_divider)
-
-    def alive_is(self, *, alive: bool) -> None:
-        """Note that the gateway's liveliness token appeared or disappeared, before any time-out."""
-        self._alive = alive
 
     def waits(self, alarm: str) -> bool:
         """Return whether there is an alarm of that name to acknowledge."""
@@ -309,7 +300,7 @@ class Feed:
         if reply.reason == "not-delivered":
             reply = pb.CommandReply(accepted=True, text="Acknowledged in this view only: no gateway answers.")
         if reply.accepted:  # at once: the record may take a moment
-            feed.acknowledge(alarm, who, self.now_ns(), comment)
+            feed.acknowledge(alarm, who, time.time_ns(), comment)
         return reply
 
     def command(
@@ -329,10 +320,6 @@ class Feed:
             BusBoard(self._session, self.site, board), command,
             timeout_s=timeout_s, role=as_role, typed=False, since_ns=issued_ns,
         )  # fmt: skip
-
-    def now_ns(self) -> int:
-        """Return the Unix time of this host."""
-        return time.time_ns()
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if is_replayed(sample.attachment) != self._replays:
@@ -360,4 +347,4 @@ class Feed:
         _, _, rest = str(sample.key_expr).partition("/")
         board = self._boards.get(rest.partition("/")[0])
         if board is not None:
-            board.alive_is(alive=sample.kind == zenoh.SampleKind.PUT)
+            board.alive = sample.kind == zenoh.SampleKind.PUT

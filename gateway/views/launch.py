@@ -8,11 +8,10 @@ from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_listener, nearest
 from gateway.config import GatewayConfig
 from gateway.processes.supervisor import Service
-from gateway.views.account import ACCOUNT
-from gateway.views.listen import address
+from gateway.views.listen import ACCOUNT, address
 from protocol.errors import require
 
-NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn")}  # view: extra, libraries
+NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn", "jinja2")}  # view: extra, libraries
 
 
 def views_for(config: GatewayConfig) -> list[Service]:

@@ -1,4 +1,4 @@
-"""Common arguments of the views' commands: HOST:PORT, and the check whether it may be opened."""
+"""Common parts of the views' commands: HOST:PORT, the check whether it may be opened, and who they are on the bus."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from pathlib import Path
 
 from gateway.access.listeners import check_listener
 from gateway.client.connection import add_bus_arguments
+from protocol.bus.identity import Identity, find_identity
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
 
 ADDRESSES = {"opcua": "127.0.0.1:4840", "hmi": "127.0.0.1:8051", "foxglove": "127.0.0.1:8765"}  # defaults
+ACCOUNT = "views"  # of a guarded bus: it may send commands for users whom a view has authenticated
 SECURITY = "folder made by `board51 security init`: "
 
 
@@ -62,3 +64,18 @@ def address(text: str, *, where: str = "--listen") -> tuple[str, int]:
     if not good or (":" in host and not host.startswith("[")):
         raise ConfigError(f"{where} {text!r} is not an address", remedy="Write HOST:PORT, e.g. 127.0.0.1:4840")
     return host.strip("[]"), int(port)
+
+
+def views_identity(folder: str | None) -> Identity | None:
+    """Return the identity in `folder` or BOARD51_IDENTITY; None on an unguarded bus.
+
+    Raises:
+        ConfigError: the identity is not usable, or belongs to a person.
+    """
+    identity = find_identity(folder)
+    if identity is not None and identity.role != ACCOUNT:
+        raise ConfigError(
+            f"The identity {identity.name} cannot send commands for others",
+            remedy=f"Give --identity DIR/identities/{ACCOUNT}",
+        )
+    return identity

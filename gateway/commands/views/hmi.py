@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 from gateway.access.listeners import is_loopback
 from gateway.client.connection import open_bus
-from gateway.views.account import ACCOUNT, views_identity
-from gateway.views.listen import add_view_arguments, listener
+from gateway.views.listen import ACCOUNT, add_view_arguments, listener, views_identity
 from protocol.bus.endpoint import check_endpoint, zenoh_config
 from protocol.errors import UsageError
 
@@ -83,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     host, port = listener(args, "The web page", remedy=remedy)
     folder = SecurityFolder(args.security) if args.security is not None else None
     users_file = folder.users if folder is not None else args.users
-    users = Users.load(users_file) if users_file is not None else None
+    users = Users(users_file) if users_file is not None else None
     if args.users is not None and users is not None and not users.names():
         raise UsageError(
             f"{args.users} has no user, so nobody could log in",

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.client.connection import open_bus
-from gateway.views.account import views_identity
-from gateway.views.listen import add_view_arguments, listener
+from gateway.views.listen import add_view_arguments, listener, views_identity
 from protocol.bus.identity import Identity
 from protocol.ending import on_end_signal
 from protocol.errors import UsageError

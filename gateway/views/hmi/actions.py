@@ -13,17 +13,18 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
-from gateway.views.account import ACCOUNT
 from gateway.views.feed import UNSEEN_S, Feed
 from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.texts import text_of
+from gateway.views.listen import ACCOUNT
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.errors import Board51Error
@@ -104,14 +105,8 @@ class Actions:
 
     def command(self, session: LoginSession, board: str, what: pb.Command, *, issued_ns: int = 0) -> pb.CommandReply:
         """Send a command that was issued at `issued_ns` (Unix time; 0: now) to a board, and wait for the reply."""
-        refused = self._refused(session, str(what.WhichOneof("what")))
-        if refused is not None:
-            return refused
-
-        def send(who: str, role: str) -> pb.CommandReply:
-            return self.feed.command(board, what, who=who, role=role, issued_ns=issued_ns)
-
-        return self._sent(session, board, send)
+        send = partial(self.feed.command, board, what, issued_ns=issued_ns)
+        return self._send(session, str(what.WhichOneof("what")), board, send)
 
     def stop(self, session: LoginSession, board: str) -> dict[str, pb.CommandReply]:
         """Switch the coil off at once, of one board or ("*") of all boards of the site; return their replies.
@@ -129,25 +124,24 @@ class Actions:
                 for name in boards:
                     self.jobs.stop("campaign", name)
 
-    def _sent(self, session: LoginSession, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
+    def _send(
+        self, session: LoginSession, act: str, board: str, send: Callable[..., pb.CommandReply]
+    ) -> pb.CommandReply:
+        refused = self._refused(session, act)
+        if refused is not None:
+            return refused
         if self.feed.board(board) is None:
             return refusal("no-board", text_of("refusal.no_board", board=repr(board[:32])))
         try:
-            return send(session.name, self.role(session).word)
+            return send(who=session.name, role=self.role(session).word)
         except Exception as error:  # a bus that closed under us must not look like an accepted command
             _logger.warning("command of %s to %s: %s", session.name, board, error)
             return refusal("not-delivered", text_of("refusal.not_delivered", error=error))
 
     def acknowledge(self, session: LoginSession, board: str, alarm: str, *, issued_ns: int = 0) -> pb.CommandReply:
         """Acknowledge an alarm."""
-        refused = self._refused(session, "acknowledge")
-        if refused is not None:
-            return refused
-
-        def send(who: str, role: str) -> pb.CommandReply:
-            return self.feed.acknowledge(board, alarm, who=who, role=role, issued_ns=issued_ns)
-
-        return self._sent(session, board, send)
+        send = partial(self.feed.acknowledge, board, alarm, issued_ns=issued_ns)
+        return self._send(session, "acknowledge", board, send)
 
     def remove(self, session: LoginSession, board: str) -> pb.CommandReply:
         """Take a rig that has not been seen for minutes off the pages and out of STOP for all rigs."""

@@ -98,7 +98,7 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
 
 def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGIApp:
     """The application, without a server around it."""
-    users = settings.users
+    users, data = settings.users, settings.routes.data
     sessions = LoginSessions(
         idle_s=settings.idle_s,
         lifetime_s=settings.lifetime_s,
@@ -109,8 +109,8 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         sessions,
         users,
         jobs=jobs,
-        logs=Library(_recorded(settings), ("*.mcap",)),
-        reports=Library({str(n): path for n, path in enumerate(settings.reports)}, ("report.html",)),
+        logs=Library({"logs": settings.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"),
+        reports=Library({str(n): path for n, path in enumerate(settings.reports)}, "report.html"),
         routes=settings.routes,
     )
     live, replay = Snapshots(feed), Snapshots(replayed)
@@ -141,11 +141,6 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     )
     requests.guard = guard
     return guard
-
-
-def _recorded(settings: HmiSettings) -> dict[str, Path]:
-    made = {name: settings.routes.data / name for name in ("recordings", "campaigns")}
-    return {"logs": settings.logs, **made}
 
 
 def _local(sessions: LoginSessions) -> LoginSession:

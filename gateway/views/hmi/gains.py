@@ -70,9 +70,12 @@ def rows(gains: pb.SetGains, parameters: pb.Parameters | None) -> list[dict[str,
         for n, (name, unit, new) in enumerate(zip(NAMES[law], UNITS[law], gains.gains, strict=True))
         if name
     ]
-    for name, unit, new in (("i_0", "A", gains.i_0_a), ("x_0", "mm", gains.x_0_m * 1e3), ("u_0", "V", gains.u_0_v)):
-        field = {"i_0": "i_0_a", "x_0": "x_0_m", "u_0": "u_0_v"}[name]
-        now = getattr(parameters, field) * (1e3 if name == "x_0" else 1.0) if parameters is not None else math.nan
+    for name, field, unit, scale in (
+        ("i_0", "i_0_a", "A", 1.0),
+        ("x_0", "x_0_m", "mm", 1e3),
+        ("u_0", "u_0_v", "V", 1.0),
+    ):
+        new, now = (math.nan if of is None else getattr(of, field) * scale for of in (gains, parameters))
         table.append({"name": name, "new": f"{new:.4g}", "now": f"{now:.4g}", "unit": unit})
     return table
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import quote, urlsplit
 
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -171,6 +171,12 @@ class Guard:
         secure = "; Secure" if self._https else ""
         value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
         return f"{cookie_name(host)}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
+
+
+def session_of(request: Request) -> LoginSession:
+    """Return the session of a request that the guard has let pass."""
+    session: LoginSession = request.scope["board51_session"]
+    return session
 
 
 def login_for(path: str, *, over: bool) -> str:

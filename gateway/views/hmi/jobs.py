@@ -14,7 +14,7 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from gateway.processes.command import Process, end, start
@@ -54,16 +54,11 @@ class Job:
 
 
 class Jobs:
-    """The jobs of this process.
+    """The jobs of this process."""
 
-    Args:
-        environment: of the jobs; None: that of this process.
-    """
-
-    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(self) -> None:
         # Who a job is on the bus is said by its options; that of this process must not replace it.
-        supplied = os.environ if environment is None else environment
-        self._environment = {name: value for name, value in supplied.items() if name != IDENTITY_VARIABLE}
+        self._environment = {name: value for name, value in os.environ.items() if name != IDENTITY_VARIABLE}
         self._jobs: dict[tuple[str, str], Job] = {}
         self._lock = threading.Lock()
 

@@ -8,7 +8,7 @@ Rule 2: looking never changes a file; a file that vanishes in between is absent.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,16 +31,16 @@ class LibraryFile:
 
 
 class Library:
-    """Files of some kinds below some folders.
+    """Files of one kind below some folders.
 
     Args:
         roots: name -> folder; a folder that is absent holds nothing.
-        patterns: of file names, e.g. *.mcap.
+        pattern: of file names, e.g. *.mcap.
     """
 
-    def __init__(self, roots: dict[str, Path], patterns: Sequence[str]) -> None:
+    def __init__(self, roots: dict[str, Path], pattern: str) -> None:
         self._roots = {name: path.resolve() for name, path in roots.items()}
-        self._patterns = tuple(patterns)
+        self._pattern = pattern
 
     @property
     def folders(self) -> list[Path]:
@@ -58,19 +58,14 @@ class Library:
 
     def _scan(self) -> Iterator[LibraryFile]:
         for root_name, root in self._roots.items():
-            for pattern in self._patterns:
-                for path in root.rglob(pattern):
-                    relative = path.relative_to(root)
-                    if any(part.startswith(".") for part in relative.parts):
-                        continue
-                    try:
-                        real, stat = path.resolve(strict=True), path.stat()
-                    except OSError:
-                        continue
-                    if path.is_file() and real.is_relative_to(root):
-                        yield LibraryFile(
-                            name=f"{root_name}/{relative.as_posix()}",
-                            path=real,
-                            bytes=stat.st_size,
-                            changed_s=stat.st_mtime,
-                        )
+            for path in root.rglob(self._pattern):
+                relative = path.relative_to(root)
+                if any(part.startswith(".") for part in relative.parts):
+                    continue
+                try:
+                    real, stat = path.resolve(strict=True), path.stat()
+                except OSError:
+                    continue
+                if path.is_file() and real.is_relative_to(root):
+                    name = f"{root_name}/{relative.as_posix()}"
+                    yield LibraryFile(name=name, path=real, bytes=stat.st_size, changed_s=stat.st_mtime)

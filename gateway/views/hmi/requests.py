@@ -21,32 +21,30 @@ Rule 3: a summary is one process at a time, which ends with its request (summari
 from __future__ import annotations
 
 import asyncio
-import html
 import json
 import math
 import time
 from collections.abc import Callable
-from pathlib import Path
 from urllib.parse import parse_qs
 
 from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
 from gateway.views.dispatch import EVERY_RIG, FRESH_S, Dispatch, Wish
 from gateway.views.hmi.actions import Actions
-from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal
+from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal, session_of
+from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.summaries import Summaries, departure
-from gateway.views.hmi.texts import text_of, texts_of
+from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
-_LOGIN = Path(__file__).parent / "static" / "login.html"
 _STATUS = {"not-allowed": 403, "session-over": 401, "no-board": 404, "not-delivered": 503}
 # A report was made from recordings: it may draw itself, and reach nothing.
 _REPORT_POLICY = (
@@ -99,7 +97,7 @@ class Requests:
 
     async def stop(self, request: Request) -> Response:
         """Switch the coil off at once."""
-        board, session = request.path_params["board"], _session(request)
+        board, session = request.path_params["board"], session_of(request)
         replies = await self._dispatch.stop([board], lambda: self._actions.stop(session, board))
         if board != "*":
             return _answer(replies[board])
@@ -140,27 +138,21 @@ class Requests:
     async def job(self, request: Request) -> Response:
         """Start or stop a job."""
         table = await _json(request) or {}
-        kind, act, board, actions = (
-            str(table.get("kind")),
-            table.get("act"),
-            request.path_params["board"],
-            self._actions,
-        )
+        kind, act, board = str(table.get("kind")), table.get("act"), request.path_params["board"]
         if kind not in self._starts or act not in ("start", "stop"):
             kinds = " | ".join(f'"{kind}"' for kind in self._starts)
             return refusal(400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.')
 
         def do(session: LoginSession, _wish: Wish) -> pb.CommandReply:
             if act == "stop":
-                return actions.stop_job(session, kind, "*" if kind == "replay" else board)
+                return self._actions.stop_job(session, kind, "*" if kind == "replay" else board)
             return self._starts[kind](session, board, table)
 
         return await self._act(request, board if act == "start" and board != EVERY_RIG else "", do)
 
     async def delete(self, request: Request) -> Response:
         """Delete a log."""
-        table = await _json(request)
-        name = table.get("log") if table is not None else None
+        name = (await _json(request) or {}).get("log")
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"log": "..."}.')
         return await self._act(request, "", lambda session, _: self._actions.delete_log(session, name))
@@ -172,8 +164,7 @@ class Requests:
 
     async def acknowledge(self, request: Request) -> Response:
         """Acknowledge an alarm."""
-        table = await _json(request)
-        name = table.get("name") if table is not None else None
+        name = (await _json(request) or {}).get("name")
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"name": "..."}.')
         board = request.path_params["board"]
@@ -185,7 +176,7 @@ class Requests:
 
     async def session(self, request: Request) -> Response:
         """Return the user and the remaining time of the session."""
-        session = _session(request)
+        session = session_of(request)
         left_s = self._actions.sessions.left_s(session, time.monotonic())
         return JSONResponse(
             {"name": session.name, "role": self._actions.role(session).word, "left_s": round(left_s)},
@@ -213,18 +204,17 @@ class Requests:
         if entry is None:
             return refusal(404, "no-log", text_of("refusal.no_log"))
         text = await self._summaries.text(entry, departure(request))
-        return (
-            refusal(503, "busy", text_of("library.busy"))
-            if text is None
-            else JSONResponse({"accepted": True, "text": text})
-        )
+        if text is None:
+            return refusal(503, "busy", text_of("library.busy"))
+        return JSONResponse({"accepted": True, "text": text})
 
     async def login_form(self, request: Request) -> Response:
         """Return the login form."""
         if self._logins is None:
             return RedirectResponse("/", status_code=303)
         query = request.query_params
-        return _form(text_of("login.over") if "over" in query else "", local_page(query.get("next", "/")))
+        message = text_of("login.over") if "over" in query else ""
+        return render("login.html", {"message": message, "next": local_page(query.get("next", "/"))})
 
     async def login(self, request: Request) -> Response:
         """Check name and password, and open a session."""
@@ -237,9 +227,10 @@ class Requests:
         browser = self._actions.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
         user = await self._logins.login(name, password, host, browser=browser)
         if isinstance(user, TooMany):
-            return _form(text_of("login.too_many", seconds=f"{user.wait_s:.0f}"), then, status=429)
+            message = text_of("login.too_many", seconds=f"{user.wait_s:.0f}")
+            return render("login.html", {"message": message, "next": then}, status=429)
         if user is None:
-            return _form(text_of("login.wrong"), then, status=401)
+            return render("login.html", {"message": text_of("login.wrong"), "next": then}, status=401)
         session = self._actions.sessions.open(user.name, user.role, time.monotonic())
         return RedirectResponse(
             then, status_code=303, headers={"set-cookie": self.guard.cookie(session, _host(request))}
@@ -248,11 +239,11 @@ class Requests:
     async def logout(self, request: Request) -> Response:
         """End the session."""
         assert self.guard is not None
-        self._actions.sessions.close(_session(request))
+        self._actions.sessions.close(session_of(request))
         return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None, _host(request))})
 
     async def _act(self, request: Request, board: str, do: Callable[[LoginSession, Wish], pb.CommandReply]) -> Response:
-        session, wish = _session(request), Wish(board=board, arrived_s=_made_s(request))
+        session, wish = session_of(request), Wish(board=board, arrived_s=_made_s(request))
         if not abs(time.monotonic() - wish.arrived_s) <= FRESH_S:  # also NaN
             return refusal(409, "not-fresh", text_of("refusal.not_fresh"))
 
@@ -304,11 +295,6 @@ def _starts(
 _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields]
 
 
-def _session(request: Request) -> LoginSession:
-    session: LoginSession = request.scope["board51_session"]  # the guard has seen to it
-    return session
-
-
 def _host(request: Request) -> str:
     return str(request.headers.get("host", ""))
 
@@ -325,13 +311,7 @@ def _made_s(request: Request) -> float:
 
 
 def _body(reply: pb.CommandReply) -> dict[str, object]:
-    return {
-        "accepted": reply.accepted,
-        "refused_by": reply.refused_by,
-        "reason": reply.reason,
-        "text": reply.text,
-        "tick": reply.tick,
-    }
+    return {name: getattr(reply, name) for name in ("accepted", "refused_by", "reason", "text", "tick")}
 
 
 def _answer(reply: pb.CommandReply) -> JSONResponse:
@@ -344,10 +324,3 @@ async def _json(request: Request) -> dict[str, object] | None:
     except (ValueError, RecursionError):
         return None
     return table if isinstance(table, dict) else None
-
-
-def _form(message: str, then: str, *, status: int = 200) -> HTMLResponse:
-    values = {f"text_{name}": text for name, text in texts_of("login").items()} | {"message": message, "next": then}
-    escaped = {name: html.escape(value, quote=True) for name, value in values.items()}
-    page = _LOGIN.read_text(encoding="utf-8").format_map(escaped)
-    return HTMLResponse(page, status_code=status, headers={"cache-control": "no-store"})

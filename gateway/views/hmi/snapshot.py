@@ -58,10 +58,10 @@ def now(board: BoardFeed) -> dict[str, Any]:
             "host_s": round(state.host_time_ns / 1e9, 3),
             "tick": state.tick,
             "t_s": round(state.t_s, 3),
-            "x_m": _if(state, "x_m"),
-            "x_ref_m": _if(state, "x_ref_m"),
-            "i_c_a": _if(state, "i_c_a"),
-            "u_c_v": _if(state, "u_c_v"),
+            **{
+                name: number(getattr(state, name)) if state.HasField(name) else None
+                for name in ("x_m", "x_ref_m", "i_c_a", "u_c_v")
+            },
             "mode": MODES.get(state.mode, str(state.mode)),
             "coil": _coil(board, state),
             "flags": [name for flag, name in _FLAGS.items() if state.flags & flag],
@@ -95,14 +95,9 @@ def rest(board: BoardFeed) -> dict[str, Any]:
         "model": _model(board.latest(pb.TwinModel)),
         "alarms": [
             {
-                "name": a.name,
-                "severity": a.severity,
-                "text": a.text,
+                **_fields(a, "name", "severity", "text", "active", "acknowledged", "times"),
                 "model": a.of_twin and a.name != TWIN,  # what to do about it is on the page of the model
-                "active": a.active,
-                "acknowledged": a.acknowledged,
                 "by": a.acknowledger,
-                "times": a.times,
                 "value": number(a.value, 3) if a.value is not None else None,
                 "since": _clock(a.since_ns),
                 "at_s": round(a.since_ns / 1e9, 3),
@@ -113,10 +108,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
             {
                 "at": _clock(e.host_time_ns),
                 "at_s": round(e.host_time_ns / 1e9, 3),
-                "source": e.source,
-                "severity": e.severity,
-                "name": e.name,
-                "text": e.text,
+                **_fields(e, "source", "severity", "name", "text"),
             }
             for e in board.events()[: -MAX_EVENTS - 1 : -1]
         ],
@@ -138,13 +130,7 @@ def _wrong(board: BoardFeed, alarms: Sequence[Alarm]) -> str:
 def job(running: Job) -> dict[str, Any]:
     """Return the lines that a page shows of a job; columns of a table do not fit into a card, so dots separate them."""
     lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-MAX_LINES:]]
-    return {
-        "title": running.title,
-        "who": running.who,
-        "running": running.running,
-        "standing": running.standing,
-        "lines": lines,
-    }
+    return {**_fields(running, "title", "who", "running", "standing"), "lines": lines}
 
 
 def summary(board: BoardFeed) -> dict[str, Any]:
@@ -179,8 +165,8 @@ def _coil(board: BoardFeed, state: pb.State) -> str:
     return "off" if state.mode == pb.MODE_IDLE else "on"
 
 
-def _if(state: pb.State, name: str) -> float | None:
-    return number(getattr(state, name)) if state.HasField(name) else None
+def _fields(source: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(source, name) for name in names}
 
 
 def _status(board: BoardFeed) -> dict[str, Any] | None:
@@ -188,9 +174,8 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
     if status is None:
         return None
     return {
+        **_fields(status, "port", "to_board", "reconnects", "log_state", "log_file", "log_dropped"),
         "age_s": round(board.age_s(pb.Status)),
-        "port": status.port,
-        "to_board": status.to_board,
         "samples_per_s": round(status.samples_per_s),
         "lost": status.samples_lost,
         "bad_frames": sum(count for cause, count in status.bad_frames.items() if cause in CAUSES),
@@ -199,11 +184,7 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
         "line_load": round(100 * status.line_load),
         "dropped": status.publish_dropped,
         "resets": status.board_resets,
-        "reconnects": status.reconnects,
-        "log_state": status.log_state,
-        "log_file": status.log_file,
         "log_mb": round(status.log_bytes / 1e6, 1),
-        "log_dropped": status.log_dropped,
     }
 
 

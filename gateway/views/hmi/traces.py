@@ -18,8 +18,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from gateway.views.bins import TopicBins
-from gateway.views.decimate import Bin
+from gateway.views.decimate import Bin, TopicBins
 from gateway.views.feed import BoardFeed
 from protocol.bus import board51_pb2 as pb
 
@@ -112,16 +111,19 @@ def number(value: float, digits: int = 6) -> float | None:
 
 
 def _state(b: Bin) -> Row:
-    return ["s", b.session, number(b.t_s, 9), *_band(b, "x_m"), number(b.last["x_ref_m"]), *_band(b, "i_c_a"),
-            *_band(b, "u_c_v")]  # fmt: skip
+    return ["s", *_moment(b), *_band(b, "x_m"), number(b.last["x_ref_m"]), *_band(b, "i_c_a"), *_band(b, "u_c_v")]
 
 
 def _twin(b: Bin) -> Row:
-    return ["t", b.session, number(b.t_s, 9), *_band(b, "x_m"), *_band(b, "i_c_a")]
+    return ["t", *_moment(b), *_band(b, "x_m"), *_band(b, "i_c_a")]
 
 
 def _divergence(b: Bin) -> Row:
-    return ["d", b.session, number(b.t_s, 9), *_band(b, "x_m.normalised"), number(b.high["nis_mean"])]
+    return ["d", *_moment(b), *_band(b, "x_m.normalised"), number(b.high["nis_mean"])]
+
+
+def _moment(b: Bin) -> tuple[int, float | None]:
+    return b.message.session, number(b.message.t_s, 9)
 
 
 def _band(b: Bin, name: str) -> tuple[float | None, float | None]:

@@ -43,24 +43,10 @@ _LIMITS = {
     _O.HistoryServerCapabilities_MaxReturnDataValues: MAX_VALUES,
     _O.HistoryServerCapabilities_MaxReturnEventValues: 0,
 }
-_HISTORY = dict.fromkeys(
-    (
-        _O.HistoryServerCapabilities_AccessHistoryEventsCapability,
-        _O.HistoryServerCapabilities_InsertDataCapability,
-        _O.HistoryServerCapabilities_ReplaceDataCapability,
-        _O.HistoryServerCapabilities_UpdateDataCapability,
-        _O.HistoryServerCapabilities_DeleteRawCapability,
-        _O.HistoryServerCapabilities_DeleteAtTimeCapability,
-        _O.HistoryServerCapabilities_InsertEventCapability,
-        _O.HistoryServerCapabilities_ReplaceEventCapability,
-        _O.HistoryServerCapabilities_UpdateEventCapability,
-        _O.HistoryServerCapabilities_DeleteEventCapability,
-        _O.HistoryServerCapabilities_InsertAnnotationCapability,
-    ),
-    False,
-) | {
-    _O.HistoryServerCapabilities_AccessHistoryDataCapability: True,
-    _O.HistoryServerCapabilities_ServerTimestampSupported: True,
+_HISTORY = {  # what a history might be able to do, and whether ours is
+    node: name.endswith(("AccessHistoryDataCapability", "ServerTimestampSupported"))
+    for name, node in vars(_O).items()
+    if name.startswith("HistoryServerCapabilities_") and name.endswith(("Capability", "Supported"))
 }
 
 

@@ -13,7 +13,7 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
 from gateway.views.opcua.address_space.values import Value, notify
-from gateway.views.opcua.types.build import READ, VALUE, Builder
+from gateway.views.opcua.types.build import VALUE, Builder
 
 _O = ua.ObjectIds
 _A = ua.AttributeIds
@@ -63,14 +63,9 @@ class ConditionObject:
                 self._declarations(reference.NodeId, node, f"{path}/{browse_name.Name}", f"{name}/", event)
 
     def _variable(self, parent: ua.NodeId, path: str, reference: Any, browse_name: ua.QualifiedName) -> ua.NodeId:
-        declared = self._space[reference.NodeId]
-        attributes = ua.VariableAttributes()
-        attributes.DataType = declared.attributes[_A.DataType].value.Value.Value
-        attributes.ValueRank = declared.attributes[_A.ValueRank].value.Value.Value
-        attributes.AccessLevel = attributes.UserAccessLevel = READ
-        attributes.Value = ua.Variant(None, ua.VariantType.Null)
-        attributes.DisplayName = attributes.Description = ua.LocalizedText(browse_name.Name)
-        attributes.WriteMask = attributes.UserWriteMask = 0
+        declared, name = self._space[reference.NodeId], ua.LocalizedText(browse_name.Name)
+        copied = {a.name: declared.attributes[a].value.Value.Value for a in (_A.DataType, _A.ValueRank)}
+        attributes = ua.VariableAttributes(DisplayName=name, Description=name, **copied)  # to be read, by default
         kind = next(r.NodeId for r in declared.references if _is(r, _O.HasTypeDefinition))
         reference_type = reference.ReferenceTypeId.Identifier
         return self._builder.add(

@@ -37,8 +37,8 @@ class Conditions:
         self._revision = -1
         self._sent: dict[str, Alarm] = {}  # those that are retained
         self._known: dict[str, tuple[ConditionNode, Alarm]] = {}  # with what was said last, also of those that are over
-        self._last_event = self._newest(feed.events())
-        self._last_command = self._newest(feed.commands())
+        self._last_event: Any = (None, *feed.events())[-1]
+        self._last_command: Any = (None, *feed.commands())[-1]
 
     async def update(self) -> None:
         """Send what has changed since the last call."""
@@ -97,10 +97,6 @@ class Conditions:
             emitted = copy.copy(event)
             emitted.emitting_node = emitter
             await self._server.subscription_service.trigger_event(emitted)
-
-    @staticmethod
-    def _newest(retained: tuple[Any, ...]) -> Any:
-        return retained[-1] if retained else None
 
     @staticmethod
     def _after(retained: tuple[Any, ...], last: Any) -> tuple[Any, ...]:

@@ -20,7 +20,7 @@ from asyncua.server.address_space import AddressSpace
 from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.server.monitored_item_service import MonitoredItemData, MonitoredItemService
 
-from gateway.views.opcua.address_space.timestamps import stamped
+from gateway.views.opcua.address_space.values import stamped
 
 VALUE = ua.AttributeIds.Value
 MAX_INTERVAL_MS = 3_600_000.0

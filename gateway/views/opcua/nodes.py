@@ -9,24 +9,21 @@ Rule 3: a status is judged at the moment of reading or sending, never stored.  A
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from asyncua import ua
 
-from gateway.views.bins import TopicBins
-from gateway.views.decimate import Bin
+from gateway.views.decimate import Bin, TopicBins
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space import quality
-from gateway.views.opcua.address_space.clock import StampClock
-from gateway.views.opcua.address_space.extras import EXTRAS, extra, extra_value
+from gateway.views.opcua.address_space.extras import EXTRAS, Extra, extra_value
 from gateway.views.opcua.address_space.history import RingHistory, Track
 from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Leaf, leaves
-from gateway.views.opcua.address_space.nameplate import nameplate
-from gateway.views.opcua.address_space.ranges import instrument_ranges, ranges
-from gateway.views.opcua.address_space.values import Value, data_value, datetime_of, notify
+from gateway.views.opcua.address_space.parameters import instrument_ranges, nameplate, ranges
+from gateway.views.opcua.address_space.values import StampClock, Value, data_value, datetime_of, notify
 from gateway.views.opcua.sessions import GuardedServer
 from gateway.views.opcua.types.build import Builder
 from gateway.views.opcua.types.layout import MACHINES, RIG_TYPE, SETPOINTS, Layout
@@ -34,16 +31,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
 VALUE = ua.AttributeIds.Value
-_TAPPED = {"state": pb.State, "twin/state": pb.TwinState, "twin/divergence": pb.Divergence}
 _V = ua.VariantType
-
-
-@dataclass(slots=True)
-class _Node:
-    """A leaf in the address space."""
-
-    leaf: Leaf
-    attribute: Any  # asyncua's AttributeValue: its datachange_callbacks are the subscribers
 
 
 class BoardNodes:
@@ -75,14 +63,15 @@ class BoardNodes:
         self._server, self._builder = server, builder
         self._clock = StampClock()
         self._taps: dict[str, TopicBins] = {
-            topic: feed.tap(message, width_s=1.0 / rate_hz) for topic, message in _TAPPED.items()
+            topic: feed.tap(topics.TOPIC_OF_NAME[topic].message, width_s=1.0 / rate_hz) for topic in TICK_TOPICS
         }
         self._bins: dict[str, Bin] = {}
         self._outlived: set[str] = set()  # topics whose bin is from before an outage
         self._stamps_ns: dict[str, int] = {}
         self._sent: dict[str, tuple[object, int]] = {}  # sent last: message, status; the id of a message may come again
-        self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
-        self._extras: dict[str, Any] = {}  # by path: its attribute
+        # The attribute of each variable is asyncua's AttributeValue: its datachange_callbacks are the subscribers.
+        self._nodes: dict[str, list[tuple[Leaf, Any]]] = {topic: [] for topic in TOPICS}
+        self._extras: list[tuple[Extra, Any]] = []
         self._sent_extras: dict[str, object] = {}  # by path: value sent last, and to whom
         self._tracks: dict[str, Track] = {}
         self._parameters: pb.Parameters | None = None  # those whose ranges and nameplate are shown
@@ -102,32 +91,29 @@ class BoardNodes:
             for leaf in topic_leaves:
                 if leaf.statistic is not None:
                     history.add(self._id(leaf.path), track, columns.index(leaf))
-                self._nodes[topic].append(_Node(leaf, self._serve(self._id(leaf.path), self._reader(leaf))))
+                self._nodes[topic].append((leaf, self._serve(leaf.path, partial(self._value, leaf))))
                 if topic in TICK_TOPICS and leaf.statistic in (None, "last"):
                     self._server.subscription_service.periodic.add(self._id(leaf.path))
-        for path, variant, _, _ in EXTRAS:
-            self._extras[path] = self._serve(self._id(path), self._extra_reader(path, variant))
+        self._extras = [(extra, self._serve(extra.path, partial(extra_value, self.feed, extra))) for extra in EXTRAS]
         for path, field, _ in SETPOINTS:
             leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
-            self._nodes["state"].append(_Node(leaf, self._serve(self._id(path), self._reader(leaf))))
+            self._nodes["state"].append((leaf, self._serve(path, partial(self._value, leaf))))
             self._server.subscription_service.periodic.add(self._id(path))
 
     def _id(self, path: str) -> ua.NodeId:
         return self._builder.id(f"{self.name}/{path}")
 
-    def _serve(self, node: ua.NodeId, read: Callable[[], Value]) -> Any:
-        self._server.set_attribute_value_callback(node, lambda _node, _attribute: read())
-        return self._server.aspace[node].attributes[VALUE]
+    def _serve(self, path: str, read: Callable[[], Value]) -> Any:
+        self._server.set_attribute_value_callback(self._id(path), lambda _node, _attribute: read())
+        return self._server.aspace[self._id(path)].attributes[VALUE]
 
     # -- reading
 
-    def _reader(self, leaf: Leaf) -> Callable[[], Value]:
-        if leaf.statistic is not None:
-            return lambda: self._value_of_bin(leaf, self._bins.get(leaf.topic), self._status(leaf.topic))
-        return lambda: self._value_of_message(leaf, self._status(leaf.topic))
-
-    def _extra_reader(self, path: str, variant: ua.VariantType) -> Callable[[], Value]:
-        return lambda: extra_value(self.feed, path, variant, time.time_ns())
+    def _value(self, leaf: Leaf, status: int | None = None) -> Value:
+        """Return the value of a leaf with the status of its topic, which is the present one by default."""
+        status = self._status(leaf.topic) if status is None else status
+        read = self._value_of_message if leaf.statistic is None else self._value_of_bin
+        return read(leaf, self._bins.get(leaf.topic), status)
 
     def _status(self, topic: str) -> int:
         """Return the present status of all values of a topic."""
@@ -154,29 +140,25 @@ class BoardNodes:
     def _value_of_bin(self, leaf: Leaf, bin_: Bin | None, status: int) -> Value:
         if bin_ is None:
             return data_value(None, leaf.variant, quality.WAITING if not quality.is_bad(status) else status, 0)
-        value = {"low": bin_.low, "high": bin_.high}.get(leaf.statistic or "", bin_.last)[leaf.field]
-        return data_value(value, leaf.variant, self._status_of(leaf, bin_, status), self._stamps_ns[leaf.topic])
+        return data_value(
+            _number(leaf, bin_), leaf.variant, self._status_of(leaf, bin_, status), self._stamps_ns[leaf.topic]
+        )
 
     def _status_of(self, leaf: Leaf, bin_: Bin, status: int) -> int:
         if isinstance(bin_.message, pb.State):
-            status = quality.of_signal(status, leaf, bin_.message.flags, sensor_fault=self._sensor_fault())
+            status = quality.of_signal(status, leaf, bin_.message.flags, fault=self.feed.fault())
         return quality.of_extreme(status, leaf.statistic, bin_.lost)
 
-    def _sensor_fault(self) -> bool:
-        return self.feed.fault() == "sensor-fault"
-
-    def _value_of_message(self, leaf: Leaf, status: int) -> Value:
-        bin_ = self._bins.get(leaf.topic)  # of the values beside it, not a newer one: they belong together
+    def _value_of_message(self, leaf: Leaf, bin_: Bin | None, status: int) -> Value:
+        # The message of the numbers that were shown with it, not a newer one.
         message: Any = self.feed.latest(leaf.message) if bin_ is None else bin_.message
         if message is None:
             return data_value(None, leaf.variant, quality.WAITING, 0)
-        value: Any = message
-        for name in leaf.field.split("."):
-            value = getattr(value, name)
+        value: Any = attrgetter(leaf.field)(message)
         if leaf.is_array:
             value = [f"{k}={v}" for k, v in value.items()] if leaf.variant is _V.String else list(value)
         if leaf.topic == "state":
-            status = quality.of_signal(status, leaf, message.flags, sensor_fault=self._sensor_fault())
+            status = quality.of_signal(status, leaf, message.flags, fault=self.feed.fault())
             value = None if _is_absent(message, leaf.field) else value
         stamp_ns = getattr(message, "host_time_ns", 0) if bin_ is None else self._stamps_ns[leaf.topic]
         return data_value(value, leaf.variant, status, stamp_ns)
@@ -206,7 +188,9 @@ class BoardNodes:
             before = self._sent.get(topic)
             if before is None or before[0] is not message or before[1] != status:
                 self._sent[topic] = (message, status)
-                await self._send_messages(topic, status)
+                for leaf, attribute in self._nodes[topic]:
+                    if attribute.datachange_callbacks:
+                        await notify(attribute, self._value(leaf, status))
         await self._update_extras()
 
     async def _interval(self, topic: str, bin_: Bin, status: int, *, again: bool = False) -> None:
@@ -214,39 +198,29 @@ class BoardNodes:
         if not again:
             self._stamps_ns[topic] = self._stamp(topic, bin_)
         values, codes = list[float](), list[int]()
-        for node in self._nodes[topic]:
-            leaf = node.leaf
+        for leaf, attribute in self._nodes[topic]:
             if leaf.statistic is not None and len(values) < self._tracks[topic].columns:
-                source = {"low": bin_.low, "high": bin_.high}.get(leaf.statistic, bin_.last)
-                value = source[leaf.field]
-                values.append(value)
+                values.append(value := _number(leaf, bin_))
                 code = self._status_of(leaf, bin_, status)
                 codes.append(quality.UNAVAILABLE if value != value and not quality.is_bad(code) else code)
-            if node.attribute.datachange_callbacks:
-                if leaf.statistic is not None:
-                    await notify(node.attribute, self._value_of_bin(leaf, bin_, status))
-                else:
-                    await notify(node.attribute, self._value_of_message(leaf, status))
+            if attribute.datachange_callbacks:
+                await notify(attribute, self._value(leaf, status))
         stamp_ns = self._stamps_ns[topic] + (1000 if again else 0)
         self._tracks[topic].append(stamp_ns, values, codes)
 
     def _stamp(self, topic: str, bin_: Bin) -> int:
+        last = bin_.message
         if topic == "state":
-            return self._clock.stamp(session=bin_.session, t_s=bin_.t_s, host_time_ns=bin_.host_time_ns)
-        return max(self._clock.time_ns(bin_.t_s), self._stamps_ns.get(topic, 0) + 1000)
-
-    async def _send_messages(self, topic: str, status: int) -> None:
-        for node in self._nodes[topic]:
-            if node.attribute.datachange_callbacks:
-                await notify(node.attribute, self._value_of_message(node.leaf, status))
+            return self._clock.stamp(session=last.session, t_s=last.t_s, host_time_ns=last.host_time_ns)
+        return max(self._clock.time_ns(last.t_s), self._stamps_ns.get(topic, 0) + 1000)
 
     async def _update_extras(self) -> None:
-        for path, attribute in self._extras.items():
+        for extra, attribute in self._extras:
             if attribute.datachange_callbacks:
                 # A new subscriber may have begun with a value that came and went since the last call.
-                value = extra(self.feed, path), tuple(attribute.datachange_callbacks)
-                if self._sent_extras.get(path) != value:
-                    self._sent_extras[path] = value
+                value = extra.read(self.feed), tuple(attribute.datachange_callbacks)
+                if self._sent_extras.get(extra.path) != value:
+                    self._sent_extras[extra.path] = value
                     await notify(attribute, attribute.value_callback(None, VALUE))
 
     async def _update_parameters(self) -> None:
@@ -268,6 +242,12 @@ class BoardNodes:
         if attribute.value.Value != value.Value:
             attribute.value = value
             await notify(attribute, value)
+
+
+def _number(leaf: Leaf, bin_: Bin) -> float:
+    """Return the lowest, highest or last value of a bin."""
+    numbers: dict[str, float] = getattr(bin_, leaf.statistic or "last")
+    return numbers[leaf.field]
 
 
 def _is_absent(message: Any, field: str) -> bool:

@@ -9,12 +9,12 @@ Rule 4: every refusal has a status code and, as output of the method and under l
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from asyncua import ua
 
 from gateway.access.roles import Role, may, refusal_text
+from gateway.access.users import User
 from gateway.views.dispatch import Dispatch, Wish
 from gateway.views.feed import Feed
 from gateway.views.opcua.address_space.model import Method
@@ -50,15 +50,7 @@ _CODES: dict[str, int] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Visitor:
-    """User of a session."""
-
-    name: str
-    role: Role
-
-
-NOBODY = Visitor(name="anonymous", role=Role.VIEWER)
+NOBODY = User(name="anonymous", role=Role.VIEWER)
 
 
 def code_of(reply: pb.CommandReply) -> int:
@@ -75,17 +67,18 @@ class Operations:
         self._feed = feed
         self._dispatch = Dispatch("opcua", feed.stopped_s)
 
-    async def command(self, visitor: Visitor, board: str, act: str, command: pb.Command) -> pb.CommandReply:
+    async def command(self, visitor: User, board: str, act: str, command: pb.Command) -> pb.CommandReply:
         """Carry out a command and return its reply.
 
         A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
         STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
         """
-        if (visitor.name, visitor.role) == (NOBODY.name, NOBODY.role):
+        text = ""
+        if visitor == NOBODY:
             text = "Without a login values can only be read: log in, or give clients a role with --anonymous."
-            return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
-        if not self._feed.guarded and not may(visitor.role, act):
+        elif not self._feed.guarded and not may(visitor.role, act):
             text = refusal_text(visitor.name, visitor.role, act)
+        if text:
             return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
         wish = Wish(board=board)
 

@@ -20,12 +20,11 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.x509.oid import NameOID
 
-from gateway.access.certificates import WARN_DAYS, check_certificate
+from gateway.access.certificates import WARN_DAYS, check_certificate, days_left
 from gateway.access.folder import OPCUA_URI, SecurityFolder
 from gateway.access.logins import Logins, TooMany
 from gateway.access.private import read_private
 from gateway.access.users import User, Users
-from gateway.views.opcua.operations import Visitor
 from protocol.errors import ConfigError
 
 S = ua.StatusCodes
@@ -47,11 +46,11 @@ class Security:
     def __init__(self, path: Path, *, clock: Callable[[], float] = time.monotonic) -> None:
         folder = SecurityFolder(path)
         certificate, key = folder.server("opcua")
-        days = check_certificate(certificate, what="The certificate of OPC UA")
+        loaded = check_certificate(certificate, what="The certificate of OPC UA")
+        days = days_left(loaded, datetime.now(UTC))
         if days < WARN_DAYS:
             _logger.warning("%s expires in %.0f days: `board51 security renew`", certificate, days)
         self.key_pem = read_private(key, what="The key of OPC UA")
-        loaded = _load(certificate)
         try:
             public_key = serialization.load_pem_private_key(self.key_pem, password=None).public_key()
         except (ValueError, TypeError):
@@ -59,13 +58,12 @@ class Security:
         if public_key != loaded.public_key():
             raise ConfigError(f"{key} is not the key of {certificate}", remedy=_RENEW)
         self.certificate_der = loaded.public_bytes(serialization.Encoding.DER)
-        check_certificate(folder.ca, what="The authority's certificate")
-        self._authority = _load(folder.ca)
-        self._users = Users.load(folder.users)
+        self._authority = check_certificate(folder.ca, what="The authority's certificate")
+        self._users = Users(folder.users)
         self._logins = Logins(self._users, clock=clock)
         self._trusted = path / "opcua" / "trusted"
 
-    def identify(self, name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:
+    def identify(self, name: str | None, password: str | None, certificate: bytes | None, host: str) -> User | None:
         """Return the user; None for a wrong password, an unknown certificate or an unknown name.
 
         Raises:
@@ -78,7 +76,7 @@ class Security:
         )
         if isinstance(user, TooMany):
             raise ServiceError(S.BadTooManyOperations)
-        return None if user is None else Visitor(name=user.name, role=user.role)
+        return user
 
     async def check_client(self, certificate: x509.Certificate, application: ua.ApplicationDescription) -> None:
         """The certificate of a client application; raises ServiceError where it is not to be let in."""
@@ -124,12 +122,3 @@ class Security:
                 continue
             prints.add(trusted.fingerprint(_HASH))
         return prints
-
-
-def _load(path: Path) -> x509.Certificate:
-    try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"{path} is not a certificate: {error}", remedy="Make it with `board51 security init`"
-        ) from None

@@ -14,19 +14,23 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 from asyncua import Server, ua
+from asyncua.server import binary_server_asyncio
+from asyncua.server.uaprocessor import UaProcessor
+from asyncua.ua.ua_binary import nodeid_from_binary
 
 from gateway.access.roles import Role
+from gateway.access.users import User
 from gateway.views.feed import Feed
-from gateway.views.opcua import processor
-from gateway.views.opcua.address_space.history import Historian, RingHistory
+from gateway.views.opcua.address_space.history import RingHistory
 from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
 from gateway.views.opcua.nodes import BoardNodes
-from gateway.views.opcua.operations import Operations, Visitor
+from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.security import Security
-from gateway.views.opcua.sessions import GuardedServer, Reception
+from gateway.views.opcua.sessions import GuardedServer
 from gateway.views.opcua.types.build import Builder
 from gateway.views.opcua.types.nodeset import register
 from protocol.errors import ServiceError
@@ -39,6 +43,11 @@ POLICIES = (
     ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
 )
 _OPEN = (ua.SecurityPolicyType.NoSecurity,)
+MAX_ACTS = 64  # of one connection at once; further requests wait for one of them
+_ACTS = (
+    ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary),
+    ua.NodeId(ua.ObjectIds.WriteRequest_Encoding_DefaultBinary),
+)
 LOOK_S = 1.0  # for new boards, deaf clients
 _logger = logging.getLogger("gateway.opcua")
 
@@ -69,20 +78,20 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     """
     _check_free(settings)
     security = settings.security
-    anonymous = Visitor(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
+    anonymous = User(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
 
-    def identify(name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:
+    def identify(name: str | None, password: str | None, certificate: bytes | None, host: str) -> User | None:
         if name is None and certificate is None:
             return anonymous
         return security.identify(name, password, certificate, host) if security is not None else None
 
-    inner = GuardedServer(Reception(identify), Operations(feed), secured=security is not None)
-    processor.install()
+    inner = GuardedServer(identify, Operations(feed), secured=security is not None)
+    binary_server_asyncio.UaProcessor = PromptProcessor  # asyncua offers no other way to choose the class
     server = Server(iserver=inner)
     await server.init()
     server.set_endpoint(f"opc.tcp://{settings.host}:{settings.port}/board51/")
     server.set_server_name(f"Board51 {feed.site}")
-    await server.set_build_info("urn:board51:gateway", "Board51", "Board51 OPC UA", "0.1", "0", _build_date())
+    await server.set_build_info("urn:board51:gateway", "Board51", "Board51 OPC UA", "0.1", "0", datetime.now(UTC))
     tokens: list[type] = [ua.AnonymousIdentityToken] if anonymous is not None else []
     if security is not None:
         await server.set_application_uri(security.application_uri)
@@ -98,8 +107,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     await describe(server, POLICIES if security is not None else _OPEN, tokens, 1000.0 / settings.rate_hz)
     inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
     inner.spaces = await register(server)
-    history = RingHistory()
-    inner.history_manager = Historian(inner, history)
+    history = inner.history_manager = RingHistory(inner)
     try:
         await server.start()
     except OSError as error:
@@ -174,5 +182,30 @@ def _listen_error(settings: OpcuaSettings, error: OSError) -> ServiceError:
     )
 
 
-def _build_date() -> datetime:
-    return datetime.now(UTC)
+class PromptProcessor(UaProcessor):  # type: ignore[misc]  # asyncua's class is untyped
+    """Handles each call and write in a task of its own, which ends with the connection: it delays no other request.
+
+    asyncua handles the requests of a connection one after the other.  A write to a board that does not answer takes
+    seconds, and a STOP behind it would wait as long.  A SCADA system has one connection for all of its rigs.
+    """
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._acts: set[asyncio.Task[Any]] = set()
+
+    async def process_message(self, seqhdr: Any, body: Any) -> Any:
+        """Handle one request; returns whether the connection stays."""
+        if self.session is None or nodeid_from_binary(body.copy()) not in _ACTS:
+            return await super().process_message(seqhdr, body)
+        if len(self._acts) >= MAX_ACTS:
+            await asyncio.wait(self._acts, return_when=asyncio.FIRST_COMPLETED)
+        task = asyncio.create_task(super().process_message(seqhdr, body))
+        self._acts.add(task)
+        task.add_done_callback(self._acts.discard)
+        return True
+
+    async def close(self) -> None:
+        """Give up what has not begun: its client has left."""
+        for task in self._acts:
+            task.cancel()
+        await super().close()

@@ -10,25 +10,27 @@ Rule 4: every client gets a bounded service: sessions, logins, queues, bytes tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
-from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.crypto.permission_rules import User as Account
+from asyncua.crypto.permission_rules import UserRole
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
 from gateway.access.roles import may
-from gateway.views.opcua.address_space import timestamps
+from gateway.access.users import User
 from gateway.views.opcua.address_space.model import methods
+from gateway.views.opcua.address_space.values import check_timestamps, stamped
 from gateway.views.opcua.condition_events import ConditionNode
-from gateway.views.opcua.operations import NOBODY, SETPOINTS, Operations, Visitor, called, code_of, is_of, written
+from gateway.views.opcua.operations import NOBODY, SETPOINTS, Operations, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from gateway.views.opcua.types.build import Namespaces
-from gateway.views.opcua.types.layout import RIG_TYPE
+from gateway.views.opcua.types.layout import OUTPUTS, RIG_TYPE
 from protocol.bus import board51_pb2 as pb
 
 S = ua.StatusCodes
@@ -37,7 +39,7 @@ MAX_CONNECTIONS = 64
 MAX_QUEUE = 1_000  # values that wait for one item
 MAX_UNREAD_BYTES = 8_000_000  # of one client that does not read
 LONGEST_COMMENT = 200  # characters that the gateway takes; the rest of a longer one is cut
-_NOBODY = User(role=UserRole.Anonymous)  # until the session is activated
+_NOBODY = Account(role=UserRole.Anonymous)  # until the session is activated
 _METHODS = {method.name: method for method in methods()}
 _V = ua.VariantType
 # Methods of Part 9 by node id, and the types of their arguments.
@@ -55,46 +57,28 @@ _OF_CONDITIONS: dict[ua.NodeId, tuple[str, tuple[ua.VariantType, ...]]] = {
 
 
 @dataclass
-class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
+class Guest(Account):  # type: ignore[misc]  # asyncua's class is untyped
     """A user of asyncua that holds a user of this product."""
 
-    visitor: Visitor | None = None
+    visitor: User | None = None
 
 
-Identify = Callable[[str | None, str | None, bytes | None, str], Visitor | None]
-
-
-class Reception:
-    """asyncua's user manager over `identify`: (name, password, certificate, host) -> who it is."""
-
-    def __init__(self, identify: Identify) -> None:
-        self._identify = identify
-        self.host = ""  # of the session that is being activated; asyncua's call does not say
-
-    def get_user(
-        self,
-        iserver: InternalServer,
-        username: str | None = None,
-        password: str | None = None,
-        certificate: bytes | None = None,
-    ) -> Guest | None:
-        """Return the guest; None means BadUserAccessDenied."""
-        visitor = self._identify(username, password, certificate, self.host)
-        return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
+Identify = Callable[[str | None, str | None, bytes | None, str], User | None]
 
 
 class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes are untyped
-    """asyncua's internal server with our sessions and limits.
+    """asyncua's internal server and user manager with our sessions and limits.
 
     Args:
-        reception: decides who may in.
+        identify: (name, password, certificate, host) -> who it is; None: nobody who may in.
         operations: carries out what they command.
         secured: whether sessions need an encrypted channel.
     """
 
-    def __init__(self, reception: Reception, operations: Operations, *, secured: bool) -> None:
-        super().__init__(user_manager=reception)
-        self.reception = reception
+    def __init__(self, identify: Identify, operations: Operations, *, secured: bool) -> None:
+        super().__init__(user_manager=self)
+        self._identify = identify
+        self.peer_host = ""  # of the session that is being activated; asyncua does not say it to a user manager
         self.operations, self.secured = operations, secured
         self.namespace = 0
         self.spaces = Namespaces(site=0, types=0, di=0, machinery=0)  # until they are registered
@@ -111,9 +95,20 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         self.max_session_timeout_ms = 120_000.0
         self.max_lifetime_count, self.max_keep_alive_count = 15_000, 1_000  # three times, as Part 4 asks
 
-    def create_session(self, name: str, user: User = _NOBODY, external: bool = False) -> InternalSession:
+    def create_session(self, name: str, user: Account = _NOBODY, external: bool = False) -> InternalSession:
         """Return a new GuardedSession."""
         return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
+
+    def get_user(
+        self,
+        iserver: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: bytes | None = None,
+    ) -> Guest | None:
+        """Return the guest; None means BadUserAccessDenied."""
+        visitor = self._identify(username, password, certificate, self.peer_host)
+        return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
         """Return None (rule 2)."""
@@ -129,6 +124,22 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         for transport in deaf:
             transport.abort()
         return len(deaf)
+
+
+def _own_subscriptions_only(
+    service: str, ids: Callable[[Any], list[int]] = lambda params: [params.SubscriptionId]
+) -> Callable[..., Any]:
+    """Return a service of asyncua that refuses the subscriptions of other sessions."""
+    inherited = getattr(InternalSession, service)
+
+    async def guarded(session: GuardedSession, params: Any) -> Any:
+        if hasattr(params, "TimestampsToReturn"):
+            check_timestamps(params.TimestampsToReturn)
+        if any(map(session.is_foreign, ids(params))):
+            raise ServiceError(S.BadSubscriptionIdInvalid)
+        return await inherited(session, params)
+
+    return guarded
 
 
 class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
@@ -156,30 +167,28 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
                 raise ServiceError(S.BadSecurityModeInsufficient)
             if not self._certificate.startswith(peer_certificate):  # a chain begins with it
                 raise ServiceError(S.BadCertificateInvalid)
-        self.iserver.reception.host = str((self.name or ("",))[0])  # named after its peer: (address, port)
+        self.iserver.peer_host = str((self.name or ("",))[0])  # named after its peer: (address, port)
         return super().activate_session(params, None)  # an X509 token brings its own, verified by then
 
     @property
-    def visitor(self) -> Visitor:
+    def visitor(self) -> User:
         """Return the user of the session."""
         visitor = self.user.visitor if isinstance(self.user, Guest) else None
         return visitor if visitor is not None else NOBODY
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """Read values, with the requested timestamps."""
-        timestamps.check(params.TimestampsToReturn)
+        check_timestamps(params.TimestampsToReturn)
         values = await super().read(params)
         now = datetime.now(UTC)
         return [
-            timestamps.stamped(
-                value, params.TimestampsToReturn, now, of_value=item.AttributeId == ua.AttributeIds.Value
-            )
+            stamped(value, params.TimestampsToReturn, now, of_value=item.AttributeId == ua.AttributeIds.Value)
             for item, value in zip(params.NodesToRead, values, strict=True)
         ]
 
     async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
         """Read histories, with the requested timestamps."""
-        timestamps.check(params.TimestampsToReturn, of_history=True)
+        check_timestamps(params.TimestampsToReturn, of_history=True)
         results: list[ua.HistoryReadResult] = await super().history_read(params)
         return results
 
@@ -203,53 +212,15 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         """Refuse: Browse returns everything at once, so there is never a rest."""
         raise ServiceError(S.BadNoContinuationPoints)
 
-    async def create_monitored_items(
-        self, params: ua.CreateMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemCreateResult]:
-        """Create items, in subscriptions of this session only."""
-        timestamps.check(params.TimestampsToReturn)
-        self._check_subscriptions([params.SubscriptionId])
-        results: list[Any] = await super().create_monitored_items(params)
-        return results
+    create_monitored_items = _own_subscriptions_only("create_monitored_items")
+    modify_monitored_items = _own_subscriptions_only("modify_monitored_items")
+    set_monitoring_mode = _own_subscriptions_only("set_monitoring_mode")
+    delete_monitored_items = _own_subscriptions_only("delete_monitored_items")
+    set_publishing_mode = _own_subscriptions_only("set_publishing_mode", lambda params: params.SubscriptionIds)
+    delete_subscriptions = _own_subscriptions_only("delete_subscriptions", lambda ids: ids)
 
-    async def modify_monitored_items(
-        self, params: ua.ModifyMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemModifyResult]:
-        """Modify items, in subscriptions of this session only."""
-        timestamps.check(params.TimestampsToReturn)
-        self._check_subscriptions([params.SubscriptionId])
-        results: list[Any] = await super().modify_monitored_items(params)
-        return results
-
-    async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
-        """Set the mode of items, in subscriptions of this session only."""
-        self._check_subscriptions([params.SubscriptionId])
-        results: list[Any] = await super().set_monitoring_mode(params)
-        return results
-
-    async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
-        """Delete items, in subscriptions of this session only."""
-        self._check_subscriptions([params.SubscriptionId])
-        results: list[Any] = await super().delete_monitored_items(params)
-        return results
-
-    async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
-        """Set the publishing mode, of subscriptions of this session only."""
-        self._check_subscriptions(params.SubscriptionIds)
-        results: list[Any] = await super().set_publishing_mode(params)
-        return results
-
-    async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
-        """Delete subscriptions of this session only."""
-        self._check_subscriptions(ids)
-        results: list[Any] = await super().delete_subscriptions(ids)
-        return results
-
-    def _check_subscriptions(self, ids: Iterable[int]) -> None:
-        if any(self._is_foreign(number) for number in ids):
-            raise ServiceError(S.BadSubscriptionIdInvalid)
-
-    def _is_foreign(self, number: int) -> bool:
+    def is_foreign(self, number: int) -> bool:
+        """Return whether a subscription belongs to another session."""
         subscription = self.subscription_service.subscriptions.get(number)
         return subscription is not None and subscription.session_id != self.session_id
 
@@ -283,28 +254,19 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         return code_of(await self.iserver.operations.command(self.visitor, board, *command))
 
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
-        result = ua.CallMethodResult()
         inputs = request.InputArguments or []
         if request.MethodId in _OF_CONDITIONS:
-            code, codes = await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs)
-            result.StatusCode = ua.StatusCode(code)
-            result.InputArgumentResults = [ua.StatusCode(code) for code in codes]
-            return result
+            return _result(*await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs))
         board, name = self._method(request.ObjectId, request.MethodId)
-        if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
-            result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
-        elif name in _METHODS:
-            command = called(_METHODS[name], inputs)
-            if isinstance(command, pb.Command):
-                reply = await self.iserver.operations.command(self.visitor, board, _METHODS[name].act, command)
-                result.StatusCode = ua.StatusCode(code_of(reply))
-                result.OutputArguments = _outputs(reply)
-            else:
-                result.StatusCode = ua.StatusCode(command[0])
-                result.InputArgumentResults = [ua.StatusCode(code) for code in command[1]]
-        else:
-            result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
-        return result
+        is_ours = request.MethodId in self.aspace and request.ObjectId == ua.NodeId(board, self.iserver.namespace)
+        if not is_ours or name not in _METHODS:
+            return _result(S.BadMethodInvalid)
+        command = called(_METHODS[name], inputs)
+        if not isinstance(command, pb.Command):
+            return _result(*command)
+        reply = await self.iserver.operations.command(self.visitor, board, _METHODS[name].act, command)
+        outputs = [ua.Variant(getattr(reply, output.name), output.variant) for output in OUTPUTS]
+        return _result(code_of(reply), outputs=outputs)
 
     async def _call_of_condition(
         self, node: ua.NodeId, name: str, types: tuple[ua.VariantType, ...], inputs: list[ua.Variant]
@@ -320,7 +282,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             return int(S.BadInvalidArgument), [int(S.Good if fits else S.BadTypeMismatch) for fits in fit]
         values = [supplied.Value for supplied in inputs]
         if name == "refresh":
-            if self._is_foreign(values[0]):
+            if self.is_foreign(values[0]):
                 return int(S.BadSubscriptionIdInvalid), []
             return await self.iserver.subscription_service.refresh(*values), []
         condition = self.iserver.conditions.get(node)
@@ -360,10 +322,10 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         return code_of(await self.iserver.operations.command(self.visitor, condition.board, "mark", remark))
 
 
-def _outputs(reply: pb.CommandReply) -> list[ua.Variant]:
-    return [
-        ua.Variant(reply.accepted, _V.Boolean),
-        ua.Variant(reply.reason, _V.String),
-        ua.Variant(reply.text, _V.String),
-        ua.Variant(reply.tick, _V.UInt64),
-    ]
+def _result(code: int, codes: Sequence[int] = (), outputs: Sequence[ua.Variant] = ()) -> ua.CallMethodResult:
+    """Return the status code of a call, with a code for each argument or with the outputs."""
+    return ua.CallMethodResult(
+        StatusCode=ua.StatusCode(code),
+        InputArgumentResults=[ua.StatusCode(code) for code in codes],
+        OutputArguments=list(outputs),
+    )

@@ -39,7 +39,7 @@ def clock() -> Clock:
 def logins(tmp_path: Path, clock: Clock) -> Logins:
     file = tmp_path / "users.toml"
     set_user(file, ANA, RIGHT)
-    return Logins(Users.load(file), clock=clock, sleep=clock.sleep)
+    return Logins(Users(file), clock=clock, sleep=clock.sleep)
 
 
 def test_the_right_password_waits_its_turn_behind_a_flood_from_its_own_address(logins: Logins, clock: Clock) -> None:

@@ -61,7 +61,7 @@ def test_everything_secret_is_its_owners_alone(keys: SecurityFolder) -> None:
 
 
 def test_people_have_login_and_identity_with_the_same_role(keys: SecurityFolder) -> None:
-    users = Users.load(keys.users)
+    users = Users(keys.users)
 
     for name, role in PEOPLE.items():
         assert users.check(name, PASSWORD) == User(name=name, role=role)
@@ -303,7 +303,7 @@ def test_init_makes_people_and_prints_each_password_once(tmp_path: Path, capsys:
 
     assert code == 0
     (line,) = [line for line in out.splitlines() if line.startswith("eva")]
-    assert Users.load(folder / "users.toml").check("eva", line.split()[-1]) == User(name="eva", role=Role.OPERATOR)
+    assert Users(folder / "users.toml").check("eva", line.split()[-1]) == User(name="eva", role=Role.OPERATOR)
     addresses = x509.load_pem_x509_certificate((folder / "bus/router.pem").read_bytes()).extensions
     names = addresses.get_extension_for_class(x509.SubjectAlternativeName).value
     assert "10.0.0.5" in [str(address) for address in names.get_values_for_type(x509.IPAddress)]

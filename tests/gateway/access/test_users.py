@@ -34,7 +34,7 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_the_right_password_gives_name_and_role(path: Path) -> None:
-    users = Users.load(path)
+    users = Users(path)
 
     assert users.check("ana", "correct horse") == ANA
     assert users.check("ana", "battery staple") is None
@@ -55,7 +55,7 @@ def test_equal_passwords_have_unequal_lines() -> None:
 
 
 def test_a_wrong_name_costs_the_time_of_a_wrong_password(path: Path) -> None:
-    users = Users.load(path)
+    users = Users(path)
 
     def cpu_s(name: str) -> float:
         start_s = time.thread_time()
@@ -68,7 +68,7 @@ def test_a_wrong_name_costs_the_time_of_a_wrong_password(path: Path) -> None:
 
 
 def test_a_change_of_the_file_is_taken_over(path: Path) -> None:
-    users = Users.load(path)
+    users = Users(path)
 
     set_user(path, User(name="ana", role=Role.ENGINEER), "correct horse")
     assert users.find("ana") == User(name="ana", role=Role.ENGINEER)
@@ -78,7 +78,7 @@ def test_a_change_of_the_file_is_taken_over(path: Path) -> None:
 
 
 def test_a_change_that_breaks_the_file_leaves_the_users_as_they_were(path: Path) -> None:
-    users = Users.load(path)
+    users = Users(path)
 
     write(path, "[users.ana")
 
@@ -89,7 +89,7 @@ def test_a_file_open_to_others_is_refused(path: Path) -> None:
     path.chmod(0o644)
 
     with pytest.raises(ConfigError, match=r"open to others \(mode 0644\).*chmod 600"):
-        Users.load(path)
+        Users(path)
 
 
 @pytest.mark.parametrize(
@@ -114,14 +114,14 @@ def test_a_file_open_to_others_is_refused(path: Path) -> None:
 )
 def test_a_mistake_in_the_file_is_named_with_its_key(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as told:
-        Users.load(write(tmp_path / "users.toml", text))
+        Users(write(tmp_path / "users.toml", text))
 
     assert "scrypt" not in str(told.value)
 
 
 def test_an_absent_file_says_what_makes_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"No such file.*security init"):
-        Users.load(tmp_path / "users.toml")
+        Users(tmp_path / "users.toml")
 
 
 @pytest.mark.parametrize("password", ["short", "x" * 257])

@@ -153,6 +153,14 @@ def test_a_refusal_says_who_why_and_what_to_do(rig: Rig) -> None:
     assert refused.value.remedy
 
 
+def test_who_may_not_send_a_command_is_told_to_be_somebody_else() -> None:
+    reply = pb.CommandReply(refused_by="gateway", reason="not-allowed", text="ana (viewer) may not excite.")
+
+    error = CommandRefusedError(pb.Command(excite=pb.Excite()), reply)
+
+    assert "identity" in error.remedy
+
+
 def test_what_cannot_be_a_command_is_refused_before_it_is_sent(rig: Rig) -> None:
     for wrong in (
         lambda: rig.set_mode("fast"),

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import math
+import threading
 from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.views.decimate import Bin, Decimator
+from gateway.views.decimate import MAX_BINS, Bin, TopicBins
+from protocol.bus import board51_pb2 as pb
 
 
-def push(decimator: Decimator, tick: int, *values: float, session: int = 1, lost: int = 0) -> None:
-    decimator.push(values, session=session, tick=tick, t_s=tick * 2e-3, host_time_ns=tick * 2_000_000, lost=lost)
+def bins_of(width: int) -> TopicBins:
+    return TopicBins(pb.State, width, threading.Lock())
+
+
+def push(tap: TopicBins, tick: int, x_m: float, session: int = 1, lost: int = 0) -> None:
+    tap.push(pb.State(session=session, tick=tick, x_m=x_m, lost_before=lost))
 
 
 def test_a_spike_of_one_tick_is_in_the_bin_that_it_fell_into() -> None:
-    decimator = Decimator(["x_m"], 10)
+    tap = bins_of(10)
 
     for tick in range(30):
-        push(decimator, tick, 9.0 if tick == 13 else 1.0)
-    bins = decimator.take(unfinished=True)
+        push(tap, tick, 9.0 if tick == 13 else 1.0)
+    bins = tap.take(unfinished=True)
 
-    assert [(b.first_tick, b.last_tick) for b in bins] == [(0, 9), (10, 19), (20, 29)]
+    assert [b.message.tick for b in bins] == [9, 19, 29]
     assert [b.high["x_m"] for b in bins] == [1.0, 9.0, 1.0]
     assert [b.low["x_m"] for b in bins] == [1.0, 1.0, 1.0]
     assert bins[1].last["x_m"] == 1.0
-    assert bins[1].host_time_ns == 19 * 2_000_000
 
 
 @given(
@@ -38,41 +43,40 @@ def test_a_spike_of_one_tick_is_in_the_bin_that_it_fell_into() -> None:
 def test_no_value_is_lost_and_none_is_invented(
     values: list[float], gaps: list[int], width: int, takes: set[int]
 ) -> None:
-    decimator, bins, tick = Decimator(["v"], width), list[Bin](), 0
+    tap, bins, tick = bins_of(width), list[Bin](), 0
 
     for n, value in enumerate(values):
         tick += gaps[n]
-        push(decimator, tick, value)
+        push(tap, tick, value, lost=1)
         if n in takes:
-            bins += decimator.take(unfinished=n % 2 == 0)
-    bins += decimator.take(unfinished=True)
+            bins += tap.take(unfinished=n % 2 == 0)
+    bins += tap.take(unfinished=True)
 
     finite = [v for v in values if not math.isnan(v)]
-    extremes = [v for b in bins for v in (b.low["v"], b.high["v"]) if not math.isnan(v)]
-    assert sum(b.samples for b in bins) == len(values)
+    extremes = [v for b in bins for v in (b.low["x_m"], b.high["x_m"]) if not math.isnan(v)]
+    assert sum(b.lost for b in bins) == len(values)
     assert set(extremes) <= set(finite)
     assert (max(extremes, default=None), min(extremes, default=None)) == (
         max(finite, default=None),
         min(finite, default=None),
     )
-    assert all(a.last_tick < b.first_tick for a, b in pairwise(bins))
+    assert all(a.message.tick < b.message.tick for a, b in pairwise(bins))
 
 
 def test_a_session_ends_its_bin() -> None:
-    decimator = Decimator(["v"], 100)
+    tap = bins_of(100)
 
-    push(decimator, 40, 1.0, session=1)
-    push(decimator, 41, 2.0, session=2, lost=3)
-    bins = decimator.take(unfinished=True)
+    push(tap, 40, 1.0, session=1)
+    push(tap, 41, 2.0, session=2, lost=3)
+    bins = tap.take(unfinished=True)
 
-    assert [(b.session, b.high["v"], b.lost) for b in bins] == [(1, 1.0, 0), (2, 2.0, 3)]
+    assert [(b.message.session, b.high["x_m"], b.lost) for b in bins] == [(1, 1.0, 0), (2, 2.0, 3)]
 
 
-def test_an_unread_decimator_keeps_the_newest_bins_and_counts_the_rest() -> None:
-    decimator = Decimator(["v"], 1, keep=4)
+def test_of_bins_that_nobody_takes_the_newest_remain() -> None:
+    tap = bins_of(1)
 
-    for tick in range(10):
-        push(decimator, tick, float(tick))
+    for tick in range(MAX_BINS + 10):
+        push(tap, tick, float(tick))
 
-    assert [b.first_tick for b in decimator.take()] == [5, 6, 7, 8]
-    assert decimator.dropped == 5
+    assert [b.message.tick for b in tap.take()] == [*range(9, MAX_BINS + 9)]

@@ -11,9 +11,16 @@ from typing import Any
 
 import pytest
 
-from gateway.views.hmi.model.campaigns import board_of, campaigns_of, choose, find_campaign
-from gateway.views.hmi.model.journal import FILE, acts_of, write_act
-from gateway.views.hmi.model.models import keep, models_of
+from gateway.views.hmi.model.campaigns import (
+    ACTS,
+    acts_of,
+    board_of,
+    campaigns_of,
+    choose,
+    find_campaign,
+    write_act,
+)
+from gateway.views.hmi.model.models import keep, models_of, summary
 from gateway.views.hmi.model.numbers import in_numbers
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
@@ -77,7 +84,7 @@ def test_campaigns_belong_to_the_rig_that_their_folder_names(tmp_path: Path) -> 
 
 def test_who_did_what_is_kept_in_order_and_a_damaged_line_is_left_out(tmp_path: Path) -> None:
     write_act(tmp_path / "new", who="ana", what="began a campaign")
-    with (tmp_path / "new" / FILE).open("a") as stream:
+    with (tmp_path / "new" / ACTS).open("a") as stream:
         stream.write('{"at": 3}\nnot json\n')
     write_act(tmp_path / "new", who="ben", what="identified")
 
@@ -234,6 +241,10 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
     assert unclamped["reason"] == "person-needed"
     assert (finished["reason"], unnamed["reason"], forbidden.status_code) == ("no-campaign", "no-campaign", 403)
     assert unknown["reason"] == "no-model"
+
+
+def test_a_model_file_of_another_shape_has_an_empty_summary_and_costs_no_page() -> None:
+    assert summary({"parameters": [1], "causes": 3}) == ""
 
 
 def test_a_diagnosis_that_found_nothing_better_offers_no_model(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from jinja2 import Environment, nodes
 
 from gateway.views import hmi
 from gateway.views.hmi.texts import FILE, text_of
@@ -16,16 +17,16 @@ from gateway.views.hmi.texts import FILE, text_of
 HMI = Path(hmi.__file__).parent
 PYTHON = {path.name: ast.parse(path.read_text(encoding="utf-8")) for path in HMI.rglob("*.py")}
 HTML = [path.name for path in (HMI / "html").glob("*.py")]
+TEMPLATES = {path.name: Environment().parse(path.read_text(encoding="utf-8")) for path in (HMI / "html").glob("*.html")}
 SCRIPTS = {path.name: path.read_text(encoding="utf-8") for path in (HMI / "static").glob("*.js")}
 SECTIONS = tomllib.loads(FILE.read_text(encoding="utf-8"))
 TEXTS = {f"{section}.{name}": text for section, texts in SECTIONS.items() for name, text in texts.items()}
 MAX_WORDS = 25
-SEEN_ATTRIBUTES = {"aria_label", "title", "placeholder"}
+SEEN_ATTRIBUTES = "aria-label|title|placeholder"
+UNITS = {"mm"}  # the same in each language
 WORDS = re.compile(r"[A-Za-z]{2,} [A-Za-z]{2,}|^[A-Z][a-z]+(?![\w-])")  # two words, or one that begins a sentence
 NO_TEXTS = {  # what looks like words and is none: a command, HTML, names of modes, fonts, a key
-    "board51 diagnose CAMPAIGN --model MODEL --out ",
-    '<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v8l-7 7H8l-7-7V8z"/></svg>',
-    "<!doctype html>", "open loop", "closed loop",
+    "board51 diagnose CAMPAIGN --model MODEL --out %s/NAME", "the twin's model", "open loop", "closed loop",
     "12px system-ui", "px system-ui, sans-serif", "(prefers-color-scheme: dark)", "Escape",
 }  # fmt: skip
 
@@ -54,6 +55,13 @@ def literals(script: str) -> list[str]:
     return found
 
 
+def template_calls(template: nodes.Template, function: str) -> Iterator[tuple[str, list[nodes.Keyword] | None]]:
+    """Key and values of each call with a key that is written there."""
+    for call in template.find_all(nodes.Call):
+        if isinstance(call.node, nodes.Name) and call.node.name == function and isinstance(call.args[0], nodes.Const):
+            yield call.args[0].value, call.kwargs
+
+
 def script_uses() -> Iterator[tuple[str, str, str]]:
     """File, key and the values, as written, of each text in a script."""
     for name, script in SCRIPTS.items():
@@ -68,6 +76,10 @@ def test_each_text_is_used_and_each_that_is_used_exists() -> None:
         tables |= {name for call in calls(tree, "texts_of") for name in constants(call.args[0])}
         keys |= {key for call in calls(tree, "text_of") for key in constants(call.args[0])}
         keys |= {word for word in constants(tree) if word in TEXTS}  # in a table of keys
+    for template in TEMPLATES.values():
+        tables |= {name for name, _ in template_calls(template, "texts_of")}
+        keys |= {key for key, _ in template_calls(template, "text_of")}
+        keys |= {const.value for const in template.find_all(nodes.Const) if const.value in TEXTS}  # passed to a macro
 
     assert keys - set(TEXTS) == set()
     assert tables - set(SECTIONS) == set()
@@ -80,6 +92,9 @@ def test_each_text_gets_its_values() -> None:
             if isinstance(call.args[0], ast.Constant) and all(value.arg for value in call.keywords):
                 key = str(call.args[0].value)
                 assert {value.arg for value in call.keywords} == placeholders(TEXTS[key]), f"{file}: {key}"
+    for file, template in TEMPLATES.items():
+        for key, named in template_calls(template, "text_of"):
+            assert {value.key for value in named or ()} == placeholders(TEXTS[key]), f"{file}: {key}"
     for file, key, values in script_uses():
         if values.startswith("{") and "..." not in values:
             names = re.sub(r"\([^()]*\)", "", values.strip("{} "))
@@ -93,18 +108,32 @@ def test_each_text_gets_its_values() -> None:
 
 @pytest.mark.parametrize("name", HTML)
 def test_no_page_has_a_text_of_its_own(name: str) -> None:
-    hidden, content = [], []
-    for node in ast.walk(PYTHON[name]):
-        if isinstance(node, ast.Expr):  # documentation
-            hidden += constants(node) if isinstance(node.value, ast.Constant) else []
-        if isinstance(node, ast.Call):
-            hidden += constants(*(value for value in node.keywords if value.arg not in SEEN_ATTRIBUTES))
-    for call in calls(PYTHON[name], "tag"):
-        content += constants(*(child for child in call.args[1:] if isinstance(child, ast.Constant | ast.JoinedStr)))
-    words = set(constants(PYTHON[name])) - set(hidden) - NO_TEXTS
+    documentation = [node for node in ast.walk(PYTHON[name]) if isinstance(node, ast.Expr)]
+    words = set(constants(PYTHON[name])) - set(constants(*documentation)) - NO_TEXTS
 
     assert [word for word in words if WORDS.search(word)] == []
-    assert [word for word in content if re.search(r"[A-Za-z]", word)] == []
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_no_template_has_a_text_of_its_own(name: str) -> None:
+    template = TEMPLATES[name]
+    markup = "".join(
+        part.data if isinstance(part, nodes.TemplateData) else "{}"
+        for output in template.find_all(nodes.Output)
+        for part in output.nodes
+    )
+    content = re.findall(r"[A-Za-z]+", re.sub(r"<[^>]*>", " ", markup))
+    seen = re.findall(rf'\b(?:{SEEN_ATTRIBUTES})="([^"]*[A-Za-z][^"]*)"', markup)
+    passed = {
+        const.value
+        for call in template.find_all(nodes.Call)
+        for const in call.find_all(nodes.Const)
+        if isinstance(const.value, str)
+    }
+
+    assert set(content) <= UNITS
+    assert seen == []
+    assert [word for word in passed - NO_TEXTS - set(TEXTS) if WORDS.search(word)] == []
 
 
 @pytest.mark.parametrize("name", PYTHON)

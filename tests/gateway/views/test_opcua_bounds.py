@@ -16,7 +16,7 @@ from gateway.views.feed import Feed
 from gateway.views.opcua import sessions, subscriptions
 from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.server import OpcuaSettings
-from gateway.views.opcua.sessions import GuardedServer, Reception
+from gateway.views.opcua.sessions import GuardedServer
 from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.opcua_peers import Served, peer
 
@@ -71,7 +71,7 @@ def test_a_subscription_holds_so_many_items_and_no_more(server: Served, monkeypa
 
 def test_a_client_that_does_not_read_is_dropped_and_others_are_not() -> None:
     async def ask() -> tuple[int, list[bool]]:
-        inner = GuardedServer(Reception(lambda *_: None), Operations(Feed.__new__(Feed)), secured=False)
+        inner = GuardedServer(lambda *_: None, Operations(Feed.__new__(Feed)), secured=False)
         accepted: asyncio.Queue[asyncio.StreamWriter] = asyncio.Queue()
         listener = await asyncio.start_server(lambda _, writer: accepted.put_nowait(writer), "127.0.0.1", 0)
         port = listener.sockets[0].getsockname()[1]

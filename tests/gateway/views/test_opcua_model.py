@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
 import pytest
 from asyncua import ua
+from asyncua.server.internal_server import InternalServer
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.views.feed import Link
 from gateway.views.opcua.address_space import quality
-from gateway.views.opcua.address_space.clock import StampClock
 from gateway.views.opcua.address_space.history import RingHistory, Track
-from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods
-from gateway.views.opcua.address_space.units import unit_of
+from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods, unit_of
+from gateway.views.opcua.address_space.values import StampClock
 from gateway.views.opcua.operations import called, code_of, written
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -100,11 +99,11 @@ def test_a_twin_is_good_in_step_only() -> None:
 def test_a_signal_is_no_better_than_its_sensor() -> None:
     x, i_c = (next(leaf for leaf in leaves() if leaf.path == f"state/{name}") for name in ("x_m", "i_c_a"))
 
-    assert quality.of_signal(S.Good, x, 0, sensor_fault=True) == S.BadSensorFailure
-    assert quality.of_signal(S.Good, i_c, 0, sensor_fault=True) == S.Good
-    assert quality.of_signal(S.Good, x, Flag.POSITION_RANGE, sensor_fault=False) == S.UncertainSensorNotAccurate
-    assert quality.of_signal(S.Good, i_c, Flag.CURRENT_RANGE, sensor_fault=False) == S.UncertainSensorNotAccurate
-    assert quality.of_signal(S.BadNoCommunication, x, 0, sensor_fault=True) == S.BadNoCommunication
+    assert quality.of_signal(S.Good, x, 0, fault="sensor-fault") == S.BadSensorFailure
+    assert quality.of_signal(S.Good, i_c, 0, fault="sensor-fault") == S.Good
+    assert quality.of_signal(S.Good, x, Flag.POSITION_RANGE, fault="") == S.UncertainSensorNotAccurate
+    assert quality.of_signal(S.Good, i_c, Flag.CURRENT_RANGE, fault="") == S.UncertainSensorNotAccurate
+    assert quality.of_signal(S.BadNoCommunication, x, 0, fault="sensor-fault") == S.BadNoCommunication
     assert quality.of_extreme(S.Good, "high", 3) == S.UncertainSubNormal
     assert quality.of_extreme(S.Good, "last", 3) == S.Good
 
@@ -131,7 +130,7 @@ def test_stamps_always_rise(samples: list[tuple[int, float, int]]) -> None:
 
 
 def history_of(rows: int, retained: int) -> RingHistory:
-    track, history = Track(1, retained), RingHistory()
+    track, history = Track(1, retained), RingHistory(InternalServer())
     history.add(NODE, track, 0)
     for n in range(rows):
         track.append(n * 1_000_000_000, [float(n)], [S.Good if n % 10 else S.BadNoCommunication])
@@ -143,9 +142,7 @@ def at(second: float) -> datetime:
 
 
 def read(history: RingHistory, start: float | None, end: float | None, count: int = 0) -> list[float | None]:
-    values, _ = asyncio.run(
-        history.read_node_history(NODE, None if start is None else at(start), None if end is None else at(end), count)
-    )
+    values, _ = history.read(NODE, None if start is None else at(start), None if end is None else at(end), count)
     return [value.Value.Value for value in values]
 
 
@@ -162,9 +159,9 @@ def test_history_is_the_newest_rows_between_two_times() -> None:
 def test_a_long_history_is_read_in_pages() -> None:
     history = history_of(30, 30)
 
-    values, more = asyncio.run(history.read_node_history(NODE, at(1), at(29), 5))
+    values, more = history.read(NODE, at(1), at(29), 5)
     assert more is not None
-    rest, end = asyncio.run(history.read_node_history(NODE, more, at(29), 0))
+    rest, end = history.read(NODE, more, at(29), 0)
 
     assert len(values) + len(rest) == 29
     assert end is None

@@ -9,8 +9,7 @@ import pytest
 from asyncua import Server, ua
 
 from gateway.views.opcua.address_space.model import leaves, methods
-from gateway.views.opcua.address_space.nameplate import nameplate
-from gateway.views.opcua.address_space.ranges import INSTRUMENTS, RANGED, instrument_ranges, ranges
+from gateway.views.opcua.address_space.parameters import INSTRUMENTS, RANGED, instrument_ranges, nameplate, ranges
 from gateway.views.opcua.types.build import Namespaces
 from gateway.views.opcua.types.companion import DI, MACHINERY, add_companions
 from gateway.views.opcua.types.nodeset import nodeset

@@ -10,20 +10,33 @@ Rule 2: a campaign that failed or was interrupted is never shown in place of a f
 
 from __future__ import annotations
 
+import json
 import re
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gateway.views.hmi.library import LibraryFile
-from gateway.views.hmi.model.journal import Act, acts_of
 from protocol.campaign import load_plant
 from protocol.errors import Board51Error, DataError
 from protocol.files import parse_json, read_small
 
+ACTS = "acts.jsonl"  # in the folder of a campaign: who did what, one line for each act
+MAX_ACTS = 20
+_TAIL_BYTES = 65_536  # of the end of the file that is read
 MAX_CAMPAIGNS = 50  # the newest
 MODEL, DIAGNOSIS = "model.json", "diagnosis"
 _NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Act:
+    """An act: one line of the file."""
+
+    at: str  # for people
+    who: str
+    what: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,8 +126,8 @@ def find_campaign(root: Path, board: str, name: str) -> CampaignFolder | None:
 def _campaign(path: Path, board: str) -> CampaignFolder:
     match = _NAME.fullmatch(path.name)
     assert match is not None  # board_of has said so
-    date, run = match["date"], _table(path / "run.json")
-    journal = _table(path / "investigation.json")
+    date, run = match["date"], read_table(path / "run.json")
+    journal = read_table(path / "investigation.json")
     left = run.get("left")
     return CampaignFolder(
         name=path.name,
@@ -129,12 +142,18 @@ def _campaign(path: Path, board: str) -> CampaignFolder:
     )
 
 
-def _table(path: Path) -> dict[str, Any]:
+def read_table(path: Path) -> dict[str, Any]:
     """Return the content of a JSON file; empty if it is missing or damaged."""
-    if not path.is_file():
-        return {}
     try:
-        table = parse_json(read_small(path, remedy="Make it again"), where=str(path))
+        return parse_table(read_small(path, remedy="Make it again"), where=str(path))
+    except DataError:
+        return {}
+
+
+def parse_table(text: str, *, where: str) -> dict[str, Any]:
+    """Return the object in a JSON text; empty if there is none."""
+    try:
+        table = parse_json(text, where=where)
     except DataError:
         return {}
     return table if isinstance(table, dict) else {}
@@ -142,3 +161,30 @@ def _table(path: Path) -> dict[str, Any]:
 
 def _file(path: Path) -> Path | None:
     return path if path.is_file() else None
+
+
+def write_act(folder: Path, *, who: str, what: str) -> None:
+    """Append a line.  Raises OSError where the folder cannot be written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    line = json.dumps({"at": time.strftime("%Y-%m-%d %H:%M"), "who": who, "what": what})
+    with (folder / ACTS).open("a", encoding="utf-8") as stream:
+        stream.write(line + "\n")
+
+
+def acts_of(folder: Path) -> tuple[Act, ...]:
+    """The newest acts, in their order; lines that are none are left out."""
+    try:
+        with (folder / ACTS).open("rb") as stream:
+            stream.seek(max(0, stream.seek(0, 2) - _TAIL_BYTES))
+            lines = stream.read().decode("utf-8", errors="replace").splitlines()
+    except OSError:
+        return ()
+    return tuple(act for act in map(_act, lines[-MAX_ACTS:]) if act is not None)
+
+
+def _act(line: str) -> Act | None:
+    try:
+        table = json.loads(line)
+        return Act(at=str(table["at"]), who=str(table["who"]), what=str(table["what"]))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None

@@ -15,11 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.views.hmi.model.campaigns import CampaignFolder
+from gateway.views.hmi.model.campaigns import CampaignFolder, parse_table, read_table
 from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
-from protocol.errors import DataError
-from protocol.files import parse_json, read_small
 
 MAX_REPLACED = 10  # the newest
 _REPLACED = "kept"
@@ -43,6 +41,11 @@ class ModelFile:
         return self.name.startswith(f"{_REPLACED}/")
 
     @property
+    def plant_assumed(self) -> bool:
+        """Return whether nobody stated the plant of its rig."""
+        return plant_assumed(self.content)
+
+    @property
     def summary(self) -> str:
         """Return parameters and causes in one line."""
         return summary(self.content)
@@ -54,17 +57,17 @@ def summary(content: dict[str, Any]) -> str:
     Parameters that depend on an assumed plant are marked.
     """
     words, assumed = [], plant_assumed(content)
-    for name, parameter in (content.get("parameters") or {}).items():
+    parameters, causes = content.get("parameters"), content.get("causes")
+    for name, parameter in parameters.items() if isinstance(parameters, dict) else ():
         value = parameter.get("value") if isinstance(parameter, dict) else parameter
         if isinstance(value, int | float):
             word = f"{name} {value:.4g}"
             rests = assumed and name in _RESTS_ON_THE_PLANT
             words.append(text_of("models.assumed_value", parameter=word) if rests else word)
-    causes = [
-        str(cause["name"]) for cause in content.get("causes") or () if isinstance(cause, dict) and "name" in cause
-    ]
-    parameters = ", ".join(words)
-    return text_of("models.with_causes", parameters=parameters, causes=", ".join(causes)) if causes else parameters
+    tables = [cause for cause in causes if isinstance(cause, dict)] if isinstance(causes, list) else []
+    names = ", ".join(str(cause["name"]) for cause in tables if "name" in cause)
+    text = ", ".join(words)
+    return text_of("models.with_causes", parameters=text, causes=names) if names else text
 
 
 def plant_assumed(content: dict[str, Any]) -> bool:
@@ -75,11 +78,11 @@ def plant_assumed(content: dict[str, Any]) -> bool:
 
 def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: pb.TwinModel | None) -> list[ModelFile]:
     """Return the models of one board, the newest first; a file that cannot be read is left out."""
-    now = _parsed(running.model_json, where="the twin's model") if running is not None else None
+    now = parse_table(running.model_json, where="the twin's model") if running is not None else {}
     return [
         ModelFile(name=name, path=path, kind=kind, made=made, content=content, in_use=content == now)
         for name, path, kind, made in _files(data, board, campaigns)
-        if (content := _read(path)) is not None and not _is_reference(content)
+        if (content := read_table(path)) and not _is_reference(content)
     ]
 
 
@@ -117,18 +120,3 @@ def _changed(path: Path) -> str:
         return time.strftime("%Y-%m-%d %H:%M", time.localtime(path.stat().st_mtime))
     except OSError:
         return ""
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        return _parsed(read_small(path, remedy="Make it again"), where=str(path))
-    except DataError:
-        return None
-
-
-def _parsed(text: str, *, where: str) -> dict[str, Any] | None:
-    try:
-        table = parse_json(text, where=where)
-    except DataError:
-        return None
-    return table if isinstance(table, dict) else None

@@ -10,8 +10,7 @@ import time
 from pathlib import Path
 
 from gateway.views.hmi.actions import Actions, Routes, refusal
-from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign
-from gateway.views.hmi.model.journal import write_act
+from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign, write_act
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.texts import text_of
@@ -57,7 +56,7 @@ class ModelWork:
         """Start a campaign of the paper's experiments, or an investigation, in a new folder."""
         folder = self._new(board)
         what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
-        words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
+        words = [*what, *["--quick"] * quick, *self._as_person(session)]
         if investigate:
             entry = text_of("campaigns.started_investigation")
         else:
@@ -74,7 +73,7 @@ class ModelWork:
         else:
             what = self._run(chosen.path, board)
             what += [word for name in chosen.left for word in ("--experiment", name)]
-        words = [*what, *["--quick"] * chosen.quick, "--who", session.name, *self._routes.live(session.name)]
+        words = [*what, *["--quick"] * chosen.quick, *self._as_person(session)]
         return self._start(session, "campaign", "campaign", board, words, chosen.path, text_of("campaigns.continued"))
 
     def add_experiment(
@@ -88,8 +87,8 @@ class ModelWork:
             return refusal("no-experiment", text_of("refusal.no_experiment"))
         if EXPERIMENT_OF_NAME[experiment].person and not prepared:
             return refusal("person-needed", EXPERIMENT_OF_NAME[experiment].person)
-        words = [*self._run(chosen.path, board), "--experiment", experiment, *["--yes"] * prepared,
-                 "--who", session.name, *self._routes.live(session.name)]  # fmt: skip
+        words = [*self._run(chosen.path, board), "--experiment", experiment]
+        words += [*["--yes"] * prepared, *self._as_person(session)]
         entry = text_of("campaigns.added", experiment=experiment)
         return self._start(session, "campaign", "campaign", board, words, chosen.path, entry)
 
@@ -132,8 +131,7 @@ class ModelWork:
                 keep(self._routes.data, running, board)
         except OSError as error:
             return refusal("failed", text_of("refusal.model_not_kept", error=error.strerror))
-        words = ["twin", "--hand-over", str(chosen.path), "--board", board, "--who", session.name,
-                 *self._routes.live(session.name)]  # fmt: skip
+        words = ["twin", "--hand-over", str(chosen.path), "--board", board, *self._as_person(session)]
         folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
         folder = folder if folder.parent == self._root else self._routes.data / "models" / board
         entry = text_of("campaigns.handed_over", model=chosen.kind)
@@ -141,6 +139,9 @@ class ModelWork:
 
     def _new(self, board: str) -> Path:
         return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+    def _as_person(self, session: LoginSession) -> list[str]:
+        return ["--who", session.name, *self._routes.live(session.name)]
 
     def _run(self, folder: Path, board: str) -> list[str]:
         return ["campaign", "run", str(folder), "--board", board]

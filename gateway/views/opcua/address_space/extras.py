@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 from asyncua import ua
@@ -9,6 +11,7 @@ from asyncua import ua
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space import quality
 from gateway.views.opcua.address_space.values import Value, data_value
+from protocol.bus import board51_pb2 as pb
 
 _V = ua.VariantType
 LINK_STATES = ("live", "silent", "absent", "handshake", "connecting", "streaming", "no-gateway")  # by number
@@ -22,60 +25,54 @@ class Extra(NamedTuple):
     variant: ua.VariantType
     is_array: bool
     description: str
+    read: Callable[[BoardFeed], object]  # the current value; None if there is none
+
+
+def _link_code(feed: BoardFeed) -> int | None:
+    state = feed.link().state
+    return LINK_STATES.index(state) if state in LINK_STATES else None
+
+
+def _lines(feed: BoardFeed) -> list[str]:
+    return [
+        f"{a.name}: {a.severity}, {'active' if a.active else 'gone'},"
+        f" {'acknowledged' if a.acknowledged else 'not acknowledged'}: {a.text}"
+        for a in feed.alarms()
+    ]
+
+
+def _newest(read: Callable[[pb.CommandRecord], object]) -> Callable[[BoardFeed], object]:
+    return lambda feed: read(feed.commands()[-1]) if feed.commands() else None
 
 
 EXTRAS = (
-    Extra("link/state", _V.String, False, "live, or silent, absent, handshake, connecting, no-gateway"),
-    Extra(LINK_CODE, _V.Int32, False, "link/state as a number: 0 is live"),
-    Extra("link/reason", _V.String, False, "reason of the state, a sentence; empty while live"),
-    Extra("alarms/active", _V.UInt32, False, "number of conditions that hold now"),
-    Extra("alarms/unacknowledged", _V.UInt32, False, "number of conditions that nobody has acknowledged"),
-    Extra("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first"),
-    Extra("last_command/who", _V.String, False, "sender of the newest command to this board, by any route"),
-    Extra("last_command/what", _V.String, False, "kind of the newest command"),
-    Extra("last_command/accepted", _V.Boolean, False, "whether the newest command was accepted"),
-    Extra("last_command/reason", _V.String, False, "why it was refused, kebab-case"),
-    Extra("last_command/text", _V.String, False, "why it was refused, a sentence"),
-)
+    Extra("link/state", _V.String, False, "live, or silent, absent, handshake, connecting, no-gateway",
+          lambda feed: feed.link().state),
+    Extra(LINK_CODE, _V.Int32, False, "link/state as a number: 0 is live", _link_code),
+    Extra("link/reason", _V.String, False, "reason of the state, a sentence; empty while live",
+          lambda feed: feed.link().reason),
+    Extra("alarms/active", _V.UInt32, False, "number of conditions that hold now",
+          lambda feed: sum(alarm.active for alarm in feed.alarms())),
+    Extra("alarms/unacknowledged", _V.UInt32, False, "number of conditions that nobody has acknowledged",
+          lambda feed: sum(not alarm.acknowledged for alarm in feed.alarms())),
+    Extra("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first", _lines),
+    Extra("last_command/who", _V.String, False, "sender of the newest command to this board, by any route",
+          _newest(lambda record: record.command.who)),
+    Extra("last_command/what", _V.String, False, "kind of the newest command",
+          _newest(lambda record: record.command.WhichOneof("what") or "")),
+    Extra("last_command/accepted", _V.Boolean, False, "whether the newest command was accepted",
+          _newest(lambda record: record.reply.accepted)),
+    Extra("last_command/reason", _V.String, False, "why it was refused, kebab-case",
+          _newest(lambda record: record.reply.reason)),
+    Extra("last_command/text", _V.String, False, "why it was refused, a sentence",
+          _newest(lambda record: record.reply.text)),
+)  # fmt: skip
 
 
-def extra(feed: BoardFeed, path: str) -> object:
-    """Return the current value, or None if there is none."""
-    match path:
-        case "link/state":
-            return feed.link().state
-        case "link/code":
-            state = feed.link().state
-            return LINK_STATES.index(state) if state in LINK_STATES else None
-        case "link/reason":
-            return feed.link().reason
-        case "alarms/active":
-            return sum(alarm.active for alarm in feed.alarms())
-        case "alarms/unacknowledged":
-            return sum(not alarm.acknowledged for alarm in feed.alarms())
-        case "alarms/list":
-            return [
-                f"{a.name}: {a.severity}, {'active' if a.active else 'gone'},"
-                f" {'acknowledged' if a.acknowledged else 'not acknowledged'}: {a.text}"
-                for a in feed.alarms()
-            ]
-    records = feed.commands()
-    if not records:
-        return None
-    record = records[-1]
-    return {
-        "who": record.command.who,
-        "what": record.command.WhichOneof("what") or "",
-        "accepted": record.reply.accepted,
-        "reason": record.reply.reason,
-        "text": record.reply.text,
-    }[path.partition("/")[2]]
-
-
-def extra_value(feed: BoardFeed, path: str, variant: ua.VariantType, now_ns: int) -> Value:
+def extra_value(feed: BoardFeed, extra: Extra) -> Value:
     """Return a value with its time: that of the answer for a command, otherwise now."""
-    value = extra(feed, path)
-    if path.startswith("last_command/"):
+    value, stamp_ns = extra.read(feed), time.time_ns()
+    if extra.path.startswith("last_command/"):
         records = feed.commands()
-        now_ns = records[-1].answered_ns if records else 0
-    return data_value(value, variant, quality.GOOD if value is not None else quality.WAITING, now_ns)
+        stamp_ns = records[-1].answered_ns if records else 0
+    return data_value(value, extra.variant, quality.GOOD if value is not None else quality.WAITING, stamp_ns)

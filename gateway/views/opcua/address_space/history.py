@@ -10,19 +10,21 @@ from __future__ import annotations
 
 import time
 from array import array
+from bisect import bisect_left
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
-from typing import Any
+from datetime import UTC, datetime
 
 from asyncua import ua
-from asyncua.server.history import HistoryManager, HistoryStorageInterface
+from asyncua.common.utils import Buffer
+from asyncua.server.history import HistoryManager
 from asyncua.server.internal_server import InternalServer
+from asyncua.ua.ua_binary import Primitives
 
-from gateway.views.opcua.address_space.timestamps import stamped
-from gateway.views.opcua.address_space.values import data_value, datetime_of
+from gateway.views.opcua.address_space.values import data_value, datetime_of, stamped
 
 MAX_VALUES = 10_000
 S = ua.StatusCodes
+DateTime = Primitives.DateTime
 _OPEN = ua.get_win_epoch()  # how a client says "no bound"
 
 
@@ -50,14 +52,7 @@ class Track:
 
     def find(self, stamp_ns: int) -> int:
         """Return the number of rows older than `stamp_ns`."""
-        low, high = 0, self.count
-        while low < high:
-            middle = (low + high) // 2
-            if self._stamps_ns[self._slot(middle)] < stamp_ns:
-                low = middle + 1
-            else:
-                high = middle
-        return low
+        return bisect_left(range(self.count), stamp_ns, key=lambda row: self._stamps_ns[self._slot(row)])
 
     def value(self, column: int, row: int) -> ua.DataValue:
         """Return the value in a row, counted from the oldest."""
@@ -76,34 +71,47 @@ class Track:
         return (self._head - self.count + row) % self.rows
 
 
-class RingHistory(HistoryStorageInterface):  # type: ignore[misc]  # asyncua's class is untyped in part
-    """asyncua's storage over tracks; filled by the boards' nodes directly, not through a subscription."""
+class RingHistory(HistoryManager):  # type: ignore[misc]  # asyncua's class is untyped in part
+    """asyncua's history service over tracks, which the boards' nodes fill.  Events are in the log."""
 
-    def __init__(self) -> None:
-        super().__init__(MAX_VALUES)
+    def __init__(self, server: InternalServer) -> None:
+        super().__init__(server)
+        self._server = server
         self._columns: dict[ua.NodeId, tuple[Track, int]] = {}
 
     def add(self, node: ua.NodeId, track: Track, column: int) -> None:
         """`node` is a column of `track`."""
         self._columns[node] = (track, column)
 
-    def holds(self, node: ua.NodeId) -> bool:
-        """Return whether there is a history of `node`."""
-        return node in self._columns
+    async def read_history(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
+        """Return one result for each requested node."""
+        return [self._result(params, item) for item in params.NodesToRead]
 
-    async def init(self) -> None:
-        """Do nothing: there is nothing to open."""
+    def _result(self, params: ua.HistoryReadParameters, item: ua.HistoryReadValueId) -> ua.HistoryReadResult:
+        details = params.HistoryReadDetails
+        if item.NodeId not in self._server.aspace:
+            return ua.HistoryReadResult(StatusCode=ua.StatusCode(S.BadNodeIdUnknown))
+        raw = isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified
+        if not raw or item.NodeId not in self._columns:
+            return ua.HistoryReadResult(StatusCode=ua.StatusCode(S.BadHistoryOperationUnsupported))
+        # A continuation point is the start of the rest, so that the server keeps no state of it.
+        start = DateTime.unpack(Buffer(item.ContinuationPoint)) if item.ContinuationPoint else details.StartTime
+        values, more = self.read(item.NodeId, start, details.EndTime, details.NumValuesPerNode)
+        stamps = params.TimestampsToReturn
+        return ua.HistoryReadResult(
+            StatusCode=ua.StatusCode(S.Good if values else S.GoodNoData),
+            ContinuationPoint=DateTime.pack(more) if more else None,
+            HistoryData=ua.HistoryData([stamped(value, stamps, value.ServerTimestamp) for value in values]),
+        )
 
-    async def stop(self) -> None:
-        """Do nothing: there is nothing to close."""
-
-    async def read_node_history(
-        self, node_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int
+    def read(
+        self, node: ua.NodeId, start: datetime | None, end: datetime | None, count: int
     ) -> tuple[list[ua.DataValue], datetime | None]:
-        """Values with start <= stamp <= end; backwards where start is absent or after end."""
-        if node_id not in self._columns:
-            return [], None
-        track, column = self._columns[node_id]
+        """Return values with start <= stamp <= end, and where the rest begins.
+
+        They come backwards where the start is absent or after the end.
+        """
+        track, column = self._columns[node]
         start, end = _bound(start), _bound(end)
         backwards = start is None or (end is not None and start > end)
         oldest, newest = (end, start) if backwards and start is not None else (start, end)
@@ -112,63 +120,10 @@ class RingHistory(HistoryStorageInterface):  # type: ignore[misc]  # asyncua's c
         rows: Sequence[int] = range(first, after)
         if backwards:
             rows = rows[::-1]
-        limit = min(nb_values or MAX_VALUES, MAX_VALUES)
-        # asyncua hands the continuation point back as the start, which an absent start cannot be told from.
+        limit = min(count or MAX_VALUES, MAX_VALUES)
+        # A client hands the continuation point back as the start, which an absent start cannot be told from.
         more = track.stamp(rows[limit]) if len(rows) > limit and start is not None else None
         return [track.value(column, row) for row in rows[:limit]], more
-
-    async def new_historized_node(self, node_id: ua.NodeId, period: timedelta | None, count: int = 0) -> None:
-        """Unused: see `add`."""
-
-    async def save_node_value(self, node_id: ua.NodeId, datavalue: ua.DataValue) -> None:
-        """Unused: see `Track.append`."""
-
-    async def new_historized_event(
-        self, source_id: ua.NodeId, evtypes: list[Any], period: timedelta | None, count: int = 0
-    ) -> None:
-        """Events are in the log."""
-
-    async def save_event(self, event: Any) -> None:
-        """Do nothing: events are in the log."""
-
-    async def read_event_history(
-        self, source_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int, evfilter: Any
-    ) -> tuple[list[Any], datetime | None]:
-        """Return no events: they are in the log."""
-        return [], None
-
-
-class Historian(HistoryManager):  # type: ignore[misc]  # as above
-    """asyncua's history service, which calls every answer good."""
-
-    def __init__(self, server: InternalServer, storage: RingHistory) -> None:
-        super().__init__(server)
-        self._server, self._retained = server, storage
-        self.set_storage(storage)
-
-    async def read_history(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
-        """Return one result for each requested node."""
-        results: list[ua.HistoryReadResult] = await super().read_history(params)
-        return [
-            self._checked(params, item.NodeId, result) for item, result in zip(params.NodesToRead, results, strict=True)
-        ]
-
-    def _checked(
-        self, params: ua.HistoryReadParameters, node: ua.NodeId, result: ua.HistoryReadResult
-    ) -> ua.HistoryReadResult:
-        details, requested = params.HistoryReadDetails, params.TimestampsToReturn
-        raw = isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified
-        if node not in self._server.aspace:
-            code = S.BadNodeIdUnknown
-        elif not raw or not self._retained.holds(node):
-            code = S.BadHistoryOperationUnsupported
-        else:
-            values = result.HistoryData.DataValues
-            result.HistoryData.DataValues = [stamped(value, requested, value.ServerTimestamp) for value in values]
-            if not values:
-                result.StatusCode = ua.StatusCode(S.GoodNoData)
-            return result
-        return ua.HistoryReadResult(StatusCode=ua.StatusCode(code))
 
 
 def _bound(moment: datetime | None) -> datetime | None:

@@ -20,7 +20,6 @@ from asyncua import ua
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
-from gateway.views.opcua.address_space.units import unit_of
 from gateway.views.opcua.address_space.words import ARGUMENTS, METHODS
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -36,6 +35,20 @@ VARIANTS: dict[int, ua.VariantType] = {
     FieldDescriptor.TYPE_UINT64: ua.VariantType.UInt64,
     FieldDescriptor.TYPE_ENUM: ua.VariantType.UInt32,  # MultiStateDiscreteType wants an unsigned number
 }
+_UNITS_NAMESPACE = "http://www.opcfoundation.org/UA/units/un/cefact"
+# UNECE Recommendation 20 codes, as OPC UA wants them.  Longest ends first: x_ref_slew_m_s is a speed, not a time.
+_UNITS: tuple[tuple[str, str, str, str], ...] = (
+    ("_per_s", "C97", "1/s", "reciprocal second"),
+    ("_percent", "P1", "%", "percent"),
+    ("_m_s", "MTS", "m/s", "metre per second"),
+    ("_ms", "C26", "ms", "millisecond"),
+    ("_ns", "C47", "ns", "nanosecond"),
+    ("_a", "AMP", "A", "ampere"),
+    ("_m", "MTR", "m", "metre"),
+    ("_v", "VLT", "V", "volt"),
+    ("_s", "SEC", "s", "second"),
+)
+_OF_PARENT = frozenset({"error", "rolling_rmse", "rolling_mean"})  # of a signal's divergence: in the unit of the signal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,3 +175,19 @@ def comments() -> dict[str, str]:
         if field and message:
             texts[f"{message}.{field[1]}"] = field[2].strip()
     return texts
+
+
+def unit_of(field: str) -> ua.EUInformation | None:
+    """Return the unit of a field such as `i_c_a` or `x_m.error`, by the end of its name; None for a plain number."""
+    parent, _, name = field.rpartition(".")
+    if parent and name in _OF_PARENT:
+        name = parent
+    for end, code, symbol, words in _UNITS:
+        if name.endswith(end):
+            return ua.EUInformation(
+                NamespaceUri=_UNITS_NAMESPACE,
+                UnitId=int.from_bytes(code.encode("ascii"), "big"),
+                DisplayName=ua.LocalizedText(symbol),
+                Description=ua.LocalizedText(words),
+            )
+    return None

@@ -71,12 +71,12 @@ def of_twin(age_s: float, sync: str) -> int:
     return GOOD if sync == "in-step" else SUBNORMAL
 
 
-def of_signal(base: int, leaf: Leaf, flags: int, *, sensor_fault: bool) -> int:
+def of_signal(base: int, leaf: Leaf, flags: int, *, fault: str) -> int:
     """Return the status of one signal of `state`, given that of the board."""
     if base != GOOD:
         return base
     if leaf.field == "x_m":
-        if sensor_fault:
+        if fault == "sensor-fault":
             return SENSOR_FAILURE
         if flags & Flag.POSITION_RANGE:
             return CLIPPED

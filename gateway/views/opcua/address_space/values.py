@@ -1,4 +1,7 @@
-"""Python values as OPC UA DataValues, made once for all subscribers."""
+"""Python values as OPC UA DataValues, made once for all subscribers, with the timestamps that a client requested.
+
+Source: time of the sample.  Server: time at which this server read the value, or added it to its history.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,13 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 
 from gateway.views.opcua.address_space.quality import UNAVAILABLE, is_bad
 
+PULL = 0.002  # share of a late arrival's error taken per sample
+JUMP_NS = 500_000_000  # a clock that was set, or a long gap: restart the estimate
+T = ua.TimestampsToReturn
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _STATUS: dict[int, ua.StatusCode] = {}
 
@@ -47,3 +54,68 @@ async def notify(attribute: Any, value: Value) -> None:
     """Send a value to the subscribers of an attribute of asyncua's address space."""
     for handle, callback in list(attribute.datachange_callbacks.items()):
         await callback(handle, value)
+
+
+def check_timestamps(requested: ua.TimestampsToReturn, *, of_history: bool = False) -> None:
+    """Check the requested timestamps (Part 4, 7.40); a history must have timestamps (Part 11, 6.4.2).
+
+    Raises:
+        ServiceError: BadTimestampsToReturnInvalid.
+    """
+    if requested not in (T.Source, T.Server, T.Both) and (of_history or requested != T.Neither):
+        raise ServiceError(ua.StatusCodes.BadTimestampsToReturnInvalid)
+
+
+def stamped(
+    value: ua.DataValue, requested: ua.TimestampsToReturn, served: datetime | None, *, of_value: bool = True
+) -> ua.DataValue:
+    """Return `value` with the requested timestamps.
+
+    Args:
+        value: as it is kept; not changed.
+        requested: by the client.
+        served: the server's timestamp.
+        of_value: of the attribute Value; the others have no source.
+    """
+    source = value.SourceTimestamp if of_value and requested in (T.Source, T.Both) else None
+    server = served if requested in (T.Server, T.Both) else None
+    if source is value.SourceTimestamp and server is value.ServerTimestamp:
+        return value
+    return Value(
+        Value=value.Value,
+        StatusCode=value.StatusCode,
+        SourceTimestamp=source,
+        SourcePicoseconds=value.SourcePicoseconds if source is not None else None,
+        ServerTimestamp=server,
+    )
+
+
+class StampClock:
+    """Source timestamps of one board's samples, ns of Unix time: strictly increasing, without the link's jitter.
+
+    A sample's arrival is late by the link's latency, which varies; its tick is exact but of an unknown origin.  The
+    origin is estimated per session.  Early arrivals pull it at once, because a sample cannot arrive before it was made.
+    Late ones pull it slowly, so that it follows the drift of the quartz and not the queue.
+    """
+
+    def __init__(self) -> None:
+        self._session: int | None = None
+        self._origin_ns = 0
+        self._newest_ns = 0
+
+    def stamp(self, *, session: int, t_s: float, host_time_ns: int) -> int:
+        """Return the time of the sample with board time `t_s`; `host_time_ns` is 0 if its arrival is not known."""
+        t_ns = round(t_s * 1e9)
+        if host_time_ns:
+            delay_ns = host_time_ns - (self._origin_ns + t_ns)
+            if session != self._session or abs(delay_ns) > JUMP_NS:
+                self._origin_ns = host_time_ns - t_ns
+            else:
+                self._origin_ns += delay_ns if delay_ns < 0 else round(PULL * delay_ns)
+            self._session = session
+        self._newest_ns = max(self._newest_ns + 1000, self._origin_ns + t_ns)  # Python's datetime counts in us
+        return self._newest_ns
+
+    def time_ns(self, t_s: float) -> int:
+        """Return the time of another message of the same session, such as the twin's, without updating the estimate."""
+        return self._origin_ns + round(t_s * 1e9)

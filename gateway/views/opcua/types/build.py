@@ -43,10 +43,11 @@ class Builder:
         server: asyncua's.
         spaces: indices of all namespaces.
         index: of the namespace of the node ids.
+        declares: whether the nodes are the instance declarations of a type, each with its modelling rule.
     """
 
-    def __init__(self, server: InternalServer, spaces: Namespaces, index: int) -> None:
-        self._server, self.spaces, self.index = server, spaces, index
+    def __init__(self, server: InternalServer, spaces: Namespaces, index: int, *, declares: bool = False) -> None:
+        self._server, self.spaces, self.index, self._declares = server, spaces, index, declares
 
     def id(self, path: str) -> ua.NodeId:
         """Return the node id of a path."""
@@ -72,8 +73,7 @@ class Builder:
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
         """Add an object; without a name it is named by the last chunk of its path."""
-        attributes = ua.ObjectAttributes()
-        attributes.EventNotifier = 1 if events else 0
+        attributes = ua.ObjectAttributes(EventNotifier=int(events))
         _describe(attributes, path, description, name)
         return self.add(parent, path, ua.NodeClass.Object, attributes, reference, kind, name=name)
 
@@ -129,8 +129,7 @@ class Builder:
         self, parent: ua.NodeId, path: str, description: str, inputs: Sequence[Argument], outputs: Sequence[Argument]
     ) -> ua.NodeId:
         """Add a method; `sessions.py` carries it out."""
-        attributes = ua.MethodAttributes()
-        attributes.Executable = attributes.UserExecutable = True
+        attributes = ua.MethodAttributes(Executable=True, UserExecutable=True)
         _describe(attributes, path, description)
         node = self.add(parent, path, ua.NodeClass.Method, attributes, _O.HasComponent, None)
         for name, arguments in (("InputArguments", inputs), ("OutputArguments", outputs)):
@@ -150,7 +149,7 @@ class Builder:
         *,
         name: ua.QualifiedName | None = None,
     ) -> ua.NodeId:
-        """Any node; `kind` is its type definition."""
+        """Add any node; `kind` is its type definition.  Of a type's declarations those of the twin are optional."""
         item = ua.AddNodesItem()
         item.RequestedNewNodeId = self.id(path)
         item.BrowseName = name or self.name(path)
@@ -162,6 +161,11 @@ class Builder:
         item.NodeAttributes = attributes
         for result in self._server.node_mgt_service.add_nodes([item]):
             result.StatusCode.check()
+        _, slash, below = path.partition("/")
+        if self._declares and slash:
+            optional = below == "twin" or below.startswith("twin/")
+            rule = _O.ModellingRule_Optional if optional else _O.ModellingRule_Mandatory
+            self.refer(item.RequestedNewNodeId, _O.HasModellingRule, ua.NodeId(rule), both=False)
         return item.RequestedNewNodeId
 
     def refer(self, source: ua.NodeId, reference: int, target: ua.NodeId, *, both: bool = True) -> None:
@@ -175,51 +179,26 @@ class Builder:
                 status.check()
 
 
-class TypeBuilder(Builder):
-    """Adds the instance declarations of a type: each with its modelling rule."""
-
-    def add(
-        self,
-        parent: ua.NodeId,
-        path: str,
-        node_class: ua.NodeClass,
-        attributes: Any,
-        reference: int,
-        kind: ua.NodeId | int | None,
-        *,
-        name: ua.QualifiedName | None = None,
-    ) -> ua.NodeId:
-        """Add any node, below the type with a modelling rule.  The twin is optional."""
-        node = super().add(parent, path, node_class, attributes, reference, kind, name=name)
-        _, slash, below = path.partition("/")
-        if slash:
-            optional = below == "twin" or below.startswith("twin/")
-            rule = _O.ModellingRule_Optional if optional else _O.ModellingRule_Mandatory
-            self.refer(node, _O.HasModellingRule, ua.NodeId(rule), both=False)
-        return node
-
-
 def _describe(attributes: Any, path: str, description: str, name: ua.QualifiedName | None = None) -> None:
     attributes.DisplayName = ua.LocalizedText(name.Name if name is not None else path.rpartition("/")[2])
     attributes.Description = ua.LocalizedText(description)
-    attributes.WriteMask = attributes.UserWriteMask = 0
 
 
 def _variable(variant: ua.VariantType, *, is_array: bool, access: int) -> ua.VariableAttributes:
-    attributes = ua.VariableAttributes()
-    attributes.DataType = ua.NodeId(variant.value)
-    attributes.ValueRank = _SEVERAL if is_array else -1
-    attributes.AccessLevel = attributes.UserAccessLevel = access
-    attributes.Historizing = bool(access & HISTORY)
-    attributes.Value = ua.Variant(None, ua.VariantType.Null)
-    return attributes
+    return ua.VariableAttributes(
+        DataType=ua.NodeId(variant.value),
+        ValueRank=_SEVERAL if is_array else -1,
+        AccessLevel=access,
+        UserAccessLevel=access,
+        Historizing=bool(access & HISTORY),
+    )
 
 
 def _argument(argument: Argument) -> ua.Argument:
-    made = ua.Argument()
-    made.Name = argument.name
-    made.DataType = ua.NodeId(argument.variant.value)
-    made.ValueRank = _SEVERAL if argument.is_array else -1
-    made.ArrayDimensions = []
-    made.Description = ua.LocalizedText(argument.description)
-    return made
+    return ua.Argument(
+        Name=argument.name,
+        DataType=ua.NodeId(argument.variant.value),
+        ValueRank=_SEVERAL if argument.is_array else -1,
+        ArrayDimensions=[],
+        Description=ua.LocalizedText(argument.description),
+    )

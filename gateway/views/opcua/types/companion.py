@@ -13,7 +13,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
-from gateway.views.opcua.address_space.nameplate import FIELDS
+from gateway.views.opcua.address_space.parameters import FIELDS
 from gateway.views.opcua.types.build import Builder, Namespaces
 from gateway.views.opcua.types.layout import MACHINE_IDENTIFICATION, MACHINES
 
@@ -104,9 +104,9 @@ def add_companions(server: InternalServer, spaces: Namespaces) -> None:
 
 def object_type(builder: Builder, above: ua.NodeId, name: str, description: str) -> ua.NodeId:
     """Add an object type below another."""
-    attributes: Any = ua.ObjectTypeAttributes()
-    attributes.DisplayName, attributes.Description = ua.LocalizedText(name), ua.LocalizedText(description)
-    attributes.IsAbstract = False
+    attributes = ua.ObjectTypeAttributes(
+        DisplayName=ua.LocalizedText(name), Description=ua.LocalizedText(description), IsAbstract=False
+    )
     return builder.add(above, name, ua.NodeClass.ObjectType, attributes, _O.HasSubtype, None)
 
 

@@ -10,10 +10,8 @@ from dataclasses import replace
 from asyncua import ua
 
 from gateway.views.opcua.address_space.extras import EXTRAS, LINK_CODE
-from gateway.views.opcua.address_space.model import TOPICS, Argument, Leaf, leaves, methods
-from gateway.views.opcua.address_space.nameplate import FIELDS
-from gateway.views.opcua.address_space.ranges import INSTRUMENTS, RANGED
-from gateway.views.opcua.address_space.units import unit_of
+from gateway.views.opcua.address_space.model import TOPICS, Argument, Leaf, leaves, methods, unit_of
+from gateway.views.opcua.address_space.parameters import FIELDS, INSTRUMENTS, RANGED
 from gateway.views.opcua.address_space.words import FOLDERS
 from gateway.views.opcua.types.build import HISTORY, READ, WRITE, Builder
 from protocol.bus import topics

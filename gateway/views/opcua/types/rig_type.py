@@ -13,7 +13,7 @@ from asyncua.server.address_space import AttributeValue
 from asyncua.server.internal_server import InternalServer
 
 from gateway.views.opcua.address_space.extras import LINK_STATES
-from gateway.views.opcua.types.build import Builder, Namespaces, TypeBuilder
+from gateway.views.opcua.types.build import Builder, Namespaces
 from gateway.views.opcua.types.companion import Metadata, add_companions, add_metadata, object_type
 from gateway.views.opcua.types.layout import LINK_STATE, RIG_TYPE, Layout
 
@@ -33,15 +33,15 @@ def add_types(server: InternalServer, spaces: Namespaces) -> None:
     rig = object_type(plain, ua.NodeId(_O.BaseObjectType), RIG_TYPE, description)
     for event in _EVENTS:
         plain.refer(rig, _O.GeneratesEvent, ua.NodeId(event), both=False)
-    Layout(TypeBuilder(server, spaces, spaces.types), rig, RIG_TYPE)
+    Layout(Builder(server, spaces, spaces.types, declares=True), rig, RIG_TYPE)
     add_metadata(plain, Metadata(uri=TYPES, version=VERSION, published=PUBLISHED, is_subset=False))
 
 
 def _add_link_state(server: InternalServer, builder: Builder) -> None:
-    attributes = ua.DataTypeAttributes()
-    attributes.DisplayName = ua.LocalizedText(LINK_STATE)
-    attributes.Description = ua.LocalizedText("whether samples arrive from a rig, and if not, the state of the link")
-    attributes.IsAbstract = False
+    description = ua.LocalizedText("whether samples arrive from a rig, and if not, the state of the link")
+    attributes = ua.DataTypeAttributes(
+        DisplayName=ua.LocalizedText(LINK_STATE), Description=description, IsAbstract=False
+    )
     node = builder.add(ua.NodeId(_O.Enumeration), LINK_STATE, ua.NodeClass.DataType, attributes, _O.HasSubtype, None)
     fields = [ua.EnumField(Name=name, Value=n) for n, name in enumerate(LINK_STATES)]
     definition = ua.DataValue(ua.Variant(ua.EnumDefinition(Fields=fields), _V.ExtensionObject))

@@ -1,5 +1,7 @@
-"""EURange and InstrumentRange of each variable, by path.  Pure.
+"""The nameplate of a rig and the ranges of its variables, from the parameters that its board sends.  Pure.
 
+Nameplate, as OPC UA for Devices (DI) and Machinery want it: a board's IDENTITY has its firmware and its serial number,
+and nothing of maker, model or hardware: these are empty.
 EURange: normal operation.  For the reference, what gateway and board both let through; else what the converters span.
 InstrumentRange: what the converter can represent; of the setpoint, what the board alone would take.
 A variable without a range here has none in the address space: an empty range with a good status would be wrong.
@@ -7,12 +9,40 @@ A variable without a range here has none in the address space: an empty range wi
 
 from __future__ import annotations
 
+from asyncua import ua
+
 from gateway.board.reference import reference_range
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import COUNTS_MAX
 
+_V = ua.VariantType
 Span = tuple[float, float]  # lowest, highest
 _ENDS = ("", "/min", "/max")
+FIELDS: dict[str, tuple[ua.VariantType, str]] = {
+    "Manufacturer": (_V.LocalizedText, "maker of the rig; empty: boards do not state it"),
+    "Model": (_V.LocalizedText, "model of the rig; empty: boards do not state it"),
+    "SerialNumber": (_V.String, "serial number of the board; empty where it has none"),
+    "ProductInstanceUri": (_V.String, "unique name, made of the board's serial number; empty where it has none"),
+    "HardwareRevision": (_V.String, "revision of the hardware; empty: boards do not state it"),
+    "SoftwareRevision": (_V.String, "version and build of the board's firmware"),
+    "DeviceRevision": (_V.String, "revision of the rig as a whole; empty: boards do not state it"),
+}
+
+
+def nameplate(parameters: pb.Parameters) -> dict[str, ua.Variant]:
+    """Value of each field of FIELDS."""
+    serial = str(parameters.board_id) if parameters.board_id else ""
+    texts = {
+        "SerialNumber": serial,
+        "ProductInstanceUri": f"urn:board51:board:{serial}" if serial else "",
+        "SoftwareRevision": parameters.firmware,
+    }
+    return {
+        name: ua.Variant(
+            ua.LocalizedText(texts.get(name, "")) if variant is _V.LocalizedText else texts.get(name, ""), variant
+        )
+        for name, (variant, _) in FIELDS.items()
+    }
 
 
 def ranges(parameters: pb.Parameters) -> dict[str, Span]:
