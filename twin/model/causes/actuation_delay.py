@@ -15,7 +15,7 @@ DELAY, IN_CAPTURES = 8, 109
 def in_captures(index: int) -> CauseParameter:
     """The share of a delay that captures show."""
     return CauseParameter(
-        name="in_captures", symbol="r", unit="", index=index, neutral=1.0, low=0.0, high=1.5, probes=(0.8,), spread=0.7
+        name="in_captures", symbol="r", index=index, neutral=1.0, low=0.0, high=1.5, probes=(0.8,), spread=0.7
     )
 
 
@@ -28,9 +28,7 @@ CAUSE = Cause(
     equation="u_c(t - delay); in a capture u_c(t - r delay)",
     source="computing time between sampling and output, or an output that is latched at the next tick",
     parameters=(
-        CauseParameter(
-            name="delay_s", symbol="delay", unit="s", index=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
-        ),
+        CauseParameter(name="delay_s", symbol="delay", unit="s", index=DELAY, low=0.0, high=0.02, probes=(0.0002,)),
         in_captures(IN_CAPTURES),
     ),
     signature="i_c begins to move a fixed time after u_c, whatever the size of the step; in a capture as well, unless "

@@ -22,9 +22,7 @@ CAUSE = Cause(
     equation="K_A u_c + i_offset, not below 0",
     source="offset of the output stage; an INTECO rig gives 0.043 A at zero input",
     parameters=(
-        CauseParameter(
-            name="offset_a", symbol="i_offset", unit="A", index=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
-        ),
+        CauseParameter(name="offset_a", symbol="i_offset", unit="A", index=OFFSET, low=-0.3, high=0.3, probes=(0.01,)),
         rounding(ROUNDING),
     ),
     signature="i_c is not 0 at u_c = 0 (or begins late), and the coil does pull then",

@@ -27,9 +27,7 @@ CAUSE = Cause(
         CauseParameter(
             name="i_s_a", symbol="i_s", unit="A", index=I_S, neutral=math.inf, low=0.2, high=100.0, probes=(6.0, 3.0)
         ),
-        CauseParameter(
-            name="knee", symbol="n", unit="", index=KNEE, neutral=2.0, low=0.7, high=8.0, probes=(2.3,), spread=1.0
-        ),
+        CauseParameter(name="knee", symbol="n", index=KNEE, neutral=2.0, low=0.7, high=8.0, probes=(2.3,), spread=1.0),
     ),
     signature="low positions need more current than (3) says; large pulls upwards are weaker than small ones suggest",
     shows_in=("holds", "lift-off", "prbs-open-loop"),

@@ -35,7 +35,6 @@ def _curve(
             symbol=f"{end} {symbol}",
             unit=unit,
             index=index + n,
-            neutral=0.0,
             low=-1e3,
             high=1e3,
             probes=(1e-3,),
@@ -46,9 +45,7 @@ def _curve(
         CauseParameter(
             name=f"k_{j + 1}",
             symbol=f"k_{j + 1}",
-            unit="",
             index=index + 2 + j,
-            neutral=0.0,
             low=-2.0,
             high=2.0,
             probes=(0.01,),

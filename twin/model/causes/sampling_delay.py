@@ -19,9 +19,7 @@ CAUSE = Cause(
     equation="i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)",
     source="sample-and-hold and multiplexing before conversion, or a filter in front of both",
     parameters=(
-        CauseParameter(
-            name="delay_s", symbol="delay", unit="s", index=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
-        ),
+        CauseParameter(name="delay_s", symbol="delay", unit="s", index=DELAY, low=0.0, high=0.02, probes=(0.0002,)),
         in_captures(IN_CAPTURES),
     ),
     signature="u_c seems to act late, on i_c and on x alike: from the samples alone it is an actuation delay",
