@@ -16,8 +16,7 @@ from twin.diagnosis.experiments.design import propose
 from twin.diagnosis.judge import judgement
 from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
-from twin.diagnosis.judge.prediction_gain import Gain
-from twin.diagnosis.judge.worth import Bench
+from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
 from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model

@@ -17,9 +17,8 @@ from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recor
 from protocol.campaign_text import emit
 from protocol.errors import DataError
 from twin.live.pieces import Piece
-from twin.live.source import LiveData
-from twin.model.nominal import nominal
-from twin.model.parameters import parse_model
+from twin.live.source import LiveData, in_force
+from twin.model.parameters import Model, parse_model
 from twin.readers.log import TwinLog
 
 
@@ -67,16 +66,14 @@ def plant_of(live: LiveData) -> Plant:
 
     The nominal model is what a twin runs on before anybody has stated a plant: its plant is assumed.
     """
-    model = parse_model(live.model_json, where="the live twin's model") if live.model_json else nominal()
-    return replace(model.plant, assumed=True) if model == nominal() else model.plant
+    nominal = Model.load("ce152")
+    model = parse_model(live.model_json, where="the live twin's model") if live.model_json else nominal
+    return replace(model.plant, assumed=model.plant.assumed or model == nominal)
 
 
 def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:
     """The law, where one set of gains was in force throughout."""
-    laws = {
-        (announced.law, tuple(announced.gains), announced.i_0_a, announced.x_0_m, announced.u_0_v)
-        for announced in parameters
-    }
+    laws = {in_force(announced)[1:] for announced in parameters}
     if len(laws) != 1:
         return None
     law, gains, i_c_a, x_m, u_c_v = laws.pop()

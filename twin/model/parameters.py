@@ -185,14 +185,16 @@ class Model:
         """Read a model file, or a shipped model by its name: "ce152", "inteco", "magnetoshield".
 
         Raises:
-            DataError: the file is missing or is not a valid model.
+            DataError: the file is missing, is not JSON or is not a valid model; the message names key and value.
         """
-        shipped = isinstance(path, str) and path in SHIPPED
-        return load_model(str(files("twin.model").joinpath(f"{path}.json")) if shipped else path)
+        if isinstance(path, str) and path in SHIPPED:
+            path = str(files("twin.model").joinpath(f"{path}.json"))
+        return parse_model(read_small(Path(path), remedy="Give the path of a model.json"), where=str(path))
 
     def to_json(self) -> dict[str, Any]:
         """The content of the model file."""
-        return model_to_dict(self)
+        content: dict[str, Any] = json.loads(model_text(self))
+        return content
 
     def save(self, path: str | Path) -> None:
         """Write a model file, as `board51 identify --out` does.
@@ -227,15 +229,6 @@ class Model:
 _COMPLETE = Annotated[Model, BeforeValidator(needs("causes", "provenance"))]
 
 
-def load_model(path: str | Path) -> Model:
-    """Read a model file.
-
-    Raises:
-        DataError: the file is missing, is not JSON or is not a valid model; the message names key and value.
-    """
-    return parse_model(read_small(Path(path), remedy="Give the path of a model.json"), where=str(path))
-
-
 def parse_model(text: str, *, where: str) -> Model:
     """Parse a model from JSON text; `where` names the source in errors.  Raises DataError."""
     return model_from_dict(parse_json(text, where=where, remedy=REMEDY), where=where)
@@ -250,9 +243,3 @@ def model_from_dict(data: object, *, where: str) -> Model:
     """Check parsed JSON key by key and build the model; `where` names the source in errors.  Raises DataError."""
     model: Model = checked(_COMPLETE, data, where=where, error=DataError)
     return model
-
-
-def model_to_dict(model: Model) -> dict[str, Any]:
-    """The model as parsed JSON; `model_from_dict` is the inverse."""
-    plain: dict[str, Any] = json.loads(model_text(model))
-    return plain

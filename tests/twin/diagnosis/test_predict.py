@@ -23,7 +23,6 @@ from tests.harness.twin.true_model import true_model
 from twin.estimation.record import Record
 from twin.identification.horizon import horizons
 from twin.inference.nominal_fit import Point
-from twin.model.parameters import model_to_dict
 from twin.prediction import predict
 from twin.readers.log import TwinLog
 
@@ -77,7 +76,7 @@ def files(folder: Path, record: Record) -> list[Path]:
 
 def model_file(folder: Path, effects: dict[str, float] | None = None) -> Path:
     path = folder / f"model_{len(list(folder.iterdir()))}.json"
-    path.write_text(json.dumps(model_to_dict(true_model(effects=effects))))
+    path.write_text(json.dumps(true_model(effects=effects).to_json()))
     return path
 
 

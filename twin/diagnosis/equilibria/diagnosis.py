@@ -40,7 +40,7 @@ from twin.model import parameters as file
 from twin.model.assumed import assumption_warning, mark
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.linear import linearised
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 from twin.settings import diagnosis as settings
 
 _METHOD = "least squares in i_c over the points of rest"
@@ -329,7 +329,7 @@ def _extended(
 ) -> tuple[file.Model, list[str]]:
     """Return (the model with the first member, what in it was not measured)."""
     plant = campaign.plant
-    like = model or nominal()
+    like = model or Model.load("ce152")
     origin = "of the model that was given" if model else "of the shipped CE 152"
     assumed = [f"K_A, T_A, b and the noise in extended_model.json are {origin}: points of rest do not determine them"]
     parameters = {

@@ -86,9 +86,7 @@ def find_levels(records: list[Record]) -> Levels | None:
     i = np.array([level.i_a for level in levels])
     error = np.maximum([level.error_a for level in levels], 1e-9)
     distinct = len(set(np.round(u, 6)))
-    columns = np.column_stack((u, np.ones(len(u)))) if distinct > 2 or np.min(np.abs(u)) > 0.05 * np.ptp(u) else None
-    if columns is None:  # two levels, one of them zero
-        columns = np.column_stack((u, np.ones(len(u))))
+    columns = np.column_stack((u, np.ones(len(u))))
     weight = 1.0 / error
     solution = np.zeros(2)
     extra = 0.0

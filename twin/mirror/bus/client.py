@@ -26,6 +26,14 @@ class Answer:
     reply: pb.CommandReply
 
 
+def open_client(endpoints: tuple[str, ...], identity: Identity | None = None) -> zenoh.Session:
+    """Open a session on the bus.  Raises ServiceError where no router answers."""
+    try:
+        return zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
+    except zenoh.ZError:
+        raise router_refusal(endpoints, identity) from None
+
+
 def hand_over(
     belief: Belief,
     *,
@@ -50,10 +58,7 @@ def hand_over(
     Raises:
         ServiceError: no router, or no twin that follows this board.
     """
-    try:
-        session = zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
-    except zenoh.ZError:
-        raise router_refusal(endpoints, identity) from None
+    session = open_client(endpoints, identity)
     command = pb.TwinCommand(id=command_id or uuid.uuid4().hex, who=belief.who)
     command.use_model.model_json = belief.text
     role, who = (identity.role, identity.name) if identity is not None else ("", "")

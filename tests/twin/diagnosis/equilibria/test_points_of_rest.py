@@ -16,7 +16,7 @@ from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.diagnosis.equilibria.points import f_test, fit_static, holding_currents, interval, points_of, rounding
 from twin.estimation.record import Record
-from twin.model.parameters import load_model
+from twin.model.parameters import Model
 
 Answer = tuple[int, dict[str, Any]]
 MASS_KG, GRAVITY_M_S2, TRAVEL_M = 8.28e-3, 9.81, 5.7e-3
@@ -186,7 +186,7 @@ def test_the_extended_model_runs_and_says_what_was_not_measured(tmp_path: Path) 
     x = heights(6)
     diagnosed(tmp_path, x, [balance(at, d_m=2e-3) + 1e-3 * (-1) ** n for n, at in enumerate(x)])
 
-    model = load_model(tmp_path / "out" / "extended_model.json")
+    model = Model.load(tmp_path / "out" / "extended_model.json")
 
     assert [cause.name for cause in model.causes] == ["air-gap-offset"]
     assert model.parameters["T_A"].verdict == "assumed"
