@@ -9,8 +9,9 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.one_tick import tick
-from twin.control import LawNumbers, c2d, integral_behind, law, law_numbers, linearise
+from twin.control import LawNumbers, integral_behind, law, law_numbers, linearise
 from twin.model.equilibrium import equilibrium
+from twin.model.linear import c2d
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
 

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
 from twin.diagnosis.checks.change_point import Change
-from twin.diagnosis.checks.confidence import confidence_of
 from twin.diagnosis.checks.consistency import beginnings, contradictions
 from twin.diagnosis.experiments.design import propose
 from twin.diagnosis.judge import judgement
-from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_floor
+from twin.diagnosis.judge.account import Account, Verdict, account_of, confidence_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
 from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.options import Options

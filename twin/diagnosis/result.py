@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from twin.diagnosis.checks.confidence import MAX_CONFIDENCE
-from twin.diagnosis.judge.account import Account, Verdict
+from twin.diagnosis.judge.account import MAX_CONFIDENCE, Account, Verdict
 from twin.diagnosis.judge.choice import Choice
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.remainder.remainder import Remainder
@@ -65,16 +64,8 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NotTestable:
-    """A cause that these data cannot show."""
-
-    name: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RuledOut:
-    """A cause that was tried and did not earn its place."""
+class Excluded:
+    """A cause that these data cannot show, or that was tried and did not earn its place."""
 
     name: str
     why: str
@@ -96,9 +87,9 @@ class Diagnosis:
     verdict: Verdict
     sentence: str  # the answer, for people
     causes: tuple[Finding, ...]
-    not_testable: tuple[NotTestable, ...]
+    not_testable: tuple[Excluded, ...]
     minor_effects: tuple[MinorEffect, ...]
-    ruled_out: tuple[RuledOut, ...]
+    ruled_out: tuple[Excluded, ...]
     account: Account  # of what the paper's model lacks
     unexplained_where: str
     gains: tuple[Gain, ...]  # of `after` over `before` on judge recordings, one per horizon
@@ -117,7 +108,6 @@ class Diagnosis:
     tick_s: float
     remainder: Remainder | None = None  # what is left, modelled; `extended` has it
     budget: Budget = field(default_factory=Budget)
-    extra: Mapping[str, Any] = field(default_factory=dict)
     choice: Choice | None = None  # how `extended` was chosen
 
     @property
@@ -141,7 +131,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "calibrated": not diagnosis.quick,
         "causes": [_finding(cause) for cause in diagnosis.causes if diagnosis.holds(cause)],
         "candidates": [_finding(cause) for cause in diagnosis.causes if not diagnosis.holds(cause)],
-        "not_testable": [{"name": entry.name, "why": entry.why} for entry in diagnosis.not_testable],
+        "not_testable": [asdict(entry) for entry in diagnosis.not_testable],
         "minor_effects": [
             {
                 "name": minor_effect.name,
@@ -150,7 +140,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             }
             for minor_effect in diagnosis.minor_effects
         ],
-        "ruled_out": [{"name": entry.name, "why": entry.why} for entry in diagnosis.ruled_out],
+        "ruled_out": [asdict(entry) for entry in diagnosis.ruled_out],
         "jointly_explained": {"share_of_excess": _number(diagnosis.account.jointly)},
         "unexplained": {
             "share_of_excess": _number(diagnosis.account.unexplained),

@@ -229,6 +229,11 @@ class Model:
 _COMPLETE = Annotated[Model, BeforeValidator(needs("causes", "provenance"))]
 
 
+def verdict_by(half_width: float, value: float) -> Verdict:
+    """The verdict on a parameter by half the width of its 95 % interval."""
+    return "identified" if half_width < 0.25 * value else "weak" if half_width < value else "not-identifiable"
+
+
 def parse_model(text: str, *, where: str) -> Model:
     """Parse a model from JSON text; `where` names the source in errors.  Raises DataError."""
     return model_from_dict(parse_json(text, where=where, remedy=REMEDY), where=where)

@@ -33,13 +33,7 @@ def model_of(
             unit=unit,
             std=float(std) if known else None,
             ci95=(max(value - 1.96 * std, low), value + 1.96 * std) if known else None,
-            verdict="assumed"
-            if not known
-            else "identified"
-            if 1.96 * std < 0.25 * value
-            else "weak"
-            if 1.96 * std < value
-            else "not-identifiable",
+            verdict=file.verdict_by(1.96 * std, value) if known else "assumed",
             method=_METHOD,
             equation=_EQUATIONS[name],
         )
