@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -343,8 +342,4 @@ def _proposals(search: SearchResult, campaign: Campaign, options: Options) -> di
 
 
 def _member(trial: Trial) -> Member:
-    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _unknown_spread(trial.fit)))
-
-
-def _unknown_spread(fit: Fit) -> dict[str, float]:
-    return {name: math.nan for name in fit.free}
+    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, {}))

@@ -35,18 +35,12 @@ def write(live: LiveData, pieces: Sequence[Piece], plant: Plant, out: Path, *, s
                 session = piece.states[0].session if piece.states else live.parameters[-1].session
                 known = [announced for announced in live.parameters if announced.session == session] or live.parameters
                 at_ns = piece.states[0].host_time_ns if piece.states else known[-1].host_time_ns
-                log.write(
-                    topics.key(site, board, "parameters"), known[-1], message_type=pb.Parameters, log_time_ns=at_ns
-                )
-            for state in piece.states:
-                log.write(
-                    topics.key(site, board, "state"), state, message_type=pb.State, log_time_ns=state.host_time_ns
-                )
-            for capture in piece.captures:
-                log.write(
-                    topics.key(site, board, "capture"), capture,
-                    message_type=pb.CaptureRecord, log_time_ns=capture.host_time_ns,
-                )  # fmt: skip
+                key = topics.key(site, board, "parameters")
+                log.write(key, known[-1], message_type=pb.Parameters, log_time_ns=at_ns)
+            for topic, messages in (("state", piece.states), ("capture", piece.captures)):
+                for message in messages:
+                    key, at_ns = topics.key(site, board, topic), message.host_time_ns
+                    log.write(key, message, message_type=type(message), log_time_ns=at_ns)
     campaign = Campaign(
         where=str(folder / "campaign.toml"),
         folder=folder,

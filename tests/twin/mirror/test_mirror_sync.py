@@ -10,8 +10,8 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.rig import Rig
-from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, SETTLING, Mirror
-from twin.mirror.output import Output
+from twin.mirror.mirror import Mirror
+from twin.mirror.output import IN_STEP, OUT_OF_STEP, SETTLING, Output
 from twin.model.parameters import Model
 
 HELD = 2.85e-3

@@ -76,16 +76,9 @@ def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account
     left = 0.0 if is_adequate else max(lacks, 0.0)
     total = explained + left
     gains = {cause: min(max(selection.gains.get(cause, 0.0), 0.0), explained) for cause in selection.causes}
-    if total <= 0.0:
-        return Account(
-            explained=0.0,
-            left=0.0,
-            gains=gains,
-            cause_shares=dict.fromkeys(selection.causes, 0.0),
-            jointly=0.0,
-            unexplained=0.0 if is_adequate else 1.0,
-        )
     gain_sum = sum(gains.values())
+    unexplained = float(not is_adequate) if total <= 0.0 else left / total
+    total = total or 1.0  # of nothing every share is 0
     scale = min(1.0, explained / max(gain_sum, 1e-300)) / total
     return Account(
         explained=explained,
@@ -93,7 +86,7 @@ def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account
         gains=gains,
         cause_shares={cause: gain * scale for cause, gain in gains.items()},
         jointly=max(explained - gain_sum, 0.0) / total,
-        unexplained=left / total,
+        unexplained=unexplained,
     )
 
 

@@ -58,9 +58,5 @@ def model_of(
 
 
 def _of_cause(fit: Fit, cause: str, spread: Mapping[str, float], plant: Plant) -> dict[str, file.Parameter]:
-    parameters = fit_parameters(fit, cause, _spread(fit, cause, spread))
+    parameters = fit_parameters(fit, cause, spread)
     return mark(parameters, plant, tuple(parameters)) if rests_on_plant(BY_NAME[cause]) else parameters
-
-
-def _spread(fit: Fit, cause: str, spread: Mapping[str, float]) -> dict[str, float]:
-    return {name: spread.get(name, math.nan) for name in fit.free if name.startswith(cause + ".")}

@@ -35,7 +35,6 @@ class Levels:
     K_A_std: float
     offset_a: float
     offset_std_a: float
-    scatter_a: float  # of the levels about the line
     levels: tuple[Level, ...]
     bend_a: float = 0.0  # largest distance of a level from the line; 0 if it is not significant
     bend_at_v: float = 0.0  # u_c of that level
@@ -112,7 +111,6 @@ def find_levels(records: list[Record]) -> Levels | None:
         K_A_std=float(np.hypot(np.sqrt(covariance[0, 0]) * min(widen, 6.5), systematic)),
         offset_a=float(solution[1]),
         offset_std_a=float(np.sqrt(covariance[1, 1])) * min(widen, 6.5),
-        scatter_a=extra,
         levels=tuple(levels),
         bend_a=bend,
         bend_at_v=at,

@@ -15,7 +15,8 @@ from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait, wait_for_count
 from twin.mirror.bus import service as service_module
 from twin.mirror.bus.service import TwinService
-from twin.mirror.mirror import IN_STEP, Mirror
+from twin.mirror.mirror import Mirror
+from twin.mirror.output import IN_STEP
 from twin.model.parameters import Model
 
 HELD = 2.85e-3

@@ -11,7 +11,7 @@ from scipy.stats import binom, chi2
 from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.rig import T_S, G, M, Rig
 from twin.control import law_numbers
-from twin.mirror.mirror import IN_STEP, Mirror
+from twin.mirror.mirror import Mirror
 from twin.mirror.monitor.alarms import PLACES, TURNED_OFF, TURNED_ON, UNCHANGED, decide, message, white_threshold
 from twin.mirror.monitor.divergence import NIS, Comparison, figures, rolling_mean
 from twin.mirror.monitor.expected import (
@@ -22,7 +22,7 @@ from twin.mirror.monitor.expected import (
     toeplitz_eigenvalues,
     weighted_chi_square_quantile,
 )
-from twin.mirror.output import Output
+from twin.mirror.output import IN_STEP, Output
 from twin.model.parameters import Model
 from twin.settings.mirror import Settings
 

@@ -16,9 +16,9 @@ from tests.twin.mirror.bus.test_handover import alarms as alarms_on_bus
 from tests.twin.mirror.bus.test_handover import divergences, offset_rig
 from twin.mirror.bus.request import NAME
 from twin.mirror.bus.service import TwinService
-from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, Mirror
+from twin.mirror.mirror import Mirror
 from twin.mirror.offline import run_log
-from twin.mirror.output import Output
+from twin.mirror.output import IN_STEP, OUT_OF_STEP, Output
 from twin.model.parameters import Model
 from twin.readers.log import TwinLog
 from twin.settings.mirror import Settings
