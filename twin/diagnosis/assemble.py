@@ -29,13 +29,7 @@ from twin.diagnosis.report.sentences import (
     finding_sentence,
     form_of,
 )
-from twin.diagnosis.result import (
-    Diagnosis,
-    Finding,
-    Member,
-    Proposal,
-    fit_parameters,
-)
+from twin.diagnosis.result import Diagnosis, Finding, Member, Proposal, fit_parameters
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record

@@ -28,7 +28,7 @@ from twin.evidence.checks.plausibility import inspect
 from twin.evidence.dead_time import delayed
 from twin.evidence.starting.regression import BallStart
 from twin.identification import verdicts
-from twin.identification.horizon import Horizon, horizons
+from twin.identification.horizon import Horizon, error_at
 from twin.identification.input_delay import input_delay
 from twin.identification.intervals import quadratic_or_profile
 from twin.identification.result import Identification, noise_of, provenance_of
@@ -213,8 +213,7 @@ def _ahead(records: list[Record], campaign: Campaign, fitted: Fit | None, tick_s
     flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
     if fitted is None or not flown or "K_c" not in fitted.free:
         return None
-    (ahead,) = horizons(flown, campaign.plant, fitted.point, tick_s, horizons_s=(settings.AHEAD_S,))
-    return ahead if ahead.count else None
+    return error_at(settings.AHEAD_S, flown, campaign.plant, fitted.point, tick_s)
 
 
 def grouped(messages: list[str], names: list[str]) -> list[str]:

@@ -43,20 +43,16 @@ class LiveData:
 
     def take(self, topic: str, data: bytes) -> None:
         """Store a message; data that cannot be parsed is left out."""
-        if topic == "state":
-            if (state := parse(pb.State, data)) is not None:
+        match parse(topics.TOPIC_OF_NAME[topic].message, data):
+            case pb.State() as state:
                 self.states.append(state)
-        elif topic == "capture":
-            if (capture := parse(pb.CaptureRecord, data)) is not None:
+            case pb.CaptureRecord() as capture:
                 self.captures.append(capture)
-        elif topic == "parameters":
-            parameters = parse(pb.Parameters, data)
-            if parameters is not None and not (
-                self.parameters and in_force(parameters) == in_force(self.parameters[-1])
-            ):
-                self.parameters.append(parameters)
-        elif topic == "twin/model" and (model := parse(pb.TwinModel, data)) is not None:
-            self.model_json = model.model_json
+            case pb.Parameters() as parameters:
+                if not self.parameters or in_force(parameters) != in_force(self.parameters[-1]):
+                    self.parameters.append(parameters)
+            case pb.TwinModel() as model:
+                self.model_json = model.model_json
 
     def newest(self, span_s: float) -> None:
         """Forget what is older than that, on the host's clock."""

@@ -31,18 +31,7 @@ from twin.model.causes import (
 )
 from twin.model.causes.cause import Vector
 from twin.model.equilibrium import at_rest
-from twin.model.extended import (
-    FIELD,
-    I_C,
-    RATE,
-    SENSOR,
-    Base,
-    V,
-    X,
-    advance,
-    current_reading,
-    position_reading,
-)
+from twin.model.extended import FIELD, I_C, RATE, SENSOR, Base, V, X, advance, current_reading, position_reading
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
