@@ -133,7 +133,7 @@ def diagnose_points(
     tests = max(len(explained), 1)
     members, verdict, confidence = _verdict(possible, base, round_a, tests)
     rejected = tuple(explanation for explanation in explained if explanation not in members)
-    warnings += _remarks(points, computed, members)
+    warnings += _remarks(points, computed)
     judge_points = _judge_points(judges, plant, warnings)
     after = members[0].fit if members else base
     judge = None
@@ -275,7 +275,7 @@ def _verdict(
     return [*tied, *rest], "causes-found", min(settings.STATIC_CONFIDENCE, 1.0 - min(best.p * tests, 1.0))
 
 
-def _remarks(points: Points, computed: float | None, members: Sequence[Explanation]) -> list[str]:
+def _remarks(points: Points, computed: float | None) -> list[str]:
     remarks = ['no recording has use = "judge" and motion: each point is predicted from the others for the gain']
     if computed is not None:
         remarks.append(
