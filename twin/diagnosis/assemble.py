@@ -30,7 +30,6 @@ from twin.diagnosis.report.sentences import (
     form_of,
 )
 from twin.diagnosis.result import Diagnosis, Finding, Member, Proposal, fit_parameters
-from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record
 from twin.evidence import sample_loss
@@ -258,7 +257,9 @@ def _findings(
                     cause,
                     verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
                 ),
-                indistinguishable_from=tuple(_member(trial) for trial in members),
+                indistinguishable_from=tuple(
+                    Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, {})) for trial in members
+                ),
                 share_of_excess_explained=account.cause_shares[cause],
                 loglik_gain=account.gains[cause],
                 next_experiment=proposals.get(cause),
@@ -333,7 +334,3 @@ def _proposals(search: SearchResult, campaign: Campaign, options: Options) -> di
             ),
         )
     return result
-
-
-def _member(trial: Trial) -> Member:
-    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, {}))

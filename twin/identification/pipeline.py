@@ -100,11 +100,12 @@ def identify_records(
     ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
     intervals = {} if fitted is None else quadratic_or_profile(likelihood, fitted, robust=coloured)
     levels, shape, force, ball = starts.levels, starts.shape, starts.force, starts.ball
+    held = fitted.point.b if flying and fitted is not None else None
     parameters = {
-        "K_A": verdicts.gain(fitted, intervals, levels, shape, warnings),
-        "T_A": verdicts.time_constant(fitted, intervals, shape, tick_s, warnings),
-        "K_c": verdicts.force_constant(fitted, intervals, force, ball, flying, plant, warnings),
-        "b": verdicts.drag(fitted, intervals, ball, flying, plant, warnings, coloured=coloured),
+        "K_A": verdicts.gain(intervals.get("K_A"), levels, shape, warnings),
+        "T_A": verdicts.time_constant(intervals.get("T_A"), shape, tick_s, warnings),
+        "K_c": verdicts.force_constant(intervals.get("K_c"), force, ball, plant, warnings),
+        "b": verdicts.drag(intervals.get("b"), held, ball, plant, warnings, coloured=coloured),
     }
     provenance = provenance_of(campaign, fitted, white, usages, warnings, starts)
     model = Model(

@@ -189,13 +189,12 @@ def _removed(share: float, baseline_m: float, floor_m: float) -> str:
 
 def _numbers(diagnosis: Diagnosis) -> list[list[str]]:
     rows = []
-    first, second = diagnosis.baseline.parameters, diagnosis.extended.parameters
+    first, second, plant = diagnosis.baseline.parameters, diagnosis.extended.parameters, diagnosis.extended.plant
     for name, after in second.items():
         before = first.get(name)
-        suffix = (
-            f", {assumption(diagnosis.extended.plant)}" if diagnosis.extended.plant.assumed and name in RESTING else ""
-        )
-        rows.append([f"{name} {_equation_of(after)}{suffix}", _value(before) if before else "-", _value(after)])
+        suffix = f", {assumption(plant)}" if plant.assumed and name in RESTING else ""
+        equation = f"of {after.equation}" if after.equation else ""
+        rows.append([f"{name} {equation}{suffix}", _value(before) if before else "-", _value(after)])
     for cause in diagnosis.extended.causes:
         known = BY_NAME[cause.name]
         for entry in known.parameters:
@@ -209,10 +208,6 @@ def _numbers(diagnosis: Diagnosis) -> list[list[str]]:
     ]
     rows += [[name, quantity(a, unit), quantity(b, unit)] for name, a, b, unit in noise]
     return rows
-
-
-def _equation_of(parameter: Parameter) -> str:
-    return f"of {parameter.equation}" if parameter.equation else ""
 
 
 def _value(parameter: Parameter) -> str:

@@ -10,6 +10,8 @@ from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes
 from twin.model.causes.instruments import OSCILLOSCOPE
 
 DELAY, IN_CAPTURES = 8, 109
+# The likelihood of a delay has a kink at every whole interval.
+AT_THE_KINKS = MeasuredProbes(of="sampling-interval", times=(0.5, 1.5))
 
 
 def in_captures(index: int) -> CauseParameter:
@@ -37,10 +39,7 @@ CAUSE = Cause(
     confirm="trigger an oscilloscope on the board's output pin and see when i_c begins",
     cure="output right after the computation, or predict the state by that time in the law",
     needs=("u_c", "i_c"),
-    deciding_measurements={
-        "sampling-delay": OSCILLOSCOPE,
-        "position-sensor-lag": OSCILLOSCOPE,
-    },
+    deciding_measurements={"sampling-delay": OSCILLOSCOPE, "position-sensor-lag": OSCILLOSCOPE},
     traits=frozenset({"delays", "hidden-state"}),
     usual="delay of the amplifier",
     forms=(
@@ -51,6 +50,5 @@ CAUSE = Cause(
             probed=True,
         ),
     ),
-    # The likelihood of a delay has a kink at every whole interval.
-    measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
+    measured_probes=AT_THE_KINKS,
 )

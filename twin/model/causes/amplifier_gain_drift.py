@@ -6,8 +6,7 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import CLAMP_METER
 
-LOSS = 0
-TAU = 1
+LOSS, TAU = 0, 1
 
 CAUSE = Cause(
     name="amplifier-gain-drift",

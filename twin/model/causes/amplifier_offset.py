@@ -30,10 +30,7 @@ CAUSE = Cause(
     confirm="measure the coil's current with a clamp meter at u_c = 0 and at one large u_c",
     cure="trim the amplifier, or take the offset off u_c on the board",
     needs=("u_c", "i_c"),
-    deciding_measurements={
-        "current-sensor-offset": CLAMP_METER,
-        "constant-force": UNPLUGGED,
-    },
+    deciding_measurements={"current-sensor-offset": CLAMP_METER, "constant-force": UNPLUGGED},
     at_rest="amplifier",
     added_a=lambda offset_a, K_A: offset_a,
     usual="sharp corner",

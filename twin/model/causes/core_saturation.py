@@ -33,10 +33,7 @@ CAUSE = Cause(
     shows_in=("holds", "lift-off", "prbs-open-loop"),
     confirm="note i_c at six heights: the line bends up where the gap is large",
     cure="less current (a lighter ball, a smaller gap), or a table of the force in place of (3)",
-    deciding_measurements={
-        "force-exponent": SCALE,
-        "air-gap-offset": SCALE,
-    },
+    deciding_measurements={"force-exponent": SCALE, "air-gap-offset": SCALE},
     at_rest="balance",
     usual="root of a sum of squares",
     forms=(

@@ -7,8 +7,7 @@ import math
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
-AMPLITUDE = 17
-FREQUENCY = 18
+AMPLITUDE, FREQUENCY = 17, 18
 
 CAUSE = Cause(
     name="periodic-disturbance",

@@ -10,9 +10,7 @@ from __future__ import annotations
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
-BOW = 21
-SKEW = 29
-FULLNESS = 30
+BOW, SKEW, FULLNESS = 21, 29, 30
 S_SHAPE = 1.5 * 3.0**0.5  # so that an S is off by the bow at most, too
 
 CAUSE = Cause(

@@ -28,10 +28,7 @@ CAUSE = Cause(
     shows_in=("rest", "lift-off"),
     confirm="read x with the ball on its rest, the coil off",
     cure="zero the sensor with the ball on its rest",
-    deciding_measurements={
-        "constant-force": SHIM,
-        "sensor-crosstalk": SHIM,
-    },
+    deciding_measurements={"constant-force": SHIM, "sensor-crosstalk": SHIM},
     traits=frozenset({"displaces"}),
     at_rest="balance",
     usual="constant",

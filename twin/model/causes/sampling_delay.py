@@ -5,8 +5,8 @@ i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay); in a capture, whic
 
 from __future__ import annotations
 
-from twin.model.causes.actuation_delay import in_captures
-from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes
+from twin.model.causes.actuation_delay import AT_THE_KINKS, in_captures
+from twin.model.causes.cause import Cause, CauseParameter, Form
 
 DELAY, IN_CAPTURES = 26, 110
 
@@ -37,7 +37,6 @@ CAUSE = Cause(
             probed=True,
         ),
     ),
-    # The likelihood of a delay has a kink at every whole interval.
-    measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
+    measured_probes=AT_THE_KINKS,
     same_samples_as="actuation-delay",
 )
