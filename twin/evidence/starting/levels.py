@@ -144,22 +144,15 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
 
 
 def _plateaus(record: Record) -> list[Level]:
-    levels = []
+    stretches: list[tuple[float, FloatArray]] = []
     for capture in record.captures:
         before, after = capture.i_c_a[: capture.step_index], capture.i_c_a[capture.step_index + 1 :]
-        for u, part in ((capture.u_from_v, before), (capture.u_to_v, after[len(after) // 2 :])):
-            level = _level(u, part)
-            if level:
-                levels.append(level)
-    if not record.has("u_c", "i_c") or record.kind == "equilibria" or (record.captures and record.kind != "prbs"):
-        return levels
-    if record.kind == "closed-loop":
-        return levels
-    for piece in _constant_pieces(record):
-        level = _level(float(np.median(record.u_c[piece])), record.i_c[piece][(piece.stop - piece.start) // 2 :])
-        if level:
-            levels.append(level)
-    return levels
+        stretches += [(capture.u_from_v, before), (capture.u_to_v, after[len(after) // 2 :])]
+    constant = record.kind == "prbs" or (record.kind not in ("equilibria", "closed-loop") and not record.captures)
+    for piece in _constant_pieces(record) if constant and record.has("u_c", "i_c") else ():
+        half = (piece.stop - piece.start) // 2
+        stretches.append((float(np.median(record.u_c[piece])), record.i_c[piece][half:]))
+    return [level for u, i in stretches if (level := _level(u, i)) is not None]
 
 
 def _constant_pieces(record: Record) -> list[slice]:
