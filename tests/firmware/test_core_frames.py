@@ -42,7 +42,7 @@ def test_a_bad_frame_is_refused_where_the_page_says(core: Core, golden: Golden) 
         assert core.decode(between) is not None
 
 
-@settings(max_examples=500)
+@settings(max_examples=200)
 @given(body=st.binary(min_size=1, max_size=64))
 def test_any_body_comes_back(core: Core, body: bytes) -> None:
     wire = core.encode(body)
@@ -51,7 +51,7 @@ def test_any_body_comes_back(core: Core, body: bytes) -> None:
     assert core.decode(wire[1:-1]) == body
 
 
-@settings(max_examples=1000)
+@settings(max_examples=300)
 @given(encoded=st.lists(st.integers(1, 255), min_size=1, max_size=MAX_ENCODED).map(bytes))
 def test_what_is_no_chain_or_has_a_wrong_crc_is_no_body(core: Core, encoded: bytes) -> None:
     data = cobs_decode(encoded)
@@ -69,7 +69,7 @@ def test_a_right_crc_is_recognised_at_every_length(core: Core, data: bytes, size
     assert core.decode(encoded) == body
 
 
-@settings(max_examples=1500)
+@settings(max_examples=500)
 @given(
     row=st.sampled_from([row for row in ROWS if row.to_board]),
     fields=st.binary(min_size=62, max_size=62) | st.just(b"\xff" * 62) | st.just(bytes(62)),

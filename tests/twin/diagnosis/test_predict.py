@@ -43,7 +43,6 @@ CAUSES = (
     "periodic-disturbance",
     "position-sensor-gain",
     "position-sensor-lag",
-    "sensor-crosstalk",
     "sampling-delay",
 )
 

@@ -22,7 +22,6 @@ from twin.settings import diagnosis as settings
 CASES = [
     THETA,
     strong("eddy-current-lag", 1e-3),
-    strong("position-sensor-lag", 5e-4),
     strong("amplifier-gain-drift", 0.05),
     strong("actuation-delay", 7e-4),
     strong("coulomb-friction", 1e-3),

@@ -93,6 +93,7 @@ def test_a_log_gives_a_report_that_needs_nothing_else(
     page = (tmp_path / "report" / "report.html").read_text()
     assert answer.startswith("The model explains these recordings")
     assert page.index(answer.split(":")[0]) < page.index("<img")  # the answer first
+    assert 'alt="error over the horizon"' in page
     assert page.count("data:image/png;base64,") == 6  # 7, 8, horizon, residuals, 11 and 12, steps
     assert not re.findall(r'(?:src|href)="(?!data:)', page)
     assert "Not testable" not in page

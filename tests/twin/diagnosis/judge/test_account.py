@@ -26,6 +26,8 @@ from twin.diagnosis.search.state import Selection
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.settings import diagnosis as settings
 
+pytestmark = pytest.mark.xdist_group("diagnosis-account")  # what several tests look at is made once
+
 
 def searched(explained: float, **gains: float) -> Selection:
     """A search whose model explains so much, with what is lost without each cause."""

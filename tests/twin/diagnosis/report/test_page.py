@@ -175,7 +175,9 @@ def with_chances(**chances: float) -> str:
     rows = [replace(row, chance=chances.get(row.name, 0.9), ci95=(1e-4, 2e-3)) for _, row in summary.steps.figures]
     figures = tuple(zip([first for first, _ in summary.steps.figures], together(rows), strict=True))
     summary = replace(summary, steps=replace(summary.steps, figures=figures))
-    return text_of(to_html(replace(found_gap(), quick=True), summary, campaign=Path("runs/monday"), out=Path("diagnosis")))
+    return text_of(
+        to_html(replace(found_gap(), quick=True), summary, campaign=Path("runs/monday"), out=Path("diagnosis"))
+    )
 
 
 def test_a_step_figure_that_just_misses_is_no_contradiction_of_nothing_left() -> None:
