@@ -29,8 +29,8 @@ def _compiled() -> None:
     skip_without_compiler()
 
 
-def test_half_a_minute_of_anything_gives_the_same_bytes() -> None:
-    runs = [play(seed, MINUTE // 4) for seed in range(19, 21)]
+def test_a_minute_of_anything_gives_the_same_bytes() -> None:
+    runs = [play(seed, MINUTE // 4) for seed in range(19, 23)]
 
     assert names(runs) == EVERYTHING
 
