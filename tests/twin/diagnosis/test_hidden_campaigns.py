@@ -172,10 +172,9 @@ def test_a_seed_alone_draws_of_every_part_and_always_the_same() -> None:
 
 
 def test_composites_can_be_recorded(tmp_path: Path) -> None:
-    for seed in range(2):
-        record_hidden(tmp_path / str(seed), draw_hidden(seed, "composites"), quick=True)
+    record_hidden(tmp_path / "both", draw_hidden(0, "composites"), quick=True)
 
-        assert load(tmp_path / str(seed)).recordings
+    assert load(tmp_path / "both").recordings
 
 
 @pytest.mark.slow
