@@ -246,7 +246,7 @@ def test_the_emulated_board_in_program_memory_is_that_of_the_emulator() -> None:
     assert [m for m in bus.messages if m.name == "PARAMETERS"] == [m for m in expected if m.name == "PARAMETERS"]
 
 
-@pytest.mark.parametrize("baud", [57600, 115200, 230400])
+@pytest.mark.parametrize("baud", [57600, 230400])
 def test_the_uart_gets_the_divider_of_the_data_sheet(baud: int) -> None:
     board = Mcs51Board(Bench(), baud=baud)
     for _ in range(10):

@@ -54,9 +54,8 @@ def compared(here: Sent, there: Sent) -> dict[str, tuple[int, int]]:
     return counts
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_six_seconds_of_anything_give_the_same_frames(seed: int, library: Path) -> None:
-    here, there, board = both(seed, TICKS, library)
+def test_six_seconds_of_anything_give_the_same_frames(library: Path) -> None:
+    here, there, board = both(1, TICKS, library)
 
     counts = compared(here, there)
     assert all(same == pairs for pairs, same in counts.values()), counts

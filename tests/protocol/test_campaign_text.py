@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.campaign import (
@@ -56,6 +56,7 @@ campaigns = st.builds(
 )  # fmt: skip
 
 
+@settings(max_examples=40)
 @given(campaign=campaigns)
 def test_what_is_written_is_read_back(campaign: Campaign) -> None:
     text = emit(campaign, comments=["how it came about"])

@@ -23,8 +23,8 @@ def check_that_none_is_accepted(total: int, *, seed: int) -> None:
     assert sum(causes.values()) >= total, "each damaged frame is reported; a flip can cut one in two, never hide it"
 
 
-def test_a_hundred_thousand_damaged_frames_are_all_rejected() -> None:
-    check_that_none_is_accepted(100_000, seed=1)
+def test_thirty_thousand_damaged_frames_are_all_rejected() -> None:
+    check_that_none_is_accepted(30_000, seed=1)
 
 
 @pytest.mark.slow
@@ -49,9 +49,8 @@ def test_every_damaged_frame_has_one_to_three_flipped_bits_and_all_bits_are_hit(
     assert flipped.any(axis=0).all()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_flip_of_any_single_bit_of_any_message_is_rejected(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_a_flip_of_any_single_bit_of_any_message_is_rejected() -> None:
+    rng = np.random.default_rng(0)
     ping = encode_frame(encode_body("PING", id=1))
     for row in ROWS:
         frame = bench.random_frame(rng, row)

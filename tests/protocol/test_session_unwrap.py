@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.wire.decoder import State
@@ -168,6 +168,7 @@ def test_two_full_ticks_behind_the_count_are_a_reset() -> None:
     assert unwrapper.witness(8, 5105 * T_S) == Jump(board_reset=True, doubtful=(0, 4999))
 
 
+@settings(max_examples=30)
 @given(wrong=st.integers(0, 2**32 - 1))
 def test_one_wrong_full_tick_moves_nothing(wrong: int) -> None:
     unwrapper = started()

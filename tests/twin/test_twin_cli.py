@@ -39,10 +39,11 @@ def wrong_rig() -> Rig:
     return Rig(K_c=M * G / 120.364**2, gap_offset_m=2.4377e-3)
 
 
-@pytest.fixture
-def right_log(tmp_path: Path) -> Path:
-    write_log(tmp_path / "right.mcap", Rig())
-    return tmp_path / "right.mcap"
+@pytest.fixture(scope="module")
+def right_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path: Path = tmp_path_factory.mktemp("right") / "right.mcap"
+    write_log(path, Rig())
+    return path
 
 
 def refused(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -102,11 +103,11 @@ def test_a_log_without_the_law_is_observed_only(tmp_path: Path, capsys: pytest.C
     assert 1.7 < board["nis_mean"] < 2.3
 
 
-def test_an_unfinished_log_is_read_as_far_as_it_goes(right_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    long = right_log.with_name("long.mcap")
+def test_an_unfinished_log_is_read_as_far_as_it_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    long = tmp_path / "long.mcap"
     with TwinLog(long) as log:
         add(log, Rig(), board="rig", ticks=16_000)  # more than one chunk
-    cut = right_log.with_name("cut.mcap")
+    cut = tmp_path / "cut.mcap"
     data = long.read_bytes()
     cut.write_bytes(data[: len(data) * 2 // 3])
 
@@ -124,12 +125,12 @@ def test_what_is_no_log_is_refused(content: bytes, tmp_path: Path, capsys: pytes
     assert "x.mcap" in refused(["twin", "--log", str(tmp_path / "x.mcap")], capsys)
 
 
-def test_a_damaged_log_is_refused(right_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_log_is_refused(right_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = bytearray(right_log.read_bytes())
     data[len(data) // 2] ^= 0xFF
-    right_log.write_bytes(data)
+    (tmp_path / "damaged.mcap").write_bytes(data)
 
-    assert "recover" in refused(["twin", "--log", str(right_log)], capsys)
+    assert "recover" in refused(["twin", "--log", str(tmp_path / "damaged.mcap")], capsys)
 
 
 def test_a_foreign_message_under_our_key_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

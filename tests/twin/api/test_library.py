@@ -37,7 +37,7 @@ def write(folder: Path, record: Record) -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Flights of a rig as the model has it, and points of rest of one whose coil sits higher."""
     folder = tmp_path_factory.mktemp("campaign")
-    _, sawtooth, multisine, prbs = run_campaign(CE152, seed=5, flight_s=8.0)
+    _, sawtooth, multisine, prbs = run_campaign(CE152, seed=5, flight_s=5.0)
     plant = f'name = "ce152"\nmass_kg = {CE152.mass_kg}\ntravel_m = {CE152.travel_m}\n'
     x_max = f"x_max_m = {CE152.travel_m + CE152.coil_plane_above_stop_m}\n"
     text = f"[plant]\n{plant}{x_max}"

@@ -181,7 +181,7 @@ def test_rms_is_what_a_simulation_with_that_noise_shows(which: int) -> None:
     p, s, x_prev, guess = np.zeros(3), 0.0, 0.0, np.zeros(3)
     xs, us = [], []
 
-    for _ in range(60_000):
+    for _ in range(30_000):
         i_y = round((p[0] + rng.normal(0, model.noise.sigma_i_c_a)) / converters.i_lsb_a) * converters.i_lsb_a
         x_y = round((p[1] + rng.normal(0, model.noise.sigma_x_m)) / converters.x_lsb_m) * converters.x_lsb_m
         if which == 2:
@@ -198,9 +198,9 @@ def test_rms_is_what_a_simulation_with_that_noise_shows(which: int) -> None:
         p = phi @ p + gamma[:, 0] * u
         p += np.array([rng.normal(0, model.noise.process_i_c_a), 0, rng.normal(0, model.noise.process_a_m_s2 * T_S)])
 
-    # The slowest mode (56 ms) leaves 60 000 / (2 * 28) = 1100 independent samples: std of an rms 2.1 %; 4 of them.
-    assert np.std(us) == pytest.approx(found.loops[which].u_rms_v, rel=0.085)
-    assert np.std(xs) == pytest.approx(found.loops[which].x_rms_m, rel=0.085)
+    # The slowest mode (56 ms) leaves 30 000 / (2 * 28) = 540 independent samples: std of an rms 3.0 %; 4 of them.
+    assert np.std(us) == pytest.approx(found.loops[which].u_rms_v, rel=0.12)
+    assert np.std(xs) == pytest.approx(found.loops[which].x_rms_m, rel=0.12)
 
 
 def test_a_wide_interval_is_warned_of_and_a_narrow_one_is_not() -> None:

@@ -40,7 +40,7 @@ NOTHING = "nothing"
 LINEAR, RUBBING = 0.01, 0.04
 
 
-def flown(theta: Theta, *, seed: int, seconds: float = 40.0) -> Evidence:
+def flown(theta: Theta, *, seed: int, seconds: float = 20.0) -> Evidence:
     """Reference steps under the law that the rig's own model asks for, without converters."""
     t = np.arange(round(seconds / TICK_S)) * TICK_S
     command = MIDDLE_M + np.where(t % 1.2 < 0.6, 0.9e-3, -0.9e-3)
@@ -69,43 +69,36 @@ def test_the_floor_is_what_the_true_model_gets_wrong(cause: str) -> None:
     theta = RIG
     if cause != NOTHING:
         theta = strong(cause, STRENGTHS.get(cause) or EFFECTS[cause].strong, RIG)
-    evidence = flown(theta, seed=5)
+    ratio, chance = compared(theta, flown(theta, seed=5), 10)
 
-    for samples in (10, 20):
-        ratio, chance = compared(theta, evidence, samples)
-
-        assert ratio == pytest.approx(1.0, abs=LINEAR + 4.0 * chance)
+    assert ratio == pytest.approx(1.0, abs=LINEAR + 4.0 * chance)
 
 
 @pytest.mark.parametrize("force_n", [3e-4, 1e-3, 1.5e-2])
 def test_the_floor_of_a_ball_that_rubs_is_neither_that_of_a_free_nor_of_a_stuck_one(force_n: float) -> None:
     """Linearised at rest the one is 2.1 times too high, the other 2.8 times too low 40 ms ahead."""
     theta = strong("coulomb-friction", force_n, QUIET)
-    evidence = flown(theta, seed=6)
+    ratio, chance = compared(theta, flown(theta, seed=6), 20)
 
-    for samples in (10, 20):
-        ratio, chance = compared(theta, evidence, samples)
-
-        assert ratio == pytest.approx(1.0, abs=RUBBING + 4.0 * chance)
+    assert ratio == pytest.approx(1.0, abs=RUBBING + 4.0 * chance)
 
 
-@pytest.mark.parametrize("of_a_period", [0.011, 0.019])
-def test_a_phase_that_nobody_told_costs_the_prediction_nothing(of_a_period: float) -> None:
-    """Between two of the phases that are tried: the nearest of 48 alone left 2.7 times the floor."""
+def test_a_phase_that_nobody_told_costs_the_prediction_nothing() -> None:
+    """In the middle between two of the 48 phases that are tried: the nearest alone left 2.7 times the floor."""
     theta = strong("periodic-disturbance", 8e-3, QUIET)
-    evidence = flown(theta, seed=9, seconds=20.0)
-    shifted = replace(evidence, t=evidence.t + of_a_period / theta.value("periodic-disturbance.frequency_hz"))
+    evidence = flown(theta, seed=9, seconds=10.0)
+    shifted = replace(evidence, t=evidence.t + 0.011 / theta.value("periodic-disturbance.frequency_hz"))
 
     ratio, chance = compared(theta, shifted, 10)
 
     assert ratio == pytest.approx(1.0, abs=LINEAR + 4.0 * chance)
 
 
-@pytest.mark.parametrize("cause", [NOTHING, "coulomb-friction", "constant-force", "amplifier-dead-zone"])
+@pytest.mark.parametrize("cause", [NOTHING, "coulomb-friction"])
 def test_diagnose_and_validate_print_the_same_floor(cause: str) -> None:
     """For one model with one noise, on one recording; `validate` begins its flights a tenth of a second in, too."""
     theta = QUIET if cause == NOTHING else strong(cause, EFFECTS[cause].strong, QUIET)
-    evidence = flown(theta, seed=7, seconds=20.0)
+    evidence = flown(theta, seed=7, seconds=10.0)
     floor = Floor(sigma_i_c_a=theta.sigma_i_c_a, sigma_x_m=theta.sigma_x_m, measured=True)
     model = model_of(campaign(), fit_of(theta, 0.0), {}, evidence.records, 0.0, "the rig itself")
 
@@ -122,7 +115,7 @@ def test_diagnose_and_validate_print_the_same_floor(cause: str) -> None:
 
 def test_what_a_model_gets_wrong_is_not_forgiven_for_the_process_noise_that_took_it_up() -> None:
     rig = strong("quadratic-drag", 1.0, QUIET)
-    record = flown(rig, seed=8, seconds=20.0).records[0]
+    record = flown(rig, seed=8, seconds=10.0).records[0]
     rows = []
 
     for theta in (rig, replace(QUIET, process_a_m_s2=0.4)):  # such noise a fit without drag ends with

@@ -29,6 +29,7 @@ from twin.estimation.rollout import SETTLE_S, predict_ahead
 from twin.evidence.gather import gather
 from twin.evidence.lost_rows import bridged
 from twin.inference.theta import Theta
+from twin.model.causes.catalogue import BY_NAME
 from twin.prediction import predict
 from twin.settings import diagnosis as settings
 
@@ -55,17 +56,19 @@ def drawn(record: Record, share: float, seed: int) -> BoolArray:
     return np.asarray(gone)
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_lost_samples_are_no_reason_to_name_a_cause(seed: int) -> None:
     """Forgetting at each gap made six standard errors of constant force and of negative lags."""
     records = [flight(NOISY, seed=10 * seed + k) for k in range(2)]
     criterion = criterion_of([less(record, drawn(record, 0.1, seed)) for record in records])
     base = fitted(criterion, NOISY)
 
-    gains = {score.cause: 0.5 * score.z**2 for score in screen(criterion, base.theta, base.free)}
+    causes = [BY_NAME[name] for name in ("constant-force", "eddy-current-lag", "position-sensor-lag")]
+    scores = screen(criterion, base.theta, base.free, causes)
 
-    for cause in ("constant-force", "eddy-current-lag", "position-sensor-lag"):
-        assert gains[cause] < settings.MIN_GAIN
+    assert len(scores) == len(causes)
+    for score in scores:
+        assert 0.5 * score.z**2 < settings.MIN_GAIN, score.cause
     criterion.close()
 
 

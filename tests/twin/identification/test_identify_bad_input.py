@@ -23,7 +23,7 @@ RIG = random_rig(np.random.default_rng(30))
 
 @pytest.fixture(scope="module")
 def records() -> list[Record]:
-    return run_campaign(RIG, seed=30, flight_s=8.0)
+    return run_campaign(RIG, seed=30, flight_s=5.0)
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +227,7 @@ def test_a_record_of_the_noise_warns_of_nothing(records: list[Record], campaign:
     assert not identify_records(campaign, [*records, rest]).warnings
 
 
-@pytest.mark.parametrize(("gain", "share"), [("1700.0", 0), ("2040.0", 1), ("1870.0", 1)])
+@pytest.mark.parametrize(("gain", "share"), [("1700.0", 0), ("1870.0", 1)])
 def test_a_single_wrong_gain_is_seen(gain: str, share: int) -> None:
     rig = replace(RIG, force_constant_n_m2_a2=CE152.force_constant_n_m2_a2, amplifier_gain_a_v=0.297)
     lab = Lab(rig, seed=33)

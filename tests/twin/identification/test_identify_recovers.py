@@ -55,10 +55,6 @@ def test_a_plant_of_the_tests_own_comes_back(flight: Record, steps: Record) -> N
     assert found.model.noise.sigma_i_c_a == pytest.approx(BALL.sigma_i, rel=0.05)
 
 
-def test_closed_loop_alone_gives_all_four(flight: Record) -> None:
-    check(identify_records(BALL.campaign, [flight]), truth_of(BALL))
-
-
 def test_an_emulated_campaign_comes_back() -> None:
     rig = random_rig(np.random.default_rng(20))
 

@@ -26,7 +26,7 @@ def criterion() -> Iterator[Criterion]:
 
 @pytest.fixture(scope="module")
 def base(criterion: Criterion) -> Fit:
-    return climb(criterion, THETA, BASE)
+    return approach(criterion, THETA, BASE)
 
 
 def test_a_part_is_a_fraction_of_the_samples_and_has_none_of_its_own(criterion: Criterion) -> None:

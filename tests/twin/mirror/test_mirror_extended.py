@@ -32,10 +32,8 @@ CAUSES = (
     "actuation-delay",
     "air-gap-offset",
     "eddy-current-lag",
-    "constant-force",
     "position-sensor-offset",
     "position-sensor-lag",
-    "sensor-crosstalk",
     "current-sensor-offset",
     "sampling-delay",
 )

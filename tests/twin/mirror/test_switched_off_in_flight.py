@@ -23,8 +23,6 @@ from twin.model.parameters import Model
 
 MODES = {Mode.IDLE: pb.MODE_IDLE, Mode.OPEN_LOOP: pb.MODE_OPEN_LOOP, Mode.CLOSED_LOOP: pb.MODE_CLOSED_LOOP}
 FLOWN, FALLEN = 600, 250  # ticks: two windows are begun; a fall from the top and its bounces
-HEIGHTS_M = (0.6e-3, 1.4e-3, 2.85e-3, 4.5e-3, 5.1e-3)
-SWITCHES = ("stop", "host-loss", "idle")
 
 
 class Flight:
@@ -84,8 +82,9 @@ def judged(outputs: list[Output], *, since: int) -> list[float]:
     return [o.divergence.nis for o in outputs if o.divergence.innovation_valid and o.divergence.tick >= since]
 
 
-@pytest.mark.parametrize("x_m", HEIGHTS_M)
-@pytest.mark.parametrize("how", SWITCHES)
+@pytest.mark.parametrize(
+    ("how", "x_m"), [("stop", 0.6e-3), ("stop", 2.85e-3), ("stop", 5.1e-3), ("host-loss", 1.4e-3), ("idle", 4.5e-3)]
+)
 def test_a_coil_switched_off_in_flight_raises_no_alarm(how: str, x_m: float) -> None:
     """At any instant of the tick; the fall is judged, not left out."""
     for seed in range(3):
@@ -101,13 +100,13 @@ def test_a_coil_switched_off_in_flight_raises_no_alarm(how: str, x_m: float) -> 
         assert max(fall) < 42.0, (seed, fall)
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
 def test_a_landing_raises_no_alarm_however_the_ball_bounces(restitution: float) -> None:
     """Some samples are taken after the bounce, well above the stop."""
     rig = replace(CE152, restitution=restitution)
-    for seed, x_m in enumerate(np.linspace(1e-3, 5.1e-3, 8)):
+    for seed, x_m in enumerate(np.linspace(1e-3, 5.1e-3, 4)):
         flight = Flight(float(x_m), seed=seed, rig=rig)
-        flight.switch_off("stop", into_tick_us=250 * seed)
+        flight.switch_off("stop", into_tick_us=500 * seed)
 
         assert alarms(watched(true_model(rig), flight.states)) == [], (seed, x_m)
 
@@ -138,18 +137,18 @@ def test_the_flight_after_a_bounce_is_judged_and_predicted() -> None:
     ids=lambda effects: "+".join(effects),
 )
 def test_a_model_with_causes_is_quiet_in_a_fall_too(effects: Mapping[str, float]) -> None:
-    for seed in range(3):
+    for seed in range(2):
         flight = Flight(2.85e-3, seed=seed, effects=effects)
-        flight.switch_off("stop", into_tick_us=300 + 700 * seed)
+        flight.switch_off("stop", into_tick_us=300 + 1100 * seed)
 
         assert alarms(watched(true_model(CE152, effects), flight.states)) == [], seed
 
 
 def test_a_rig_of_another_day_with_a_slow_amplifier_is_quiet() -> None:
     rig = replace(CE152, amplifier_time_constant_s=1.5e-3, force_constant_n_m2_a2=4.9e-6)
-    for seed in range(5):
+    for seed in range(2):
         flight = Flight(2e-3, seed=seed, rig=rig)
-        flight.switch_off("stop", into_tick_us=400 * seed)
+        flight.switch_off("stop", into_tick_us=900 * seed)
 
         assert alarms(watched(true_model(rig), flight.states)) == [], seed
 

@@ -160,13 +160,22 @@ def test_an_experiment_four_times_as_long_tells_more_but_not_more_than_four(
     assert 1.5 < squares["longer"] / squares["wide-steps"] < 4.1
 
 
-def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it_is_named() -> None:
+@pytest.fixture(scope="module")
+def late() -> tuple[Criterion, Fit, Trial]:
+    """A rig whose input acts late; the fit of that, and of samples that are late."""
     truth = strong("actuation-delay", 6e-4)
-    criterion = criterion_of(narrow(truth, seconds=3.0))
+    criterion = criterion_of(narrow(truth, seconds=2.0))
     own = fitted(criterion, truth, "actuation-delay")
-    confounder = fitted(criterion, strong("sampling-delay", 6e-4), "sampling-delay")
+    samples = fitted(criterion, strong("sampling-delay", 6e-4), "sampling-delay")
+    return criterion, own, as_trial("sampling-delay", samples, own)
 
-    proposals = propose(criterion, own, "actuation-delay", [as_trial("sampling-delay", confounder, own)], controller())
+
+def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it_is_named(
+    late: tuple[Criterion, Fit, Trial],
+) -> None:
+    criterion, own, samples = late
+
+    proposals = propose(criterion, own, "actuation-delay", [samples], controller())
 
     assert proposals
     for one in proposals:
@@ -177,16 +186,13 @@ def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it
         assert "oscilloscope" in pair.measurement
 
 
-def test_with_several_confounders_the_hopeless_pair_does_not_hide_what_the_others_need() -> None:
-    truth = strong("actuation-delay", 6e-4)
-    criterion = criterion_of(narrow(truth, seconds=3.0))
-    own = fitted(criterion, truth, "actuation-delay")
-    confounders = [
-        as_trial(cause, fitted(criterion, strong(cause, value), cause), own)
-        for cause, value in (("sampling-delay", 6e-4), ("eddy-current-lag", 6e-4))
-    ]
+def test_with_several_confounders_the_hopeless_pair_does_not_hide_what_the_others_need(
+    late: tuple[Criterion, Fit, Trial],
+) -> None:
+    criterion, own, samples = late
+    lag = as_trial("eddy-current-lag", fitted(criterion, strong("eddy-current-lag", 6e-4), "eddy-current-lag"), own)
 
-    proposals = propose(criterion, own, "actuation-delay", confounders, controller())
+    proposals = propose(criterion, own, "actuation-delay", [samples, lag], controller())
 
     delay, eddy = proposals[0].pairs
     assert (delay.confounder, delay.separable) == ("sampling-delay", False)
@@ -217,7 +223,7 @@ def test_a_loop_that_drops_the_ball_is_not_proposed(
 
 def test_a_coil_that_heats_is_asked_to_get_warm() -> None:
     truth = strong("amplifier-gain-drift", 0.03)
-    criterion = criterion_of(narrow(truth, seconds=3.0))
+    criterion = criterion_of(narrow(truth, seconds=1.5))
     own = fitted(criterion, truth, "amplifier-gain-drift")
     confounder = fitted(criterion, strong("amplifier-dead-zone", 0.05), "amplifier-dead-zone")
 

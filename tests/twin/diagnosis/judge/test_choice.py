@@ -109,8 +109,7 @@ def harmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rubbing = strong("coulomb-friction", 3e-3, QUIET)
     asked = campaign()
     asked = replace(asked, plant=replace(asked.plant, assumed=True))
-    records = [steps(rubbing, seed=seed, seconds=8.0) for seed in (1, 2)]
-    judges = [steps(QUIET, seed=3, use="judge", seconds=8.0)]
+    records, judges = [steps(rubbing, seed=1, seconds=5.0)], [steps(QUIET, seed=3, use="judge", seconds=5.0)]
     found = diagnose_records(asked, records, judges, Options(quick=True, workers=1))
     result = Diagnosed(
         verdict=found.verdict,

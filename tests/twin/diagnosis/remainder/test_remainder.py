@@ -98,9 +98,18 @@ def test_it_predicts_recordings_that_chose_nothing(of_wire: Remainder) -> None:
     assert 0.5 < improvement.flexible_rmse_m / improvement.extended_rmse_m < 2.0
 
 
-def test_nothing_hidden_has_no_curve(tmp_path: Path) -> None:
-    with paper_model(tmp_path, {}) as (criterion, fit):
-        found = modelled(tmp_path, criterion, fit, candidates=True)
+@pytest.fixture(scope="module")
+def of_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Criterion, Fit]]:
+    """A campaign with nothing hidden, and the paper's model of it."""
+    folder: Path = tmp_path_factory.mktemp("nothing")
+    with paper_model(folder, {}) as (criterion, fit):
+        yield folder, criterion, fit
+
+
+def test_nothing_hidden_has_no_curve(of_nothing: tuple[Path, Criterion, Fit]) -> None:
+    folder, criterion, fit = of_nothing
+
+    found = modelled(folder, criterion, fit, candidates=True)
 
     assert found is not None
     assert not found.shapes
@@ -109,11 +118,14 @@ def test_nothing_hidden_has_no_curve(tmp_path: Path) -> None:
     assert found.improvement.extended_rmse_m == found.improvement.causes_rmse_m
 
 
-def test_what_the_budget_does_not_pay_is_not_begun(tmp_path: Path) -> None:
-    with paper_model(tmp_path, {}) as (criterion, fit):
-        criterion.whole = Budget(1e6)
-        with pytest.raises(Spent):
-            scores(criterion, fit, curve.CURVES)
+def test_what_the_budget_does_not_pay_is_not_begun(
+    of_nothing: tuple[Path, Criterion, Fit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, criterion, fit = of_nothing
+    monkeypatch.setattr(criterion, "whole", Budget(1e6))
+
+    with pytest.raises(Spent):
+        scores(criterion, fit, curve.CURVES)
 
 
 def test_the_page_s_splines_are_the_kernel_s() -> None:
@@ -128,9 +140,8 @@ def test_the_page_s_splines_are_the_kernel_s() -> None:
     np.testing.assert_allclose(basis(at / 2.0) @ k, own, atol=1e-12)
 
 
-def test_the_regression_has_a_window_for_flights_alone(tmp_path: Path) -> None:
-    make_campaign(tmp_path, effects={}, seed=SEED, plant="independent", quick=True)
-    campaign = load(tmp_path)
+def test_the_regression_has_a_window_for_flights_alone(of_nothing: tuple[Path, Criterion, Fit]) -> None:
+    campaign = load(of_nothing[0])
     fit, judge = (gather(read_campaign(campaign, use=use), campaign.plant) for use in ("fit", "judge"))
 
     errors = flexible_errors(fit, judge, 10, seed=0)

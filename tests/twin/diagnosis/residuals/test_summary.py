@@ -18,6 +18,7 @@ from twin.estimation.family import holm
 from twin.evidence.gather import gather
 from twin.inference.noise_floor import Floor
 
+pytestmark = pytest.mark.xdist_group("diagnosis-summary")  # what several tests look at is made once
 GAP_M = 5e-4
 FLOOR = Floor(sigma_i_c_a=QUIET.sigma_i_c_a, sigma_x_m=QUIET.sigma_x_m, measured=True, counts=(0, 1))
 

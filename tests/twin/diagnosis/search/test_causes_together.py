@@ -145,7 +145,7 @@ def test_what_was_refused_beside_a_confounder_is_asked_again_beside_the_right_ca
 def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prediction pays for a cause that explains little of what is left, but not for one that stops the ball."""
     rig = strong("coulomb-friction", 1.5e-3)
-    criterion = criterion_of(narrow(rig))
+    criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         base = fitted(criterion, THETA)
         rubs = fitted(criterion, rig, "coulomb-friction")
@@ -169,7 +169,7 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
 def test_dry_friction_is_climbed_to_from_a_wrong_model() -> None:
     """A filter that takes a slow ball for held, or for free, has a likelihood that no climb gets up."""
     rig = strong("coulomb-friction", 4e-3)
-    criterion = criterion_of(narrow(rig))
+    criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         base = fitted(criterion, THETA)
         found = fitted(criterion, strong("coulomb-friction", 1e-3, base.theta), "coulomb-friction")

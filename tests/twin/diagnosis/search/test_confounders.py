@@ -43,7 +43,7 @@ def selection(base: Fit, fit: Fit, *causes: str) -> Selection:
 
 def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
     rig = strong(GAP, 5e-4)
-    criterion = criterion_of(narrow(rig))
+    criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         base = fitted(criterion, THETA)
         found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
@@ -94,7 +94,7 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
 def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it() -> None:
     """Beside an offset of i_c that has taken up a dead zone, the dead zone begins where the offset gives it back."""
     rig = strong("amplifier-dead-zone", 0.24, strong("current-sensor-offset", -0.065))
-    criterion = criterion_of(narrow(rig))
+    criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         at = fitted(criterion, strong("current-sensor-offset", -0.13), "current-sensor-offset")
         scores = {score.cause: score for score in screen(criterion, at.theta, at.free)}
@@ -127,7 +127,7 @@ def test_quick_gives_the_first_of_two_causes_the_place_of_one_that_explains_more
 def test_a_time_constant_that_went_to_zero_beside_a_wrong_model_comes_back_with_the_right_one() -> None:
     """Its logarithm has no slope there, and a lag of the field would be taken for it."""
     rig = strong(GAP, 5e-4)
-    criterion = criterion_of(narrow(rig))
+    criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         lost = fitted(criterion, replace(rig, T_A=5e-7), GAP)
         back = stepwise._revived(criterion, lost)

@@ -21,7 +21,7 @@ FIRST, LATER = "motional-emf", "actuation-delay"
 @pytest.mark.parametrize(("strength", "retained"), [(0.15, False), (1.0, True)])
 def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: float, retained: bool) -> None:
     rig = probed(strong(LATER, 6e-4), BY_NAME[FIRST], strength)
-    criterion = criterion_of(narrow(rig, seconds=4.0))
+    criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
         alone = fitted(criterion, strong(LATER, 6e-4), LATER)

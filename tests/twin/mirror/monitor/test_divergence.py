@@ -59,7 +59,7 @@ def test_innovations_of_a_right_model_are_white() -> None:
 
 
 def test_the_error_of_a_right_twin_has_the_standard_deviation_that_was_derived() -> None:
-    _, outputs = outputs_of(Rig(seed=13), 12_000)
+    _, outputs = outputs_of(Rig(seed=13), 6000)
     settled = [o.divergence for o in outputs if o.divergence.sync == IN_STEP]
 
     for signal in ("x_m", "i_c_a", "u_c_v"):
@@ -91,7 +91,7 @@ def test_autocovariance_agrees_with_a_simulated_difference() -> None:
     variances = np.array([4e-6, 2.5e-11, 1e-7, 1e-8, 1.6e-9])
     derived = autocovariance(F, G_, H, through, variances, lags=30)
     rng = np.random.default_rng(5)
-    n = 200_000
+    n = 50_000
     w = rng.normal(size=(n, 5)) * np.sqrt(variances)
     d = np.zeros(5)
     y = np.empty((n, 3))
@@ -102,8 +102,8 @@ def test_autocovariance_agrees_with_a_simulated_difference() -> None:
 
     for lag in (0, 1, 5, 20):
         simulated = np.mean(y[lag:] * y[: n - lag], axis=0)
-        # correlated over some 20 ticks: relative error of a covariance sqrt(2 * 20 / n) = 1.4 %, here 4 of them
-        assert np.all(np.abs(simulated - derived[lag]) < 0.06 * derived[0])
+        # correlated over some 20 ticks: relative error of a covariance sqrt(2 * 20 / n) = 2.8 %, here 4 of them
+        assert np.all(np.abs(simulated - derived[lag]) < 0.12 * derived[0])
 
 
 def test_doubling_solves_the_lyapunov_equation() -> None:
