@@ -157,10 +157,10 @@ class AvrBoard:
         self._library.chip_jump(self._chip, self._loop)
         self._held_ticks = 0
 
-    def overrun(self) -> None:
-        """Hold the program for two ticks, as work that takes too long would; interrupts are served."""
+    def overrun(self, ticks: int = 2) -> None:
+        """Hold the program for some ticks, as work that takes too long would; interrupts are served."""
         if not self._held_ticks:
-            self._held_ticks = 2
+            self._held_ticks = ticks
             self._go_on_at = self._library.chip_jump(self._chip, self._loop)
 
     def store(self, content: bytes) -> None:
