@@ -242,6 +242,23 @@ def test_a_bus_that_nothing_frees_stops_nothing_and_is_a_fault(host: AvrHost) ->
     assert EventCode.OVERRUN not in host.codes()
 
 
+@pytest.mark.parametrize("bit_us", [3, 8])
+def test_the_interrupt_of_a_capture_does_not_enter_itself_on_a_slow_bus(host: AvrHost, bit_us: int) -> None:
+    """With 8 us a bit the step takes longer than the time to the next sample, which waits."""
+    host.board.slow_bus(bit_us)
+    for n in range(1, 11):
+        host.ask("SET_MODE", mode=int(Mode.OPEN_LOOP))
+        assert host.ask("CAPTURE", u_from=300, u_to=1700, pre=10 + n, count=60).name == "ACK"
+        inputs = set()
+        while host.codes().count(EventCode.CAPTURE_DONE) < n:
+            host.run()
+            inputs.add(host.board.u)
+        assert {300, 1700} <= inputs
+
+    assert host.board.broken_writes == 0
+    assert EventCode.OUTPUT_FAULT not in host.codes()
+
+
 def test_absurd_settings_with_a_right_crc_give_way_to_those_of_the_program() -> None:
     content = stored(7, replace(CE152_BOARD, limits=replace(LIMITS, u_max=60000)))
 

@@ -27,6 +27,7 @@ OF_THE_CAPTURE = {"capture_start", "leave"}  # before its timer starts and after
 AVR_ALLOWED = {
     ("rest", "woken"),  # cleared after the sleep: the turn that begins then looks at everything
     ("hal_capture_timer", "capture_waits"),  # its interrupt is off
+    ("hal_capture_timer", "capturing"),
     ("hal_capture_timer", "register 0x70"),  # TIMSK2: a byte is set, whatever it was
     ("hal_send", "register 0xc1"),  # UCSR0B: the interrupt clears only what is set here, when it has sent all
     ("dac_write", "register 0xbc"),  # TWCR: a capture that is running has the bus to itself

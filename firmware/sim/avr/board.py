@@ -53,6 +53,8 @@ class _Chip(ctypes.Structure):
         ("acknowledge_at", c_uint64),
         ("held", c_uint16),
         ("held_by_reset", c_uint16),
+        ("bit_cycles", c_uint16),
+        ("broken", c_uint16),
         ("watched_byte", c_uint8),
         ("sent", c_uint8 * _OUTPUT_SIZE),
     )
@@ -192,6 +194,15 @@ class AvrBoard:
     def hold_bus(self, falls: int) -> None:
         """Let the converter hold SDA low from now on, for so many falls of SCL; 0: let it go."""
         self._view.held = falls
+
+    def slow_bus(self, bit_us: int) -> None:
+        """Let a bit on the converter's bus take this long from now on."""
+        self._view.bit_cycles = bit_us * CYCLES_PER_US
+
+    @property
+    def broken_writes(self) -> int:
+        """The number of messages on the converter's bus within which another one began."""
+        return int(self._view.broken)
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Put bytes on the chip's RX pin, `into_tick_us` after the last tick; never raises."""

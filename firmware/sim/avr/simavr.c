@@ -15,10 +15,10 @@ enum { TIME_IS_OVER, CONVERSION, INPUT_CHANGED, CRASHED };
 
 #define F_CPU 16000000U
 #define DAC_ADDRESS 0x60
-#define BYTE_CYCLES (9U * 40U)     /* 9 bits at 400 kHz */
-#define ADDRESS_CYCLES (11U * 40U) /* with the start condition and the stop before it */
+#define BYTE_BITS 9U
+#define ADDRESS_BITS 11U /* with the start condition and the stop before it */
 #define SIMAVR_BYTE_CYCLES 144U
-#define BIT_CYCLES 40U
+#define BIT_CYCLES 40U /* at 400 kHz */
 #define AFTER_ADDRESS_CYCLES 16U /* within which the program sees that an address has been moved */
 #define TWINT (1U << 7)
 #define TWEN (1U << 2)
@@ -40,6 +40,8 @@ struct chip {
     uint64_t acknowledge_at; /* cycle at which the last byte's acknowledge began */
     uint16_t held;         /* falls of SCL until the converter lets SDA go; 0: it does not hold it */
     uint16_t held_by_reset; /* those of a reset in an acknowledge */
+    uint16_t bit_cycles;   /* of the bus, 16 at least; more: a converter or a cable that makes it slower */
+    uint16_t broken;       /* messages within which another one began */
     uint8_t watched_byte;  /* of a message, 1: its address; 0 once it is acknowledged */
     uint8_t sent[OUTPUT_SIZE];
     uint8_t event, selected, received_count;
@@ -88,12 +90,15 @@ static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
     (void)irq;
     if ((what & TWI_COND_STOP) != 0) {
         chip->selected = 0;
+        chip->bytes = 0;
     } else { /* simavr moves an address in 0.1 us and a byte in 9, whatever the rate; the program waits for it anyway */
-        chip->avr->cycle += (what & TWI_COND_START) != 0 ? ADDRESS_CYCLES : BYTE_CYCLES - SIMAVR_BYTE_CYCLES;
+        chip->avr->cycle += (what & TWI_COND_START) != 0 ? ADDRESS_BITS * chip->bit_cycles
+                                                         : BYTE_BITS * chip->bit_cycles - SIMAVR_BYTE_CYCLES;
     }
     if ((what & TWI_COND_START) != 0) {
         chip->selected = chip->output_fault != DEAF && message.u.twi.addr == DAC_ADDRESS << 1;
         chip->received_count = 0;
+        chip->broken += chip->bytes != 0U;
         chip->bytes = 0;
     }
     if (!chip->selected) {
@@ -154,6 +159,7 @@ static void on_reset(avr_io_t *io) {
     struct chip *chip = io->avr->custom.data;
     uint64_t into = io->avr->cycle - chip->acknowledge_at;
 
+    chip->bytes = 0;
     if (into < BIT_CYCLES) {
         chip->held = chip->held_by_reset;
     }
@@ -197,6 +203,7 @@ static void take_bus(struct chip *chip) {
     avr->io[ddrc].w.c = on_ddrc;
     avr->io[pinc].r.c = on_pinc;
     avr->io[twcr].w.param = avr->io[ddrc].w.param = avr->io[pinc].r.param = chip;
+    chip->bit_cycles = BIT_CYCLES;
     chip->held_by_reset = 1; /* the acknowledge ends when SCL falls */
     chip->on_reset.kind = "reset";
     chip->on_reset.reset = on_reset;
