@@ -4,15 +4,38 @@
 
 #include "avr.h"
 
+/* Ends what the converter is in the middle of.  After a reset in its acknowledge it holds SDA until SCL falls, and no
+ * start condition is possible.  So SCL falls until SDA is high, nine times at most (a byte and its acknowledge), then a
+ * stop condition.  The interface is off meanwhile: the bits of DDRC pull the lines low, as PORTC is 0. */
+static void free_bus(void) {
+    uint8_t clocks = 9;
+
+    TWCR = 0;
+    for (; (PINC & TWI_SDA) == 0 && clocks != 0U; clocks--) {
+        DDRC |= TWI_SCL;
+        __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
+        DDRC &= (uint8_t)~TWI_SCL;
+        __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
+    }
+    DDRC |= TWI_SCL;
+    DDRC |= TWI_SDA;
+    __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
+    DDRC &= (uint8_t)~TWI_SCL;
+    __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
+    DDRC &= (uint8_t)~TWI_SDA;
+    __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
+    TWCR = 1 << TWEN;
+}
+
 /* As it is called before RAM is initialised, it keeps no variable. */
 void dac_start(void) {
     TWSR = 0;
     TWBR = TWI_DIVIDER;
-    TWCR = 1 << TWEN;
+    free_bus();
 }
 
-/* One step on the bus, and whether it came to its end.  The wait is bounded: a bus that is stuck must not stop the loop,
- * which tries again. */
+/* One step on the bus, and whether it came to its end.  The wait is bounded: a bus that is stuck must not stop the loop.
+ * The bus is then free for the next write: the core writes again at each tick. */
 static bool step(uint8_t control) {
     uint8_t patience = TWI_PATIENCE;
 
@@ -20,7 +43,11 @@ static bool step(uint8_t control) {
     while ((TWCR & (1 << TWINT)) == 0 && patience != 0U) {
         patience--;
     }
-    return patience != 0U;
+    if (patience == 0U) {
+        free_bus();
+        return false;
+    }
+    return true;
 }
 
 /* Whether the byte was acknowledged: a converter that is not there does not.  Both statuses are looked at for address
@@ -40,7 +67,9 @@ bool dac_write(uint16_t u) {
         patience--;
     }
     confirmed = step(1 << TWSTA) && put(DAC_ADDRESS << 1) && put((uint8_t)(u >> 8)) && put((uint8_t)u);
-    TWCR = (1 << TWINT) | (1 << TWEN) | (1 << TWSTO);
+    if ((TWCR & (1 << TWINT)) != 0) { /* else `free_bus` has made the stop condition */
+        TWCR = (1 << TWINT) | (1 << TWEN) | (1 << TWSTO);
+    }
     return confirmed;
 }
 

@@ -20,6 +20,7 @@ static uint8_t cause;
 static volatile uint8_t ticks_due;
 static volatile bool woken; /* since the main loop began its turn */
 static volatile uint8_t capture_waits; /* interrupts of timer 2 before the next one that counts */
+static volatile bool capturing;
 static volatile uint8_t rx_ring[RX_RING];
 static volatile uint8_t rx_in, rx_out;
 static volatile uint8_t tx_ring[TX_RING];
@@ -120,19 +121,27 @@ bool hal_tick_due(void) {
     return due != 0U;
 }
 
-/* Bytes that come in while a sample is taken must not wait for it. */
-ISR(TIMER2_COMPA_vect, ISR_NOBLOCK) {
+/* Bytes that come in while a sample is taken must not wait for it, but the next sample must: two would write to one bus.
+ * Its flag stays set meanwhile, so it is taken right after this one. */
+ISR(TIMER2_COMPA_vect) {
     woken = true;
     if (capture_waits != 0U) {
         capture_waits--;
-    } else {
-        capture_interrupt();
+        return;
+    }
+    TIMSK2 = 0;
+    sei();
+    capture_interrupt();
+    cli();
+    if (capturing) { /* it may have been the last one */
+        TIMSK2 = 1 << OCIE2A;
     }
 }
 
 void hal_capture_timer(uint16_t us) {
     TIMSK2 = 0;
-    if (us != 0U) {
+    capturing = us != 0U;
+    if (capturing) {
         capture_waits = (uint8_t)(us / CAPTURE_US - 1U);
         TCNT2 = 0;
         TIFR2 = 1 << OCF2A;

@@ -9,6 +9,7 @@
  *     capture, CAPTURE_US    timer 2     "8-bit Timer/Counter2", CTC mode      TCCR2A/B, OCR2A, TIMSK2, TIFR2, TCNT2
  *     A2: i_c, A3: x         ADC         "Prescaling and Conversion Timing"    ADMUX, ADCSRA, ADC, DIDR0
  *     u_c: 0x60, 400 kHz     TWI         "Bit Rate Generator Unit"             TWBR, TWSR, TWCR, TWDR
+ *     A4: SDA, A5: SCL       port C      "Ports as General Digital I/O"        DDRC, PINC (a bus that is held)
  *     8N1, double speed      USART 0     "Double Speed Operation"              UBRR0, UCSR0A/B/C, UDR0
  *     reset after 32 ms      watchdog    "Watchdog Timer"                      WDTCSR
  *     cause of a reset                   "MCU Status Register"                 MCUSR
@@ -46,6 +47,9 @@
 #define TWI_RATE UINT32_C(400000)
 #define TWI_DIVIDER ((F_CPU / TWI_RATE - 16U) / 2U)
 #define TWI_PATIENCE 250U /* looks at a byte on the bus; it takes 23 us, 50 looks */
+#define TWI_SDA (1 << 4)    /* of port C */
+#define TWI_SCL (1 << 5)
+#define TWI_HALF_CYCLES 32U /* 2 us: a clock made by hand, slower than the 400 kHz */
 #define DAC_ADDRESS 0x60
 
 /* Bytes, powers of two: what a tick of 1 ms brings at 250000, and what leaves during one at 115200. */

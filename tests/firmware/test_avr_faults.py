@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from firmware.sim.avr.board import AvrBoard, stored
+from firmware.sim.avr.board import CYCLES_PER_TICK, CYCLES_PER_US, AvrBoard, stored
 from gateway.emulator.firmware_model.flash import CE152_BOARD, GAINS, LIMITS
 from gateway.emulator.firmware_model.output import OutputFault
 from protocol.wire.messages import EventCode, Flag, Message, Mode
@@ -22,6 +22,7 @@ HOST_LOST_TICKS = 252  # 500 ms
 OVER_CURRENT_TICKS = 52
 SENSOR_FAULT_TICKS = 502
 BOOT_TICKS = 4  # from a reset to tick 0: 4 to 6 ms
+OFF_AFTER_RESET_US = 200  # a bus that is held, freed; then the write of 0
 IDENTITY_SIZE = 42  # in the EEPROM, with its CRC
 
 
@@ -190,6 +191,72 @@ def test_after_a_reset_a_converter_that_does_not_answer_is_a_fault_again(host: A
     assert host.states[-1].u_c == 4095  # at most
     assert host.states[-1].flags & Flag.FAULT
     assert host.codes()[-1] == EventCode.OUTPUT_FAULT
+
+
+@pytest.mark.parametrize("held", [1, 9])
+@pytest.mark.parametrize("byte", [1, 2, 3])
+def test_a_reset_in_an_acknowledge_of_the_converter_switches_off(host: AvrHost, byte: int, held: int) -> None:
+    """The converter keeps its output through the reset and holds the bus: only clocks free it."""
+    host.board.reset_in_acknowledge(byte, held=held)
+    kept = host.board.u
+    begin = host.board.cycle
+    while host.board.u and host.board.cycle < begin + 2 * CYCLES_PER_TICK:
+        host.board.run_for(10)
+    took_us = (host.board.cycle - begin) / CYCLES_PER_US
+    print(f"0 after {took_us:.0f} us")
+    host.until(EventCode.RESET_WATCHDOG)
+    host.run(10)
+
+    assert kept > 1000
+    assert host.board.u == 0
+    assert took_us < OFF_AFTER_RESET_US
+    assert EventCode.OUTPUT_FAULT not in host.codes()
+
+
+@pytest.mark.parametrize("falls", [1, 9])
+def test_a_converter_that_holds_its_bus_is_freed_by_clocks(host: AvrHost, falls: int) -> None:
+    """As an edge of SCL too many makes it: the write times out, and the next one is confirmed."""
+    host.board.hold_bus(falls)
+    host.run(2)
+    host.send("STOP")
+
+    ticks_until_off(host, at_most=2)
+
+    host.run(10)
+    assert not {EventCode.OUTPUT_FAULT, EventCode.OVERRUN} & set(host.codes())
+
+
+def test_a_bus_that_nothing_frees_stops_nothing_and_is_a_fault(host: AvrHost) -> None:
+    host.board.hold_bus(60000)  # a short circuit
+    states, start = len(host.states), len(host.cycles)
+    host.run(100)
+    during, longest = host.states[states:], max(host.cycles[start:])
+    stopped = host.ask("STOP")
+    host.board.hold_bus(0)
+    ticks_until_off(host, at_most=2)
+
+    assert len(during) == pytest.approx(100, abs=2)
+    assert longest < 0.9 * CYCLES_PER_TICK
+    assert stopped.name == "ACK"
+    assert {EventCode.OUTPUT_FAULT} <= set(host.codes())
+    assert EventCode.OVERRUN not in host.codes()
+
+
+@pytest.mark.parametrize("bit_us", [3, 8])
+def test_the_interrupt_of_a_capture_does_not_enter_itself_on_a_slow_bus(host: AvrHost, bit_us: int) -> None:
+    """With 8 us a bit the step takes longer than the time to the next sample, which waits."""
+    host.board.slow_bus(bit_us)
+    for n in range(1, 11):
+        host.ask("SET_MODE", mode=int(Mode.OPEN_LOOP))
+        assert host.ask("CAPTURE", u_from=300, u_to=1700, pre=10 + n, count=60).name == "ACK"
+        inputs = set()
+        while host.codes().count(EventCode.CAPTURE_DONE) < n:
+            host.run()
+            inputs.add(host.board.u)
+        assert {300, 1700} <= inputs
+
+    assert host.board.broken_writes == 0
+    assert EventCode.OUTPUT_FAULT not in host.codes()
 
 
 def test_absurd_settings_with_a_right_crc_give_way_to_those_of_the_program() -> None:

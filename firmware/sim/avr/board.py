@@ -49,6 +49,12 @@ class _Chip(ctypes.Structure):
         ("u", c_uint16),
         ("channel", c_uint8),
         ("output_fault", c_uint8),
+        ("acknowledge_at", c_uint64),
+        ("held", c_uint16),
+        ("held_by_reset", c_uint16),
+        ("bit_cycles", c_uint16),
+        ("broken", c_uint16),
+        ("watched_byte", c_uint8),
         ("sent", c_uint8 * _OUTPUT_SIZE),
     )
 
@@ -141,10 +147,10 @@ class AvrBoard:
         self._library.chip_jump(self._chip, self._loop)
         self._held_ticks = 0
 
-    def overrun(self) -> None:
-        """Hold the program for two ticks, as work that takes too long would; interrupts are served."""
+    def overrun(self, ticks: int = 2) -> None:
+        """Hold the program for some ticks, as work that takes too long would; interrupts are served."""
         if not self._held_ticks:
-            self._held_ticks = 2
+            self._held_ticks = ticks
             self._go_on_at = self._library.chip_jump(self._chip, self._loop)
 
     def store(self, content: bytes) -> None:
@@ -158,6 +164,33 @@ class AvrBoard:
     def fail_output(self, fault: OutputFault) -> None:
         """Let the converter of u_c fail from now on, or work again; its output stays as it is."""
         self._view.output_fault = int(fault)
+
+    def reset_in_acknowledge(self, byte: int, *, held: int = 1) -> None:
+        """Reset the chip as its watchdog does, while the converter acknowledges this byte of a write of u_c.
+
+        Args:
+            byte: Of the message, 1 to 3; 1 is its address.
+            held: Falls of SCL until the converter lets SDA go.
+        """
+        view = self._view
+        view.watched_byte, view.held_by_reset = byte, held
+        while view.watched_byte:
+            self.run_for(1)
+        self._run_to(view.acknowledge_at + CYCLES_PER_US)
+        self._restart(power=False, brown_out=False)
+
+    def hold_bus(self, falls: int) -> None:
+        """Let the converter hold SDA low from now on, for so many falls of SCL; 0: let it go."""
+        self._view.held = falls
+
+    def slow_bus(self, bit_us: int) -> None:
+        """Let a bit on the converter's bus take this long from now on."""
+        self._view.bit_cycles = bit_us * CYCLES_PER_US
+
+    @property
+    def broken_writes(self) -> int:
+        """The number of messages on the converter's bus within which another one began."""
+        return int(self._view.broken)
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Put bytes on the chip's RX pin, `into_tick_us` after the last tick; never raises."""
@@ -173,6 +206,10 @@ class AvrBoard:
             self._held_ticks -= 1
             if not self._held_ticks:
                 self._library.chip_go_on(self._chip, self._loop, self._go_on_at)
+
+    def run_for(self, time_us: int) -> None:
+        """Let some of a tick pass; the next `tick` ends where it would have ended."""
+        self._run_to(self.cycle + time_us * CYCLES_PER_US)
 
     def take_frame(self) -> bytes:
         """Return what the chip has sent since the last call, or b""."""

@@ -6,6 +6,7 @@
 #include <simavr/avr_twi.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
+#include <simavr/sim_io.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -14,9 +15,15 @@ enum { TIME_IS_OVER, CONVERSION, INPUT_CHANGED, CRASHED };
 
 #define F_CPU 16000000U
 #define DAC_ADDRESS 0x60
-#define BYTE_CYCLES (9U * 40U)     /* 9 bits at 400 kHz */
-#define ADDRESS_CYCLES (11U * 40U) /* with the start condition and the stop before it */
+#define BYTE_BITS 9U
+#define ADDRESS_BITS 11U /* with the start condition and the stop before it */
 #define SIMAVR_BYTE_CYCLES 144U
+#define BIT_CYCLES 40U /* at 400 kHz */
+#define AFTER_ADDRESS_CYCLES 16U /* within which the program sees that an address has been moved */
+#define TWINT (1U << 7)
+#define TWEN (1U << 2)
+#define SDA (1U << 4) /* of port C */
+#define SCL (1U << 5)
 #define STEPS_AT_MOST 100000U      /* of a wait that is of a few hundred */
 #define OUTPUT_SIZE 4096U
 #define RAM_PATTERN 0xC5 /* what RAM holds after power-on: what the stack has not reached keeps it */
@@ -30,12 +37,22 @@ struct chip {
     uint16_t u;      /* of the converter */
     uint8_t channel; /* of the conversion */
     uint8_t output_fault; /* DEAF: the converter does not answer on its bus; STUCK: it does, and keeps its output */
+    uint64_t acknowledge_at; /* cycle at which the last byte's acknowledge began */
+    uint16_t held;         /* falls of SCL until the converter lets SDA go; 0: it does not hold it */
+    uint16_t held_by_reset; /* those of a reset in an acknowledge */
+    uint16_t bit_cycles;   /* of the bus, 16 at least; more: a converter or a cable that makes it slower */
+    uint16_t broken;       /* messages within which another one began */
+    uint8_t watched_byte;  /* of a message, 1: its address; 0 once it is acknowledged */
     uint8_t sent[OUTPUT_SIZE];
     uint8_t event, selected, received_count;
     uint8_t received[2]; /* by the converter, of the message on its bus */
     avr_t *avr;
     avr_irq_t *adc, *twi, *uart;
     avr_uart_t *line;
+    avr_twi_t *bus;
+    avr_io_write_t write_twcr;
+    avr_io_t on_reset;
+    uint8_t bytes; /* of the message on the bus */
 };
 
 static void silent(avr_t *avr, const int level, const char *format, va_list values) {
@@ -73,17 +90,27 @@ static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
     (void)irq;
     if ((what & TWI_COND_STOP) != 0) {
         chip->selected = 0;
+        chip->bytes = 0;
     } else { /* simavr moves an address in 0.1 us and a byte in 9, whatever the rate; the program waits for it anyway */
-        chip->avr->cycle += (what & TWI_COND_START) != 0 ? ADDRESS_CYCLES : BYTE_CYCLES - SIMAVR_BYTE_CYCLES;
+        chip->avr->cycle += (what & TWI_COND_START) != 0 ? ADDRESS_BITS * chip->bit_cycles
+                                                         : BYTE_BITS * chip->bit_cycles - SIMAVR_BYTE_CYCLES;
     }
     if ((what & TWI_COND_START) != 0) {
         chip->selected = chip->output_fault != DEAF && message.u.twi.addr == DAC_ADDRESS << 1;
         chip->received_count = 0;
+        chip->broken += chip->bytes != 0U;
+        chip->bytes = 0;
     }
     if (!chip->selected) {
         return;
     }
     avr_raise_irq(chip->twi + TWI_IRQ_INPUT, avr_twi_irq_msg(TWI_COND_ACK, DAC_ADDRESS << 1, 1));
+    chip->bytes++;
+    chip->acknowledge_at = chip->avr->cycle - BIT_CYCLES +
+                           ((what & TWI_COND_START) != 0 ? AFTER_ADDRESS_CYCLES : SIMAVR_BYTE_CYCLES);
+    if (chip->bytes == chip->watched_byte) {
+        chip->watched_byte = 0;
+    }
     if ((what & TWI_COND_WRITE) != 0) {
         chip->received[chip->received_count] = message.u.twi.data;
         chip->received_count ^= 1U;
@@ -91,6 +118,50 @@ static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
             chip->u = (uint16_t)((chip->received[0] & 0x0FU) << 8 | chip->received[1]);
             happen(chip, INPUT_CHANGED);
         }
+    }
+}
+
+/* A one at TWINT clears it until the step has ended; simavr leaves it set, and a program would not wait.  A start
+ * condition waits for SDA: while the converter holds it, simavr does not learn of the start, and no step ends. */
+static void on_twcr(avr_t *avr, avr_io_addr_t address, uint8_t value, void *to) {
+    struct chip *chip = to;
+
+    if (chip->held != 0U && (value & TWEN) != 0U) {
+        avr->data[address] = value;
+    } else {
+        chip->write_twcr(avr, address, value, chip->bus);
+    }
+    if ((value & TWINT) != 0U) {
+        avr->data[address] &= (uint8_t)~TWINT;
+    }
+}
+
+static void on_ddrc(avr_t *avr, avr_io_addr_t address, uint8_t value, void *to) {
+    struct chip *chip = to;
+    uint8_t before = avr->data[address];
+
+    if ((value & ~before & SCL) != 0 && chip->held != 0U) {
+        chip->held--;
+    }
+    avr->data[address] = value;
+}
+
+/* The lines are high where nobody pulls them low. */
+static uint8_t on_pinc(avr_t *avr, avr_io_addr_t address, void *to) {
+    const struct chip *chip = to;
+    uint8_t pulled = avr->data[address + 1U]; /* DDRC */
+
+    return (uint8_t)((SDA | SCL) & ~pulled & ~(chip->held != 0U ? SDA : 0U));
+}
+
+/* The converter is not reset with the controller: in the middle of its acknowledge it goes on holding SDA. */
+static void on_reset(avr_io_t *io) {
+    struct chip *chip = io->avr->custom.data;
+    uint64_t into = io->avr->cycle - chip->acknowledge_at;
+
+    chip->bytes = 0;
+    if (into < BIT_CYCLES) {
+        chip->held = chip->held_by_reset;
     }
 }
 
@@ -111,13 +182,32 @@ static avr_cycle_count_t on_time(avr_t *avr, avr_cycle_count_t when, void *to) {
     return 0;
 }
 
-static avr_uart_t *find_uart(avr_t *avr) {
+static void *find(avr_t *avr, const char *kind) {
     avr_io_t *io = avr->io_port;
 
-    while (strcmp(io->kind, "uart") != 0) {
+    while (strcmp(io->kind, kind) != 0) {
         io = io->next;
     }
-    return (avr_uart_t *)io;
+    return io;
+}
+
+/* Puts this file's bus between the program and simavr's, which has no lines. */
+static void take_bus(struct chip *chip) {
+    avr_t *avr = chip->avr;
+    avr_io_addr_t twcr, pinc = AVR_DATA_TO_IO(0x26), ddrc = AVR_DATA_TO_IO(0x27);
+
+    chip->bus = find(avr, "twi");
+    twcr = AVR_DATA_TO_IO(chip->bus->r_twcr);
+    chip->write_twcr = avr->io[twcr].w.c;
+    avr->io[twcr].w.c = on_twcr;
+    avr->io[ddrc].w.c = on_ddrc;
+    avr->io[pinc].r.c = on_pinc;
+    avr->io[twcr].w.param = avr->io[ddrc].w.param = avr->io[pinc].r.param = chip;
+    chip->bit_cycles = BIT_CYCLES;
+    chip->held_by_reset = 1; /* the acknowledge ends when SCL falls */
+    chip->on_reset.kind = "reset";
+    chip->on_reset.reset = on_reset;
+    avr_register_io(avr, &chip->on_reset);
 }
 
 struct chip *chip_open(const uint8_t *code, uint32_t size) {
@@ -139,7 +229,8 @@ struct chip *chip_open(const uint8_t *code, uint32_t size) {
     chip->adc = avr_io_getirq(chip->avr, AVR_IOCTL_ADC_GETIRQ, 0);
     chip->twi = avr_io_getirq(chip->avr, AVR_IOCTL_TWI_GETIRQ(0), 0);
     chip->uart = avr_io_getirq(chip->avr, AVR_IOCTL_UART_GETIRQ('0'), 0);
-    chip->line = find_uart(chip->avr);
+    chip->line = find(chip->avr, "uart");
+    take_bus(chip);
     avr_ioctl(chip->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     avr_irq_register_notify(chip->adc + ADC_IRQ_OUT_TRIGGER, on_conversion, chip);
     avr_irq_register_notify(chip->twi + TWI_IRQ_OUTPUT, on_bus, chip);
@@ -167,6 +258,7 @@ void chip_reset(struct chip *chip, uint8_t power, uint8_t brown_out) {
     chip->sent_count = 0;
     if (power) {
         chip->u = 0;
+        chip->held = 0;
     }
 }
 

@@ -105,9 +105,9 @@ class Mcs51Board:
         """Hang the main loop: no ticks, no answers, u_c unchanged, until the watchdog resets the board."""
         self.chip.held_until = 2**64 - 1
 
-    def overrun(self) -> None:
-        """Hold the main loop for two ticks, of which it can then run one, late."""
-        self.chip.held_until = self.chip.cpu.cycles + 2 * TICK_CYCLES
+    def overrun(self, ticks: int = 2) -> None:
+        """Hold the main loop until some ticks are due, of which it can then run one, late."""
+        self.chip.held_until = self.chip.cpu.cycles + ticks * TICK_CYCLES - TICK_CYCLES // 2
 
     def fail_output(self, fault: OutputFault) -> None:
         """Let the output of the converter stay as it is from now on, or follow again.

@@ -20,6 +20,7 @@ enum { ADCCON2 = 0xD8, ADCDATAL, ADCDATAH, ADCCON1 = 0xEF, DAC0L = 0xF9, DAC0H, 
 #define WDS BIT(2)
 #define WDE BIT(1)
 #define WDWR BIT(0)
+#define EA BIT(7)
 
 /* 'Timer 3 Generated Baud Rates': 10 bits. */
 static uint32_t byte_cycles(const struct chip *chip) {
@@ -222,7 +223,7 @@ uint8_t chip_run(struct chip *chip, uint64_t until) {
         uint64_t before = chip->cpu.cycles;
         bool wdwr = chip->wdwr;
 
-        if (before < chip->held_until && chip->cpu.in_service == 0) {
+        if (before < chip->held_until && chip->cpu.in_service == 0 && (REG(chip, IE) & EA) != 0) {
             chip->cpu.cycles++;
         } else {
             watch(chip);

@@ -21,7 +21,7 @@ struct line { /* bytes on their way, each with the cycle at which its stop bit i
 struct chip {
     struct cpu cpu; /* first: a pointer to it is one to the chip */
     /* The caller's. */
-    uint64_t held_until;   /* the main loop stands still until then; interrupts and hardware go on */
+    uint64_t held_until;   /* until then the main loop stands still where it admits interrupts; they and hardware go on */
     uint32_t clock_hz;     /* cycles of `cpu` in a second */
     uint16_t converted;    /* what the conversion that was asked for gives */
     uint16_t watched_pc;   /* `turns` counts how often the program comes here: once in a turn of its main loop */
