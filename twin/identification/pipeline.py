@@ -72,6 +72,7 @@ def identify_records(
     """Run `identify` with recordings in memory.  Raises DataError."""
     plant = campaign.plant
     records, warnings = _prepared(campaign, records)
+    # Before the starting values and the fit: a late u_c would bias T_A by most of a sampling interval.
     delays = [input_delay(record, plant) for record in records]
     records = _aligned(records, delays, warnings)
     starts = find_starts(records, plant)
@@ -96,6 +97,7 @@ def identify_records(
         warnings += _not_converged(fitted)
     warnings += _left_out(usages)
 
+    # Coloured residuals take the sandwich covariance: that of the Fisher information holds for a right model only.
     coloured = white is not None and not white.white
     ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
     intervals = {} if fitted is None else quadratic_or_profile(likelihood, fitted, robust=coloured)
@@ -187,6 +189,7 @@ def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, 
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
+    # Fitted again with b held: otherwise the other numbers would be those beside an impossible drag.
     return fit(likelihood, replace(fitted.point, b=steady), free)
 
 

@@ -65,6 +65,7 @@ def gain(
             and fitted is not None
             and abs(fitted.point.K_A - levels.K_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, levels.K_A_std)
         )
+        # The levels win a disagreement: a transient that is not first order biases the joint fit, but no steady level.
         if joint is None or fitted is None or offset or bent or differ or (shape is not None and not shape.first_order):
             if differ and fitted is not None and not offset and not bent:
                 warnings.append(
@@ -197,6 +198,7 @@ def drag(
     if not flying or fitted is None or joint is None:
         return _absent("b", 0.0, warnings)
     value = fitted.point.b
+    # A negative b within its error is chance. Beyond its error it is no drag at all, so the bound is reported.
     if joint.high <= 0.0:
         warnings.append(
             f"b = {value:.3g} N s/m is negative beyond its error: something that the model lacks feeds energy in "
@@ -211,6 +213,7 @@ def drag(
             method=f"innovations likelihood, at its bound (unbounded {value:.3g}); {joint.method}",
             equation="(5), (7)",
         )
+    # Left free below 0 in the fit and cut here: a bound in the fit would make the interval wrong.
     parameter = _parameter("b", max(value, 0.0), joint, "innovations likelihood over all flights", "(5), (7)")
     if coloured and parameter.verdict == "identified":
         return replace(
@@ -255,6 +258,7 @@ def _parameter(name: str, value: float, spread: Interval | float, method: str, e
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)
     high = high if math.isfinite(high) else highest
+    # By the interval, not by the standard error: at a floor there is none, and a profile is lopsided.
     width = 0.5 * (high - low) / abs(value) if value else _INFINITE
     verdict: Verdict = "identified" if width <= IDENTIFIED else "weak" if width <= WEAK else "not-identifiable"
     if bounded != value:
