@@ -45,6 +45,7 @@ def substitutes(
     over = curve.parameters[0].name.removeprefix("from_")
     theta = with_range(at.theta, curve, visited(criterion.evidence)[over])
     with_curve = {score.cause: score for score in screen(thinned, theta, (*at.free, *coefficients(curve)), candidates)}
+    # By the information, not by the two forms: what differs only outside the visited range is the same to the data.
     absorbed = {
         name: 1.0 - with_curve[name].visible / score.visible
         for name, score in without_curve.items()
