@@ -65,8 +65,7 @@ class Criterion:
         self.plant, self.tick_s = plant, tick_s
         self.evidence, self.pace, self.halves = evidence, pace_of(evidence.series), _halves(evidence.series)
         self.share = 1.0  # of the samples of the campaign
-        # Two pools: a climb waits for its derivatives. In one pool, climbs could fill all threads and wait for each
-        # other for ever.
+        # Two pools: in one, climbs could fill all threads and wait for their derivatives for ever.
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
         self.whole = budget or Budget()
