@@ -51,6 +51,7 @@ class CaptureReader:
         self._counts: list[int] = []
         self._failures = 0
         self._under_way = True
+        # Not by CAPTURE_DONE alone: the line may lose it, and the samples would stay unread.
         self.deadline_s = now_s + _SETTLE_S + self._requested * scaling.capture_time_s + _MARGIN_S
 
     def capture_completed(self, now_s: float) -> None:

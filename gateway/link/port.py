@@ -86,6 +86,7 @@ class Port:
 def _from_device(device: serial.SerialBase, end: socket.socket) -> None:
     try:
         while True:
+            # One byte, then the rest: a read of more would wait for its time-out before it returns what has come.
             data = device.read(1)
             if data:
                 end.sendall(bytes(data) + bytes(device.read(getattr(device, "in_waiting", 0))))
