@@ -72,12 +72,13 @@ def identify_records(
     """Run `identify` with recordings in memory.  Raises DataError."""
     plant = campaign.plant
     records, warnings = _prepared(campaign, records)
-    # Before the starting values and the fit: a late u_c would bias T_A by most of a sampling interval.
     delays = [input_delay(record, plant) for record in records]
     records = _aligned(records, delays, warnings)
     starts = find_starts(records, plant)
     progress("start values: " + starts.text(plant.mass_kg))
 
+    # Without the samples near x_max: there (3) is too steep for a linearisation, and three samples dominated a
+    # campaign.
     series, usages = prepare(records, plant, min_gap_m=settings.POLE_DISTANCE * plant.travel_m)
     for usage, samples in zip(usages, delays, strict=True):
         usage.input_delay = samples
@@ -97,7 +98,6 @@ def identify_records(
         warnings += _not_converged(fitted)
     warnings += _left_out(usages)
 
-    # Coloured residuals take the sandwich covariance: that of the Fisher information holds for a right model only.
     coloured = white is not None and not white.white
     ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
     intervals = {} if fitted is None else quadratic_or_profile(likelihood, fitted, robust=coloured)
@@ -189,7 +189,8 @@ def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, 
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
-    # Fitted again with b held: otherwise the other numbers would be those beside an impossible drag.
+    # Not left at the bound, where b replaces another effect. Fitted again with b held: otherwise the other numbers would
+    # be those beside an impossible drag.
     return fit(likelihood, replace(fitted.point, b=steady), free)
 
 
@@ -203,6 +204,7 @@ def _misfit(
         "for the cause"
     )
     ahead = _ahead(records, campaign, fitted, tick_s)
+    # Colour alone says little about the use of a model, so its prediction is compared with the simplest one.
     if ahead is not None and ahead.rmse_m > ahead.constant_m:
         warnings.append(
             f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, a constant "

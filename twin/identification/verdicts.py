@@ -43,6 +43,7 @@ def gain(
     joint = intervals.get("K_A")
     if levels is not None:
         top = max(abs(level.i_a) for level in levels.levels)
+        # Two bars: of accurate levels even an offset that is too small to matter is significant.
         offset = abs(levels.offset_a) > max(settings.AGREEMENT_ERRORS * levels.offset_std_a, settings.LEVEL_SHARE * top)
         if offset:
             warnings.append(
