@@ -84,6 +84,7 @@ class CaptureReader:
 
     def _read(self, now_s: float) -> None:
         self.deadline_s = float("inf")
+        # One block at a time, not all at once: other commands can be sent between two blocks.
         self._token = self._session.submit("READ_CAPTURE", now_s, index=len(self._counts))
 
     def _block(self, block: Message, now_s: float) -> None:

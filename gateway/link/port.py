@@ -135,6 +135,7 @@ def open_port(url: str, baud: int) -> Port | PortProblem:
         if not names:
             return PortProblem("port-absent", f"No device matches {url}.")
     problem: Port | PortProblem = PortProblem("port-absent", f"There is no {url}.")
+    # Not only the first match: another program may use it.
     for name in names:
         problem = _open_port(name, baud)
         if isinstance(problem, Port):

@@ -73,6 +73,7 @@ class CommandExchange:
         """
         encode_body(name, id=1, **values)  # refuse invalid values before queueing
         if name == "STOP":
+            # Only what could move the ball: a setting or a question does no harm after a STOP.
             self._cancel(lambda c: c.name in MOVERS, "stop")
             shared = next((c for c in self._queue if c.name == "STOP"), None)
             # Shared, not sent as well: more STOPs would fill the line and delay the answers.
@@ -157,6 +158,7 @@ class CommandExchange:
         if self.is_open and queued and not any(c.name != "STOP" for c in self._outstanding.values()):
             # An answer is the proof, not the kernel's output queue: a pty reports an empty one with bytes in it.
             proven = now_s - self._proven_s <= PROVEN_S
+            # Without a proof only questions are sent: they change nothing if the board reads them late.
             following = next((c for c in queued if proven or c.name in ANSWERS), None)
             if following is not None:
                 self._queue.remove(following)

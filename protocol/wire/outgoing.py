@@ -67,6 +67,7 @@ class SendQueue:
         """Return the next frame, or the rest of the current one; b"" if there is none."""
         if self._rest:
             return self._rest
+        # One frame, not all that wait: a STOP can pass those that the port has not accepted yet.
         return self._due[0].frame if self._due else b""
 
     def wrote(self, count: int) -> None:

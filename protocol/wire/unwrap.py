@@ -247,6 +247,7 @@ class TickUnwrapper:
 
     def _arrived(self, tick: int, now_s: float) -> None:
         lead = tick - now_s * self._rate
+        # The best arrival of the last two windows, not of all time: the drift of the two clocks would add up.
         if now_s > self._window_end_s:
             self._lead, self._next_lead = self._next_lead, lead
             self._window_end_s = now_s + _LEAD_WINDOW_S
