@@ -73,7 +73,7 @@ class CommandExchange:
         """
         encode_body(name, id=1, **values)  # refuse invalid values before queueing
         if name == "STOP":
-            # Only what could move the ball: a setting or a question does no harm after a STOP.
+            # Only what could move the ball: a question or the rate of the stream does no harm after a STOP.
             self._cancel(lambda c: c.name in MOVERS, "stop")
             shared = next((c for c in self._queue if c.name == "STOP"), None)
             # Shared, not sent as well: more STOPs would fill the line and delay the answers.

@@ -189,8 +189,7 @@ def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, 
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
-    # Not left at the bound, where b replaces another effect. Fitted again with b held: otherwise the other numbers would
-    # be those beside an impossible drag.
+    # Not left at the bound, where b replaces another effect: other numbers would be those beside an impossible drag.
     return fit(likelihood, replace(fitted.point, b=steady), free)
 
 
