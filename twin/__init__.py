@@ -20,18 +20,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from protocol.campaign import Campaign
-    from twin.api import (
-        Designed,
-        Diagnosed,
-        Identified,
-        Predicted,
-        Validated,
-        design,
-        diagnose,
-        identify,
-        predict,
-        validate,
-    )
+    from twin.api.functions import design, diagnose, identify, predict, validate
+    from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
     from twin.model.parameters import Model
 
 __all__ = [
@@ -55,7 +45,8 @@ _ELSEWHERE = {"Campaign": "protocol.campaign", "Model": "twin.model.parameters"}
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_ELSEWHERE.get(name, f"{__name__}.api")), name)
+    module = _ELSEWHERE.get(name, "twin.api.functions")  # they return the results, and import their classes
+    return getattr(importlib.import_module(module), name)
 
 
 def __dir__() -> list[str]:

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from protocol.bus import board51_pb2 as pb
 from twin.compiled import kernel
@@ -149,15 +148,4 @@ def discrete(model: Model, x_m: float, sample_time_s: float) -> tuple[NDArray[np
     """Discretise the model at rest at `x_m` by (15), the delays of the model as states behind those of `linearise`."""
     if model.causes:
         return linear.discretised(*linear.linearise(model, x_m), linear.delay_s(model), sample_time_s)
-    return c2d(*linearise(model, x_m), sample_time_s)
-
-
-def c2d(
-    A: NDArray[np.float64], B: NDArray[np.float64], sample_time_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Discretise with a zero-order hold, (15): [[Phi, Gamma], [0, I]] = exp([[A, B], [0, 0]] T_s)."""
-    n, inputs = B.shape
-    block = np.zeros((n + inputs, n + inputs))
-    block[:n, :n], block[:n, n:] = A, B
-    whole = expm(block * sample_time_s)
-    return np.asarray(whole[:n, :n]), np.asarray(whole[:n, n:])
+    return linear.c2d(*linearise(model, x_m), sample_time_s)

@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import DataError
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
-from twin.estimation.record import FloatArray, Record
+from twin.estimation.record import BoolArray, FloatArray, Record
 from twin.estimation.rollout import SETTLE_S, within_reach
 from twin.estimation.rollout_periodic import has_phase
 from twin.estimation.rollout_periodic import predict as predict_readings
@@ -79,7 +80,6 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     )
     evidence = gather([recording], model.plant, stops)
     s = evidence.series
-    tick_s = record.interval_s
     system = system_of(model, record)._replace(c=c, closed_form=False)  # the closed form has no lost samples
     x_hat = within_reach(predict_readings(system, evidence.samples, ahead), p, c, AT_THE_ENDS)
     sampled = s.flags & LOST == 0  # the series has a row for a lost sample, the recording has none
@@ -96,22 +96,17 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
         notes.append(f"u_c acts {source.unknown_delay} samples later than recorded, which the model does not include")
     return Prediction(
         ahead=ahead,
-        interval_s=tick_s,
+        interval_s=record.interval_s,
         t=record.t[predicted],
         x=record.x[predicted],
         x_hat=x_hat[predicted],
         samples=len(record.t),
-        left_out=_left_out(flags, predicted, record, tick_s),
+        left_out=_left_out(flags, predicted),
         notes=tuple(notes),
     )
 
 
-def _left_out(
-    flags: np.ndarray[tuple[int, ...], np.dtype[np.uint16]],
-    predicted: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-    record: Record,
-    tick_s: float,
-) -> tuple[tuple[str, int], ...]:
+def _left_out(flags: NDArray[np.uint16], predicted: BoolArray) -> tuple[tuple[str, int], ...]:
     """Return the number of samples without a prediction, by the first reason that applies."""
     flies, reads = flags & FLIES != 0, flags & USE_X != 0
     contact = ~flies

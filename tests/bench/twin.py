@@ -21,7 +21,7 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.rig import T_S, Rig
 from twin.mirror.mirror import Mirror
 from twin.mirror.offline import run_log
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 from twin.readers.log import TwinLog
 
 SAMPLES = 60_000  # two minutes of a board
@@ -44,8 +44,8 @@ def run() -> list[dict[str, Any]]:
                 log.write("board51/rig/state", state, message_type=pb.State, log_time_ns=state.host_time_ns)
         baseline = _solver_ticks_per_s()
 
-        run_log(path, nominal())  # compiles
-        whole = max(_rate(lambda: run_log(path, nominal()), SAMPLES) for _ in range(REPEATS))
+        run_log(path, Model.load("ce152"))  # compiles
+        whole = max(_rate(lambda: run_log(path, Model.load("ce152")), SAMPLES) for _ in range(REPEATS))
         real_time = 1.0 / T_S
         rows.append(
             {
@@ -82,7 +82,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _handle(rig: Rig, states: list[pb.State]) -> None:
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(rig.parameters())
     for state in states:
         mirror.handle(state)
@@ -95,7 +95,7 @@ def _rate(work: Any, samples: int) -> float:
 
 
 def _solver_ticks_per_s() -> float:
-    model = nominal()
+    model = Model.load("ce152")
     m, g, x_max = model.plant.mass_kg, model.plant.gravity_m_s2, model.plant.x_max_m
     u = 1.649
 

@@ -22,7 +22,7 @@ from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.campaign_line import emulated_line, standings, summary
 from tests.harness.gateway.gateway_peers import Bus, gateway_and_client, gateway_config, wait_for
 from tests.patience import HANG_S
-from twin.model.parameters import load_model
+from twin.model.parameters import Model
 
 
 @pytest.fixture(autouse=True)
@@ -79,7 +79,7 @@ def test_its_campaign_says_that_the_loop_computes_before_it_acts(
     assert {cause["name"], *cause["indistinguishable_from"]} == {"actuation-delay", "sampling-delay"}
     assert cause["parameters"]["delay_s"]["value"] == pytest.approx(0.26e-3, abs=0.04e-3)
     assert cause["parameters"]["in_captures"]["value"] < 0.15
-    model = load_model(tmp_path / "d" / "extended_model.json")
+    model = Model.load(tmp_path / "d" / "extended_model.json")
     assert model.parameters["T_A"].value == pytest.approx(CE152.amplifier_time_constant_s, rel=0.02)
     assert model.parameters["b"].value == pytest.approx(CE152.drag_n_s_m, rel=0.15)
 

@@ -17,7 +17,7 @@ from tests.harness.gateway.opcua_peers import Served, peer, until
 from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import introduce_to, publish_to
 from twin.mirror.bus.service import TwinService
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 from twin.settings.mirror import Settings
 
 BOARD = "rig"
@@ -45,7 +45,7 @@ def test_a_late_view_lists_the_alarms_of_the_twin_that_last_until_they_end() -> 
     rig = Rig(K_c=8.28e-3 * 9.81 / 120.364**2, gap_offset_m=2.4377e-3)
     rig.hold(HELD)
     with played_gateway() as gateway, client(gateway.endpoint) as early, client(gateway.endpoint) as other:
-        with TwinService(nominal(), endpoints=(gateway.endpoint,), settings=QUICK) as twin:
+        with TwinService(Model.load("ce152"), endpoints=(gateway.endpoint,), settings=QUICK) as twin:
             fly(gateway.session, twin, rig, 1000)
 
             def lasting() -> dict[str, int] | None:
@@ -73,7 +73,7 @@ def test_a_late_view_lists_the_alarms_of_the_twin_that_last_until_they_end() -> 
         assert all("active, not acknowledged" in line for line in shown if line.partition(":")[0] in LASTS)
         assert times == {1}, "a repeated alarm is no new one"
 
-        with TwinService(nominal(), endpoints=(gateway.endpoint,), settings=QUICK) as another:
+        with TwinService(Model.load("ce152"), endpoints=(gateway.endpoint,), settings=QUICK) as another:
             fly(gateway.session, another, Rig(), 100)  # at rest: nothing to be wrong about
             wait_for(lambda: not active(late), "end of the alarms of a twin that is no more")
         late.close()

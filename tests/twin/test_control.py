@@ -9,9 +9,10 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.one_tick import tick
-from twin.control import LawNumbers, c2d, integral_behind, law, law_numbers, linearise
+from twin.control import LawNumbers, integral_behind, law, law_numbers, linearise
 from twin.model.equilibrium import equilibrium
-from twin.model.nominal import nominal
+from twin.model.linear import c2d
+from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
 
 T_S = 2e-3
@@ -113,7 +114,7 @@ def test_parameters_without_a_law_give_none(changes: dict[str, object]) -> None:
 
 @pytest.mark.parametrize("x", [1e-3, 2.85e-3, 4.5e-3])
 def test_linearisation_and_discretisation_agree_with_the_nonlinear_tick(x: float) -> None:
-    model = nominal()
+    model = Model.load("ce152")
     i, u = equilibrium(model, x)
     p = plant_numbers(model, T_S)
     Phi, Gamma = c2d(*linearise(model, x), T_S)  # noqa: N806 - the textbook's letters
@@ -134,6 +135,6 @@ def test_linearisation_and_discretisation_agree_with_the_nonlinear_tick(x: float
 
 def test_the_unstable_pole_is_where_the_gap_puts_it() -> None:
     """At rest x'' = 2 g / gap * dx: poles near +-sqrt(2 g / gap), drag aside."""
-    A, _ = linearise(nominal(), 2.85e-3)
+    A, _ = linearise(Model.load("ce152"), 2.85e-3)
 
     assert max(np.linalg.eigvals(A).real) == pytest.approx(math.sqrt(2 * 9.81 / 2.85e-3), rel=0.02)

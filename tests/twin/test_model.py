@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import DataError
-from twin.model.nominal import nominal
-from twin.model.parameters import SHIPPED, load_model, model_from_dict, model_to_dict
+from twin.model.parameters import SHIPPED, Model, model_from_dict
 
 DATA = Path(os.environ.get("BOARD51_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -62,7 +61,7 @@ def put(path: str, value: object) -> Callable[[dict[str, Any]], None]:
     ],
 )
 def test_a_model_that_is_not_one_is_refused_by_key(change: Callable[[dict[str, Any]], None], says: str) -> None:
-    data = copy.deepcopy(model_to_dict(nominal()))
+    data = copy.deepcopy(Model.load("ce152").to_json())
     change(data)
 
     with pytest.raises(DataError, match=r"x\.json") as refused:
@@ -77,19 +76,19 @@ def test_a_file_that_is_not_a_model_gives_one_clear_error(text: str, tmp_path: P
     file.write_text(text)
 
     with pytest.raises(DataError, match=r"model\.json"):
-        load_model(file)
+        Model.load(file)
 
 
 def test_an_absent_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"nowhere\.json"):
-        load_model(tmp_path / "nowhere.json")
+        Model.load(tmp_path / "nowhere.json")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_model_survives_its_own_json(name: str) -> None:
-    model = nominal(name)
+    model = Model.load(name)
 
-    again = model_from_dict(json.loads(json.dumps(model_to_dict(model))), where="again")
+    again = model_from_dict(json.loads(json.dumps(model.to_json())), where="again")
 
     assert again == model
 
@@ -119,7 +118,7 @@ def test_nominal_force_constant_follows_from_the_measured_equilibria() -> None:
         pytest.skip(f"{file} is absent; set BOARD51_DATA")
     with file.open() as rows:
         points = [(float(row["gap_m"]), float(row["current_A"])) for row in csv.DictReader(rows)]
-    model = nominal()
+    model = Model.load("ce152")
     plant = model.plant
 
     lift_off = lift_off_current([gap for gap, _ in points], [i for _, i in points], plant.travel_m)
@@ -134,7 +133,7 @@ def test_inteco_force_constant_is_the_median_of_the_lift_off_ramps() -> None:
     folder = DATA / "inteco-mls2em"
     if not folder.exists():
         pytest.skip(f"{folder} is absent; set BOARD51_DATA")
-    plant = nominal("inteco").plant
+    plant = Model.load("inteco").plant
     found = []
     for ramp in sorted(folder.glob("force_*.csv.gz")):
         table = np.genfromtxt(ramp, delimiter=",", names=True)
@@ -151,4 +150,4 @@ def test_inteco_force_constant_is_the_median_of_the_lift_off_ramps() -> None:
         )
 
     assert len(found) == 15
-    assert abs(float(np.median(found)) / nominal("inteco").K_c - 1.0) < 1e-3
+    assert abs(float(np.median(found)) / Model.load("inteco").K_c - 1.0) < 1e-3

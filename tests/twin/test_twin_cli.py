@@ -16,8 +16,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import LogReader
 from tests.harness.twin.rig import G, M, Rig
 from tests.patience import HANG_S
-from twin.model.nominal import nominal
-from twin.model.parameters import model_to_dict
+from twin.model.parameters import Model
 from twin.readers.log import TwinLog, entries, parse
 
 HELD = 2.85e-3
@@ -166,7 +165,7 @@ def test_bad_usage_is_one_line(
 
 
 def test_a_model_file_is_used(right_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    model = model_to_dict(nominal())
+    model = Model.load("ce152").to_json()
     model["parameters"]["K_c"]["value"] *= 1.2
     (tmp_path / "model.json").write_text(json.dumps(model))
 

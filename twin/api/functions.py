@@ -152,7 +152,7 @@ def diagnose(
 
 def _diagnosed(campaign: Campaign, options: Options, data: Path | None, where: str) -> Diagnosed:
     from twin.diagnosis import pipeline
-    from twin.diagnosis.equilibria.run import diagnose_static, is_static
+    from twin.diagnosis.equilibria.diagnosis import diagnose_static, is_static
     from twin.diagnosis.equilibria.to_json import sentence_of
     from twin.diagnosis.residuals.summary import summarise
 

@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 from twin.commands import progress_printer
+from twin.model.parameters import Model
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,16 +29,15 @@ def run(args: argparse.Namespace) -> int:
     from twin import compiled
     from twin.api import functions as api
     from twin.mirror.warm_up import compile_kernels
-    from twin.model.nominal import nominal
 
     print_progress = progress_printer(quiet=args.quiet)
     if not compiled.cache_folder():
         print_progress("board51 compile: no folder for compiled code can be written; set NUMBA_CACHE_DIR to one")
         return 0
-    model = nominal()
+    model = Model.load("ce152")
     with tempfile.TemporaryDirectory() as folder:
         print_progress("a short campaign, simulated")
-        campaign = _campaign(Path(folder))
+        campaign = _campaign(Path(folder), model)
         print_progress("the twin")
         compile_kernels(model)
         print_progress("identify, validate, predict")
@@ -52,20 +52,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _campaign(folder: Path) -> Path:
+def _campaign(folder: Path, model: Model) -> Path:
     """A folder with flights, a step of the amplifier and the ball at rest."""
     import numpy as np
 
-    from protocol.campaign import Campaign, Recording
+    from protocol.campaign import Campaign, Recording, Use
     from protocol.campaign_text import emit
     from twin.diagnosis.experiments.closed_loop import TICK_S, Rig
     from twin.diagnosis.experiments.designed_law import designed
     from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
     from twin.inference.theta import Theta
     from twin.model.causes.catalogue import CATALOGUE
-    from twin.model.nominal import nominal
 
-    model = nominal()
     hidden = next(cause for cause in CATALOGUE if cause.family == "motion")  # something to find
     theta = Theta(
         K_A=model.K_A,
@@ -92,16 +90,10 @@ def _campaign(folder: Path) -> Path:
         (record,) = simulate(Rig(theta=theta, plant=model.plant), schedule, seed=seed)
         columns = {"t": record.t, "u_c": record.u_c, "i_c": record.i_c, "x": record.x, "x_ref": record.x_ref}
         known = {name: values for name, values in columns.items() if np.isfinite(values).any()}
-        np.savetxt(
-            folder / schedule.name,
-            np.column_stack(list(known.values())),
-            delimiter=",",
-            header=",".join(known),
-            comments="",
-        )
-        recordings.append(
-            Recording(file=schedule.name, kind=schedule.kind, use="judge" if schedule.name == "judge.csv" else "fit")
-        )
+        table, header = np.column_stack(list(known.values())), ",".join(known)
+        np.savetxt(folder / schedule.name, table, delimiter=",", header=header, comments="")
+        use: Use = "judge" if schedule.name == "judge.csv" else "fit"
+        recordings.append(Recording(file=schedule.name, kind=schedule.kind, use=use))
     campaign = Campaign(
         where=str(folder / "campaign.toml"),
         folder=folder,

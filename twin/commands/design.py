@@ -107,14 +107,7 @@ def run(args: argparse.Namespace) -> int:
     if args.send is not None:
         from twin.control_design.send import send
 
-        print(
-            send(
-                result.details,
-                site=args.site,
-                board=args.send,
-                endpoint=args.connect,
-                identity=find_identity(args.identity),
-            ),
-            file=sys.stderr,
-        )
+        identity = find_identity(args.identity)
+        reply = send(result.details, site=args.site, board=args.send, endpoint=args.connect, identity=identity)
+        print(reply, file=sys.stderr)
     return 0

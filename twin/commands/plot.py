@@ -10,12 +10,12 @@ import json
 import math
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import check_name
 from protocol.errors import DataError, UsageError
-from twin.commands.twin import add_model_options, chosen_model, chosen_settings
+from twin.commands.twin import add_model_options, chosen_settings
 from twin.model.parameters import SHIPPED, Model
 from twin.settings.mirror import Settings
 
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         check_name(args.board, what="--board")
     supplied = args.model is not None
     args.model = args.model or SHIPPED[0]
-    model, settings = chosen_model(args), chosen_settings(args)
+    model, settings = Model.load(args.model), chosen_settings(args)
 
     traces = {} if supplied else _from_topics(args.log, args.board)
     source = "the twin that was logged"
@@ -185,30 +185,24 @@ def _from_topics(path: Path, board: str | None) -> dict[str, Traces]:
     from twin.mirror.plots.traces import Traces
     from twin.readers.log import entries, parse
 
-    states: dict[str, dict[tuple[int, int], pb.State]] = defaultdict(dict)
-    twins: dict[str, dict[tuple[int, int], pb.TwinState]] = defaultdict(dict)
-    divergences: dict[str, dict[tuple[int, int], pb.Divergence]] = defaultdict(dict)
+    kinds = {"state": pb.State, "twin/state": pb.TwinState, "twin/divergence": pb.Divergence, "twin/alarm": pb.Alarm}
+    samples: dict[tuple[str, str], dict[tuple[int, int], Any]] = defaultdict(dict)  # by topic and board
     alarms: dict[str, list[pb.Alarm]] = defaultdict(list)
-    for entry in entries(LogReader(path), topics=("state", "twin/state", "twin/divergence", "twin/alarm"), board=board):
-        if entry.topic == "state":
-            state = parse(pb.State, entry, path)
-            states[entry.board][state.session, state.tick] = state
-        elif entry.topic == "twin/state":
-            twin = parse(pb.TwinState, entry, path)
-            twins[entry.board][twin.session, twin.tick] = twin
-        elif entry.topic == "twin/divergence":
-            divergence = parse(pb.Divergence, entry, path)
-            divergences[entry.board][divergence.session, divergence.tick] = divergence
+    for entry in entries(LogReader(path), topics=tuple(kinds), board=board):
+        message: Any = parse(kinds[entry.topic], entry, path)
+        if entry.topic == "twin/alarm":
+            alarms[entry.board].append(message)
         else:
-            alarms[entry.board].append(parse(pb.Alarm, entry, path))
+            samples[entry.topic, entry.board][message.session, message.tick] = message
     traces: dict[str, Traces] = {}
-    for name, samples in states.items():
-        if not divergences[name]:
+    for name in [name for topic, name in samples if topic == "state"]:
+        states, twins, divergences = (samples[topic, name] for topic in ("state", "twin/state", "twin/divergence"))
+        if not divergences:
             continue
         trace = traces[name] = Traces(name)
-        for at, state in samples.items():
-            trace.add(state, twins[name].get(at), divergences[name].get(at))
-        times = {at: state.t_s for at, state in samples.items()}
+        for at, state in states.items():
+            trace.add(state, twins.get(at), divergences.get(at))
+        times = {at: state.t_s for at, state in states.items()}
         for alarm in alarms[name]:
             trace.note([alarm], times.get((alarm.session, alarm.tick), float("nan")))
     return traces

@@ -18,11 +18,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.bus.endpoint import DEFAULT_ENDPOINT
 from protocol.bus.identity import HELP, find_identity, login_name
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.ending import note_end, on_end_signal
 from protocol.errors import Board51Error, UsageError
+from twin.live.shell import endpoints_of
 from twin.model.parameters import SHIPPED, Model
 from twin.settings.mirror import Settings
 
@@ -93,15 +94,6 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def chosen_model(args: argparse.Namespace) -> Model:
-    """The model of `--model`."""
-    return _model(args.model)
-
-
-def _model(name: str) -> Model:
-    return Model.load(name)
-
-
 def chosen_settings(args: argparse.Namespace) -> Settings:
     """The settings of the options.  Raises UsageError for a value out of range."""
     if not (math.isfinite(args.window) and 0.05 <= args.window <= 60.0):
@@ -125,13 +117,13 @@ def run(args: argparse.Namespace) -> int:
     if args.log and args.hand_over is not None:
         raise UsageError("--log and --hand-over exclude each other", remedy="A twin over a log takes --model")
     if args.log:
-        return _over_log(args, chosen_model(args), chosen_settings(args))
+        return _over_log(args, Model.load(args.model), chosen_settings(args))
     if args.out or args.fail_on_alarm or (args.json and args.hand_over is None):
         raise UsageError("--out, --json and --fail-on-alarm are for a log", remedy="Add --log LOG.mcap")
-    endpoints = tuple(check_endpoint(answer, where="--connect") for answer in args.connect or [DEFAULT_ENDPOINT])
+    endpoints = endpoints_of(args)
     if args.hand_over is not None:
         return _hand_over(args, endpoints)
-    return _live(args, chosen_model(args), chosen_settings(args), endpoints)
+    return _live(args, Model.load(args.model), chosen_settings(args), endpoints)
 
 
 def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
@@ -144,7 +136,7 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
             raise UsageError(
                 f"{what} {word[:MAX_WORD]!r} is not a name", remedy=f"Use up to {MAX_WORD} printable characters"
             )
-    belief = believe(_model(args.hand_over), who=who)
+    belief = believe(Model.load(args.hand_over), who=who)
     answers = hand_over(
         belief,
         site=args.site,
@@ -167,11 +159,8 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
         print(json.dumps({"model": belief.model.plant.name, "sha256": belief.sha256, "twins": rows}, indent=2))
     else:
         for answer in answers:
-            reply, where = answer.reply, f"{args.site}/{answer.board}"
-            since = f", from tick {reply.tick}" if reply.tick else ""
-            print(
-                f"{where}: {reply.text}{since}" if reply.accepted else f"{where}: refused: {reply.reason}: {reply.text}"
-            )
+            since = f", from tick {answer.reply.tick}" if answer.reply.accepted and answer.reply.tick else ""
+            print(f"{args.site}/{answer}{since}")
     return 0 if all(answer.reply.accepted for answer in answers) else 1
 
 

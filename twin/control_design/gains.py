@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import UsageError
-from twin.control import c2d, discrete, linearise
+from twin.control import discrete, linearise
 from twin.control_design.loop import Gains, Plant, backward, closed_loop
 from twin.mirror.monitor.expected import discrete_lyapunov
 from twin.model.causes.catalogue import with_trait
 from twin.model.equilibrium import equilibrium
+from twin.model.linear import c2d
 from twin.model.parameters import Model
 
 Law = Literal["lqi", "pid"]

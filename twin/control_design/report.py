@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
 
 from twin.control_design.design import Design, LoopAnalysis
 from twin.control_design.margins import Margins
 from twin.control_design.robust import Robustness
+from twin.page.plain import plain
 
 UNITS = {"lqi": ("V/A", "V/m", "V s/m", "V/(m s)"), "pid": ("V/m", "V/(m s)", "V s/m", "-")}
 NAMES = {"lqi": ("k_i", "k_x", "k_v", "k_int"), "pid": ("k_p", "k_int", "k_d", "-")}
@@ -32,18 +34,18 @@ def controller(design: Design) -> dict[str, Any]:
 
 def everything(design: Design) -> dict[str, Any]:
     """The controller with its full analysis; infinite numbers are null."""
-    c = design.converters
-    return controller(design) | {
-        "on_board": [{"mantissa": q.mantissa, "shift": q.shift, "value": q.value} for q in design.quantised],
-        "converters": {"i_lsb_a": c.i_lsb_a, "x_lsb_m": c.x_lsb_m, "u_lsb_v": c.u_lsb_v},
+    analysis = {
+        "on_board": [asdict(gain) for gain in design.quantised],
+        "converters": asdict(design.converters),
         "loops": [_loop(loop) for loop in design.loops],
-        "stable_range_m": list(design.stable_range_m),
-        "robustness": _box(design.robustness),
-        "observer_robustness": None if design.observer_robustness is None else _box(design.observer_robustness),
+        "stable_range_m": design.stable_range_m,
+        "robustness": asdict(design.robustness),
+        "observer_robustness": None if design.observer_robustness is None else asdict(design.observer_robustness),
         "stable": design.board.stable,
-        "causes": list(design.causes),
-        "warnings": list(design.warnings),
+        "causes": design.causes,
+        "warnings": design.warnings,
     }
+    return controller(design) | plain(analysis)
 
 
 def table(design: Design) -> str:
@@ -131,32 +133,17 @@ def _pole(p: complex) -> str:
     return f"{p.real:.4f}" if abs(p.imag) < 1e-9 else f"{p.real:.4f}{p.imag:+.4f}j"
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _loop(loop: LoopAnalysis) -> dict[str, Any]:
     m = loop.margins
     return {
         "name": loop.name,
         "stable": loop.stable,
         "poles": [[p.real, p.imag] for p in loop.poles.tolist()],
-        "gain_margin": None if m is None else [m.gain_low, _finite(m.gain_high)],
-        "phase_margin_deg": None if m is None else _finite(m.phase_deg),
-        "delay_margin_s": None if m is None else _finite(m.delay_s),
-        "x_rms_m": _finite(loop.x_rms_m),
-        "u_rms_v": _finite(loop.u_rms_v),
-        "x_rms_without_rounding_m": _finite(loop.x_rms_analog_m),
-        "u_rms_without_rounding_v": _finite(loop.u_rms_analog_v),
-    }
-
-
-def _box(box: Robustness) -> dict[str, Any]:
-    return {
-        "varied": {name: list(ends) for name, ends in box.varied.items()},
-        "fixed": list(box.fixed),
-        "loops": box.loops,
-        "unstable_share": box.unstable_share,
-        "worst_pole": box.worst_pole,
-        "worst_at": dict(box.worst_at),
+        "gain_margin": None if m is None else [m.gain_low, m.gain_high],
+        "phase_margin_deg": None if m is None else m.phase_deg,
+        "delay_margin_s": None if m is None else m.delay_s,
+        "x_rms_m": loop.x_rms_m,
+        "u_rms_v": loop.u_rms_v,
+        "x_rms_without_rounding_m": loop.x_rms_analog_m,
+        "u_rms_without_rounding_v": loop.u_rms_analog_v,
     }

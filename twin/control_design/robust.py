@@ -36,9 +36,7 @@ class Robustness:
     worst_at: Mapping[str, float]  # parameters of that loop
 
 
-def over_intervals(
-    model: Model, controller: Controller, x_m: float, sample_time_s: float, *, seed: int, samples: int = SAMPLES
-) -> Robustness:
+def over_intervals(model: Model, controller: Controller, x_m: float, sample_time_s: float, *, seed: int) -> Robustness:
     """Close the loop of `controller` with plants drawn from the intervals of `model`, linearised at `x_m`."""
     box = {}
     for name, parameter in model.parameters.items():
@@ -58,7 +56,7 @@ def over_intervals(
     ends = list(itertools.islice(itertools.product(*box.values()), CORNERS))  # [()] without a box
     plants = [dict(zip(box, corner, strict=True)) for corner in ends]
     if box:
-        plants += [{name: float(rng.uniform(*ends)) for name, ends in box.items()} for _ in range(samples)]
+        plants += [{name: float(rng.uniform(*ends)) for name, ends in box.items()} for _ in range(SAMPLES)]
     radii = [radius(plant_at(_with(model, values), x_m, sample_time_s), controller) for values in plants]
     worst = int(np.argmax(radii))
     return Robustness(

@@ -15,10 +15,11 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
-from protocol.bus.endpoint import check_endpoint, router_refusal, zenoh_config
+from protocol.bus.endpoint import check_endpoint
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
 from twin.control_design.design import Design
+from twin.mirror.bus.client import open_client
 
 PARAMETERS_WAIT_S = 7.0  # the gateway repeats them every 5 s
 REPLY_WAIT_S = 5.0
@@ -47,12 +48,7 @@ def send(
     check_endpoint(endpoint, where="--connect")
     if not design.board.stable:
         raise UsageError("the loop is unstable on its own model: nothing was sent", remedy="Choose other weights")
-    try:
-        config = zenoh_config("client", connect=[endpoint], identity=identity)
-        session = zenoh.open(zenoh.Config.from_json5(config))
-    except zenoh.ZError:
-        raise router_refusal([endpoint], identity) from None
-    with session:
+    with open_client((endpoint,), identity) as session:
         check_board(design, _parameters(session, site, board))
         reply = _send(session, site, board, _command(design, who), identity)
     if not reply.accepted:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -10,14 +9,12 @@ from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
 from twin.diagnosis.checks.change_point import Change
-from twin.diagnosis.checks.confidence import confidence_of
 from twin.diagnosis.checks.consistency import beginnings, contradictions
 from twin.diagnosis.experiments.design import propose
 from twin.diagnosis.judge import judgement
-from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_floor
+from twin.diagnosis.judge.account import Account, Verdict, account_of, confidence_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
-from twin.diagnosis.judge.prediction_gain import Gain
-from twin.diagnosis.judge.worth import Bench
+from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
 from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model
@@ -32,14 +29,7 @@ from twin.diagnosis.report.sentences import (
     finding_sentence,
     form_of,
 )
-from twin.diagnosis.result import (
-    Diagnosis,
-    Finding,
-    Member,
-    Proposal,
-    fit_parameters,
-)
-from twin.diagnosis.search.candidate_fits import Trial
+from twin.diagnosis.result import Diagnosis, Finding, Member, Proposal, fit_parameters
 from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record
 from twin.evidence import sample_loss
@@ -267,7 +257,9 @@ def _findings(
                     cause,
                     verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
                 ),
-                indistinguishable_from=tuple(_member(trial) for trial in members),
+                indistinguishable_from=tuple(
+                    Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, {})) for trial in members
+                ),
                 share_of_excess_explained=account.cause_shares[cause],
                 loglik_gain=account.gains[cause],
                 next_experiment=proposals.get(cause),
@@ -342,11 +334,3 @@ def _proposals(search: SearchResult, campaign: Campaign, options: Options) -> di
             ),
         )
     return result
-
-
-def _member(trial: Trial) -> Member:
-    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _unknown_spread(trial.fit)))
-
-
-def _unknown_spread(fit: Fit) -> dict[str, float]:
-    return {name: math.nan for name in fit.free}

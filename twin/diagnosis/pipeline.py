@@ -38,7 +38,6 @@ from twin.evidence.gather import Evidence, gather
 from twin.evidence.instruments import instruments, with_noise
 from twin.evidence.noise_levels import Noise
 from twin.evidence.outliers import without_outliers
-from twin.evidence.shorten import shortened
 from twin.inference.adequacy import adequate
 from twin.inference.budget import RESERVED, Budget, Spent, millions
 from twin.inference.fisher_scoring import climb
@@ -50,6 +49,10 @@ from twin.model.assumed import assumption_warning
 from twin.readers.campaign import read_campaign
 
 UNASKED = "--quick did not examine whether an effect begins or ends in the middle of the campaign"
+# With --quick.
+FLIGHT_SAMPLES = 2000  # of a closed-loop or open-loop recording: four seconds at 500 Hz
+ALL_SAMPLES = 40_000  # of all flights together
+_LONG = ("closed-loop", "prbs", "free")
 MIN_FLIGHT_S = 2.0  # 120 time constants of the unstable pole
 
 
@@ -184,6 +187,26 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
         retained, note = shortened(retained)
         warnings += [note] if note else []
     return retained, warnings
+
+
+def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
+    """Return (the recordings, long ones cut to their beginning; a sentence about it, empty if none was).
+
+    With very many flights each is shorter, as the budget of `--quick` covers a search over `ALL_SAMPLES`.
+    """
+    result, cut = [], 0
+    flights = [min(len(record.t), FLIGHT_SAMPLES) for record in records if record.kind in _LONG]
+    # Less of each flight, not fewer flights: recordings differ more from one another than their parts do.
+    max_samples = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
+    for record in records:
+        if record.kind in _LONG and len(record.t) > max_samples:
+            cut += 1
+            record = record.part(slice(0, max_samples))
+        result.append(record)
+    sentence = (
+        f"--quick: only the first {max_samples} samples of {cut} recordings were used for selection" if cut else ""
+    )
+    return result, sentence
 
 
 def _search(criterion: Criterion, start: Theta, records: Sequence[Record], options: Options) -> SearchResult:

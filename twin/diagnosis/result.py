@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from twin.diagnosis.checks.confidence import MAX_CONFIDENCE
-from twin.diagnosis.judge.account import Account, Verdict
+from twin.diagnosis.judge.account import MAX_CONFIDENCE, Account, Verdict
 from twin.diagnosis.judge.choice import Choice
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.remainder.remainder import Remainder
@@ -22,6 +21,7 @@ from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, Parameter
+from twin.page.plain import plain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,16 +65,8 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NotTestable:
-    """A cause that these data cannot show."""
-
-    name: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RuledOut:
-    """A cause that was tried and did not earn its place."""
+class Excluded:
+    """A cause that these data cannot show, or that was tried and did not earn its place."""
 
     name: str
     why: str
@@ -96,9 +88,9 @@ class Diagnosis:
     verdict: Verdict
     sentence: str  # the answer, for people
     causes: tuple[Finding, ...]
-    not_testable: tuple[NotTestable, ...]
+    not_testable: tuple[Excluded, ...]
     minor_effects: tuple[MinorEffect, ...]
-    ruled_out: tuple[RuledOut, ...]
+    ruled_out: tuple[Excluded, ...]
     account: Account  # of what the paper's model lacks
     unexplained_where: str
     gains: tuple[Gain, ...]  # of `after` over `before` on judge recordings, one per horizon
@@ -117,7 +109,6 @@ class Diagnosis:
     tick_s: float
     remainder: Remainder | None = None  # what is left, modelled; `extended` has it
     budget: Budget = field(default_factory=Budget)
-    extra: Mapping[str, Any] = field(default_factory=dict)
     choice: Choice | None = None  # how `extended` was chosen
 
     @property
@@ -134,32 +125,32 @@ class Diagnosis:
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The contract of diagnosis.json."""
-    return {
+    """The contract of diagnosis.json; a number that is not finite is null."""
+    content = {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
         "calibrated": not diagnosis.quick,
         "causes": [_finding(cause) for cause in diagnosis.causes if diagnosis.holds(cause)],
         "candidates": [_finding(cause) for cause in diagnosis.causes if not diagnosis.holds(cause)],
-        "not_testable": [{"name": entry.name, "why": entry.why} for entry in diagnosis.not_testable],
+        "not_testable": [asdict(entry) for entry in diagnosis.not_testable],
         "minor_effects": [
             {
                 "name": minor_effect.name,
                 "parameters": parameters_json(minor_effect.parameters),
-                "log_likelihood_gain": _number(minor_effect.loglik_gain),
+                "log_likelihood_gain": minor_effect.loglik_gain,
             }
             for minor_effect in diagnosis.minor_effects
         ],
-        "ruled_out": [{"name": entry.name, "why": entry.why} for entry in diagnosis.ruled_out],
-        "jointly_explained": {"share_of_excess": _number(diagnosis.account.jointly)},
+        "ruled_out": [asdict(entry) for entry in diagnosis.ruled_out],
+        "jointly_explained": {"share_of_excess": diagnosis.account.jointly},
         "unexplained": {
-            "share_of_excess": _number(diagnosis.account.unexplained),
+            "share_of_excess": diagnosis.account.unexplained,
             "where": diagnosis.unexplained_where,
         },
         "excess": {
             "quantity": "log-likelihood of the recordings for fitting, against sensor noise alone",
-            "explained": _number(diagnosis.account.explained),
-            "left": _number(diagnosis.account.left),
+            "explained": diagnosis.account.explained,
+            "left": diagnosis.account.left,
         },
         "noise": noise_json(diagnosis.fit_evidence.noise, (diagnosis.floor.sigma_i_c_a, diagnosis.floor.sigma_x_m)),
         **({"noise_colour": colours} if (colours := colours_json(diagnosis.fit_evidence.noise)) else {}),
@@ -170,12 +161,13 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "gains": [_gain(gain) for gain in diagnosis.gains],
         "warnings": list(diagnosis.warnings),
         "budget": {
-            "filter_steps": _number(diagnosis.budget.limit),
+            "filter_steps": diagnosis.budget.limit,
             "spent": diagnosis.budget.spent,
             "unanswered": list(diagnosis.budget.unanswered),
         },
         "stages_s": {name: round(seconds, 2) for name, seconds in diagnosis.stages_s.items()},
     }
+    return plain(content)
 
 
 def _finding(cause: Finding) -> dict[str, Any]:
@@ -191,8 +183,8 @@ def _finding(cause: Finding) -> dict[str, Any]:
             {"name": member.name, "parameters": parameters_json(member.parameters)}
             for member in cause.indistinguishable_from
         ],
-        "share_of_excess_explained": _number(cause.share_of_excess_explained),
-        "log_likelihood_gain": _number(cause.loglik_gain),
+        "share_of_excess_explained": cause.share_of_excess_explained,
+        "log_likelihood_gain": cause.loglik_gain,
         "at_the_rig": {"confirm": BY_NAME[cause.name].confirm, "cure": BY_NAME[cause.name].cure},
         "begins_in": cause.begins_in or None,
         "ends_after": cause.ends_after or None,
@@ -200,15 +192,12 @@ def _finding(cause: Finding) -> dict[str, Any]:
         if proposal is None
         else {
             "what": proposal.what,
-            "separation_z": _number(proposal.separation_z),
+            "separation_z": proposal.separation_z,
             "command": proposal.command,
             "not_separable_here": list(proposal.outside),
-            "others": [{"name": name, "separation_z": _number(z)} for name, z in proposal.next_best],
-            "separation_z_now": {confounder: _number(z) for confounder, z in proposal.now_z.items()},
-            "experiments": [
-                {"name": name, "separation_z": {confounder: _number(z) for confounder, z in zs.items()}}
-                for name, zs in proposal.experiments
-            ],
+            "others": [{"name": name, "separation_z": z} for name, z in proposal.next_best],
+            "separation_z_now": dict(proposal.now_z),
+            "experiments": [{"name": name, "separation_z": dict(zs)} for name, zs in proposal.experiments],
         },
     }
 
@@ -275,10 +264,10 @@ def _gain(gain: Gain | None) -> dict[str, Any] | None:
         "judge": {
             "baseline_rmse_m": gain.baseline_rmse_m,
             "extended_rmse_m": gain.extended_rmse_m,
-            "ci95_ratio": list(gain.ci95_ratio),
-            "ci95_over_floor": [_number(end) for end in gain.ci95_floor],
-            "noise_floor_m": _number(gain.floor_m),
-            "excess_removed": _number(gain.removed),
+            "ci95_ratio": gain.ci95_ratio,
+            "ci95_over_floor": gain.ci95_floor,
+            "noise_floor_m": gain.floor_m,
+            "excess_removed": gain.removed,
             "samples": gain.count,
         },
     }
@@ -311,9 +300,9 @@ def _remainder(remainder: Remainder, extended: Model) -> dict[str, Any]:
             {
                 "name": attempt.name,
                 "beside": attempt.extends,
-                "log_likelihood_gain": _number(attempt.loglik_gain),
-                "rmse_m": _number(attempt.rmse_m),
-                "form_absorbed": _number(attempt.absorbed),
+                "log_likelihood_gain": attempt.loglik_gain,
+                "rmse_m": attempt.rmse_m,
+                "form_absorbed": attempt.absorbed,
             }
             for attempt in remainder.attempts
         ],
@@ -321,14 +310,10 @@ def _remainder(remainder: Remainder, extended: Model) -> dict[str, Any]:
             "horizon_s": improvement.horizon_s,
             "causes_rmse_m": improvement.causes_rmse_m,
             "extended_rmse_m": improvement.extended_rmse_m,
-            "ci95_ratio": [_number(end) for end in improvement.ci95_ratio],
-            "noise_floor_m": _number(improvement.floor_m),
-            "excess_removed": _number(improvement.removed),
-            "flexible_rmse_m": _number(improvement.flexible_rmse_m),
+            "ci95_ratio": improvement.ci95_ratio,
+            "noise_floor_m": improvement.floor_m,
+            "excess_removed": improvement.removed,
+            "flexible_rmse_m": improvement.flexible_rmse_m,
             "samples": improvement.count,
         },
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -23,20 +23,10 @@ from scipy.linalg import null_space, toeplitz
 from scipy.stats import chi2
 
 from twin.estimation.contact import partly_cut_off
-from twin.estimation.innovations import (
-    CAPTURED,
-    FLIES,
-    FOLLOWS,
-    RESTS_HIGH,
-    RESTS_LOW,
-    RESTS_UNSEEN,
-    USE_I,
-    USE_X,
-    Series,
-)
+from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.evidence.gather import Evidence
-from twin.evidence.noise_levels import Colour
+from twin.evidence.noise_levels import RESTS, Colour
 from twin.model.extended import SHORT_S
 from twin.settings import diagnosis as settings
 
@@ -213,7 +203,7 @@ def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
         steps = np.cumsum(changed & follows) - np.maximum.accumulate(np.where(follows, 0, np.cumsum(changed & follows)))
         allowed = used & captured & ((steps == 0) | (since >= SETTLES_FAST))
     else:
-        rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
+        rest = series.flags & RESTS != 0
         allowed = used & ~captured & rest & (series.flags & FLIES == 0) & (since >= SETTLES)
     rows_of_step: dict[float, list[FloatArray]] = {}
     for piece in runs(allowed, WINDOW):

@@ -30,23 +30,13 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
-from twin.estimation.innovations import (
-    FLIES,
-    FOLLOWS,
-    LOST,
-    RESTS_HIGH,
-    RESTS_LOW,
-    RESTS_UNSEEN,
-    USE_I,
-    USE_X,
-    Series,
-)
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X, Series
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.estimation.structures import EQUAL_NOISE
 from twin.evidence.colour import colours_of, expected_gain, is_fast
 from twin.evidence.gather import Evidence
-from twin.evidence.noise_levels import Channel, Colour, Level, Noise, parts_of
+from twin.evidence.noise_levels import RESTS, Channel, Colour, Level, Noise, parts_of
 from twin.settings import diagnosis as settings
 
 IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
@@ -97,7 +87,7 @@ def _windows(
     for evidence in evidences:
         series, captured = evidence.series, is_fast(evidence.series)
         flies = series.flags & FLIES != 0
-        rests = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
+        rests = series.flags & RESTS != 0
         for name, part in parts_of(evidence.records, evidence.series):
             rough = differences(series.part(part), column)
             colour = colours[2 if column == 0 and captured[part.start] else column]

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+from twin.estimation.innovations import FLIES, FOLLOWS, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.prepare import captured
 from twin.estimation.record import FloatArray, Record, runs
+
+RESTS = RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN  # flags of a ball at rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,6 @@ class Lost:
 
     probability: float  # that a sample is lost
     ci95: tuple[float, float]
-    gaps: int
     worst: str  # the recording with most lost samples
 
 
@@ -46,4 +45,4 @@ def lost_samples(records: Sequence[Record]) -> Lost | None:
     p, z = missing / n, 1.96
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    return Lost(probability=p, ci95=(middle - half, middle + half), gaps=gaps, worst=worst[0])
+    return Lost(probability=p, ci95=(middle - half, middle + half), worst=worst[0])

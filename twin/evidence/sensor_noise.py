@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from twin.estimation.contact import HELD_SAMPLES, partly_cut_off
-from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
+from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.evidence.gather import Evidence
+from twin.evidence.noise_levels import RESTS
 from twin.settings import diagnosis as settings
 
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
@@ -49,7 +50,7 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
     """
     series = evidence.series
     whole = _not_cut(series, series.i, USE_I), _not_cut(series, series.x, USE_X)
-    rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
+    rest = series.flags & RESTS != 0
     squares: tuple[list[float], list[float]] = ([], [])
     for piece in runs(rest, 2 * HELD_SAMPLES):
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):

@@ -31,36 +31,29 @@ class Horizon:
     count: int
 
 
-def horizons(
-    records: list[Record], plant: Plant, point: Point, tick_s: float, *, horizons_s: tuple[float, ...] = HORIZONS_S
-) -> list[Horizon]:
-    """Return the errors over all flights of the records, one row per horizon.
+def error_at(horizon_s: float, records: list[Record], plant: Plant, point: Point, tick_s: float) -> Horizon | None:
+    """Return the error over all flights of the records; None without a prediction.
 
     Args:
-        records: in flight, with u_c; usually those with use = "judge".
+        horizon_s: how far ahead, s.
+        records: in flight, with u_c.
         plant: of the campaign.
         point: parameters and noise levels of the filter.
         tick_s: interval of the process noise, s.
-        horizons_s: horizons, s.
     """
     series, _ = prepare(records, plant)
-    likelihood = Likelihood(series, plant, tick_s)
-    state = likelihood.states(point)
-    system = point.system(plant, tick_s)
-    result = []
-    for horizon in horizons_s:
-        ahead = max(round(horizon / tick_s), 1)
-        error, constant = errors(system, series, state, ahead)
-        count = int(np.isfinite(error).sum())
-        result.append(
-            Horizon(
-                horizon_s=ahead * tick_s,
-                rmse_m=float(np.sqrt(np.nanmean(error**2))) if count else float("nan"),
-                constant_m=float(np.sqrt(np.nanmean(constant**2))) if count else float("nan"),
-                count=count,
-            )
-        )
-    return result
+    state = Likelihood(series, plant, tick_s).states(point)
+    ahead = max(round(horizon_s / tick_s), 1)
+    error, constant = errors(point.system(plant, tick_s), series, state, ahead)
+    count = int(np.isfinite(error).sum())
+    if not count:
+        return None
+    return Horizon(
+        horizon_s=ahead * tick_s,
+        rmse_m=float(np.sqrt(np.nanmean(error**2))),
+        constant_m=float(np.sqrt(np.nanmean(constant**2))),
+        count=count,
+    )
 
 
 def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tuple[FloatArray, FloatArray]:

@@ -16,8 +16,9 @@ _PASSES = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """The interval of one parameter in its own unit."""
+    """The fitted value of one parameter with its interval, in its own unit."""
 
+    value: float
     std: float
     low: float
     high: float
@@ -63,7 +64,7 @@ def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -
             low = 0.0 if floored else _profile(likelihood, fitted, name, -1, Z * inflate)
             std = float("inf") if floored else std
             method = "profile likelihood"
-        result[name] = Interval(std=std, low=low, high=high, method=method)
+        result[name] = Interval(value=value, std=std, low=low, high=high, method=method)
     return result
 
 

@@ -28,7 +28,7 @@ from twin.evidence.checks.plausibility import inspect
 from twin.evidence.dead_time import delayed
 from twin.evidence.starting.regression import BallStart
 from twin.identification import verdicts
-from twin.identification.horizon import Horizon, horizons
+from twin.identification.horizon import Horizon, error_at
 from twin.identification.input_delay import input_delay
 from twin.identification.intervals import quadratic_or_profile
 from twin.identification.result import Identification, noise_of, provenance_of
@@ -102,11 +102,12 @@ def identify_records(
     ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
     intervals = {} if fitted is None else quadratic_or_profile(likelihood, fitted, robust=coloured)
     levels, shape, force, ball = starts.levels, starts.shape, starts.force, starts.ball
+    held = fitted.point.b if flying and fitted is not None else None
     parameters = {
-        "K_A": verdicts.gain(fitted, intervals, levels, shape, warnings),
-        "T_A": verdicts.time_constant(fitted, intervals, shape, tick_s, warnings),
-        "K_c": verdicts.force_constant(fitted, intervals, force, ball, flying, plant, warnings),
-        "b": verdicts.drag(fitted, intervals, ball, flying, plant, warnings, coloured=coloured),
+        "K_A": verdicts.gain(intervals.get("K_A"), levels, shape, warnings),
+        "T_A": verdicts.time_constant(intervals.get("T_A"), shape, tick_s, warnings),
+        "K_c": verdicts.force_constant(intervals.get("K_c"), force, ball, plant, warnings),
+        "b": verdicts.drag(intervals.get("b"), held, ball, plant, warnings, coloured=coloured),
     }
     provenance = provenance_of(campaign, fitted, white, usages, warnings, starts)
     model = Model(
@@ -217,8 +218,7 @@ def _ahead(records: list[Record], campaign: Campaign, fitted: Fit | None, tick_s
     flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
     if fitted is None or not flown or "K_c" not in fitted.free:
         return None
-    (ahead,) = horizons(flown, campaign.plant, fitted.point, tick_s, horizons_s=(settings.AHEAD_S,))
-    return ahead if ahead.count else None
+    return error_at(settings.AHEAD_S, flown, campaign.plant, fitted.point, tick_s)
 
 
 def grouped(messages: list[str], names: list[str]) -> list[str]:

@@ -16,6 +16,7 @@ from twin.identification.horizon import Horizon
 from twin.identification.starts import Starts
 from twin.inference.nominal_fit import FLOORS, Fit
 from twin.model.parameters import NOISE, Model, Noise
+from twin.page.plain import plain
 
 _ASSUMED = Noise(sigma_x_m=5e-6, sigma_i_c_a=2e-3, process_a_m_s2=0.02, process_i_c_a=1e-4)
 
@@ -86,7 +87,7 @@ def provenance_of(
             "estimated": list(fitted.free),
         }
     if white is not None:
-        result["residuals"] = {key: _finite(value) for key, value in asdict(white).items()}
+        result["residuals"] = plain(asdict(white))
     if (levels := starts.levels) is not None:
         result["levels"] = {
             "K_A": levels.K_A,
@@ -110,10 +111,6 @@ def provenance_of(
             ],
         }
     return result
-
-
-def _finite(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def table(result: Identification) -> str:

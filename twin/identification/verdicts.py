@@ -10,7 +10,6 @@ from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.evidence.starting.regression import BallStart
 from twin.identification.intervals import Interval
-from twin.inference.nominal_fit import Fit
 from twin.model.parameters import PARAMETERS, Parameter, Verdict
 from twin.settings import identification as settings
 
@@ -24,23 +23,15 @@ _HELP = {
 _INFINITE = 1e6  # relative width that stands for an infinite one
 
 
-def gain(
-    fitted: Fit | None,
-    intervals: dict[str, Interval],
-    levels: Levels | None,
-    shape: Shape | None,
-    warnings: list[str],
-) -> Parameter:
+def gain(joint: Interval | None, levels: Levels | None, shape: Shape | None, warnings: list[str]) -> Parameter:
     """Return K_A from the steady levels, or from the joint fit if it agrees with them.
 
     Args:
-        fitted: the joint fit; None: there is none.
-        intervals: of the joint fit.
+        joint: K_A of the joint fit; None: there is none.
         levels: line through the steady levels; None: there are none.
         shape: of the step response; None: there is none.
         warnings: receives sentences for the user.
     """
-    joint = intervals.get("K_A")
     if levels is not None:
         top = max(abs(level.i_a) for level in levels.levels)
         # Two bars: of accurate levels even an offset that is too small to matter is significant.
@@ -61,33 +52,26 @@ def gain(
                 f"the amplifier's step response is not first order: its residual is {shape.text} "
                 f"({shape.steps} steps); K_A is from the steady levels, T_A the best first-order fit"
             )
-        differ = (
-            joint is not None
-            and fitted is not None
-            and abs(fitted.point.K_A - levels.K_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, levels.K_A_std)
-        )
+        differ = joint is not None and not _agree(levels.K_A, levels.K_A_std, joint)
         # The levels win a disagreement: a transient that is not first order biases the joint fit, but no steady level.
-        if joint is None or fitted is None or offset or bent or differ or (shape is not None and not shape.first_order):
-            if differ and fitted is not None and not offset and not bent:
+        if joint is None or offset or bent or differ or (shape is not None and not shape.first_order):
+            if joint is not None and differ and not offset and not bent:
                 warnings.append(
-                    f"K_A is {levels.K_A:.5g} A/V by steady levels and {fitted.point.K_A:.5g} A/V by the joint fit"
+                    f"K_A is {levels.K_A:.5g} A/V by steady levels and {joint.value:.5g} A/V by the joint fit"
                 )
             through = f"line through {len(levels.levels)} steady levels"
             return _parameter("K_A", levels.K_A, levels.K_A_std, through, "(1)")
-    if fitted is None or joint is None:
+    if joint is None:
         return _absent("K_A", 1.0, warnings)
     how = "steady levels, refined by innovations likelihood" if levels is not None else "innovations likelihood"
-    return _parameter("K_A", fitted.point.K_A, joint, how, "(1), (7)")
+    return _parameter("K_A", joint.value, joint, how, "(1), (7)")
 
 
-def time_constant(
-    fitted: Fit | None, intervals: dict[str, Interval], shape: Shape | None, tick_s: float, warnings: list[str]
-) -> Parameter:
+def time_constant(joint: Interval | None, shape: Shape | None, tick_s: float, warnings: list[str]) -> Parameter:
     """Return T_A from the steps if not first order, more precise or in disagreement; else from the joint fit.
 
     Arguments as in `gain`; `tick_s` is the sampling interval, s.
     """
-    joint = intervals.get("T_A")
     if shape is not None and not shape.first_order:
         # A T_A of a response that is not first order is less certain than noise alone makes it.
         std = math.hypot(shape.T_A_std * shape.ratio, shape.spread * shape.T_A / math.sqrt(shape.steps))
@@ -99,73 +83,58 @@ def time_constant(
             "(1)",
         )
     if shape is not None and (
-        fitted is None
-        or joint is None
-        or not joint.std <= shape.T_A_std
-        or abs(fitted.point.T_A - shape.T_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, shape.T_A_std)
+        joint is None or not joint.std <= shape.T_A_std or not _agree(shape.T_A, shape.T_A_std, joint)
     ):
         # Each step has its own levels, so an offset, which (1) does not have, cannot bias T_A.
         return _parameter("T_A", shape.T_A, shape.T_A_std, f"first-order response to {shape.steps} steps", "(1)")
-    if fitted is None or joint is None:
+    if joint is None:
         return _absent("T_A", 0.15 * tick_s, warnings)
-    parameter = _parameter("T_A", fitted.point.T_A, joint, "innovations likelihood", "(1), (7)")
+    parameter = _parameter("T_A", joint.value, joint, "innovations likelihood", "(1), (7)")
     if parameter.verdict != "identified":
         warnings.append(
             f"T_A is {parameter.verdict}: samples every {tick_s * 1e3:g} ms see little of "
-            f"{fitted.point.T_A * 1e3:.3g} ms. To determine it, {_HELP['T_A']}"
+            f"{joint.value * 1e3:.3g} ms. To determine it, {_HELP['T_A']}"
         )
     return parameter
 
 
 def force_constant(
-    fitted: Fit | None,
-    intervals: dict[str, Interval],
-    force: ForceConstant | None,
-    ball: BallStart | None,
-    flying: bool,
-    plant: Plant,
-    warnings: list[str],
+    joint: Interval | None, force: ForceConstant | None, ball: BallStart | None, plant: Plant, warnings: list[str]
 ) -> Parameter:
     """Return K_c from the joint fit if there are flights, otherwise from lift-off or equilibria (8).
 
     Args:
-        fitted: the joint fit; None: there is none.
-        intervals: of the joint fit.
+        joint: K_c of the joint fit; None: no flight was fitted.
         force: K_c by (8); None: there is none.
         ball: the regression for starting values.
-        flying: whether any flight was fitted.
         plant: mass, travel, x_max.
         warnings: receives sentences for the user.
     """
-    joint = intervals.get("K_c")
+    shift_m = 0.0 if force is None or force.shift_m is None else force.shift_m
     if (
         force is not None
-        and force.shift_m is not None
-        and abs(force.shift_m) > settings.AGREEMENT_ERRORS * force.shift_std_m
+        and abs(shift_m) > settings.AGREEMENT_ERRORS * force.shift_std_m
+        and abs(shift_m) > 0.01 * plant.travel_m
     ):
-        if abs(force.shift_m) > 0.01 * plant.travel_m:
-            warnings.append(
-                f"the currents that carry the ball point to a coil plane {force.shift_m * 1e3:+.3g} mm above x_max "
-                f"(+- {force.shift_std_m * 1e3:.2g} mm): (3) holds with "
-                f"x_max_m = {plant.x_max_m + force.shift_m:.5g}, or not at all"
-            )
-    if flying and fitted is not None and joint is not None:
-        differ = force is not None and abs(force.K_c - fitted.point.K_c) > settings.AGREEMENT_ERRORS * math.hypot(
-            force.std, joint.std
+        warnings.append(
+            f"the currents that carry the ball point to a coil plane {shift_m * 1e3:+.3g} mm above x_max "
+            f"(+- {force.shift_std_m * 1e3:.2g} mm): (3) holds with "
+            f"x_max_m = {plant.x_max_m + shift_m:.5g}, or not at all"
         )
+    if joint is not None:
+        differ = force is not None and not _agree(force.K_c, force.std, joint)
         if force is not None and differ:
             warnings.append(
-                f"K_c is {force.K_c:.4g} by (8) and {fitted.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains "
+                f"K_c is {force.K_c:.4g} by (8) and {joint.value:.4g} N m^2/A^2 in flight: no single K_c explains "
                 "both. (3) does not hold over the whole travel; board51 diagnose looks for the reason"
             )
-        parameter = _parameter("K_c", fitted.point.K_c, joint, "innovations likelihood over all flights", "(6), (7)")
-        if force is None or not differ or abs(force.K_c / fitted.point.K_c - 1.0) < settings.K_C_DIFFERENT:
+        parameter = _parameter("K_c", joint.value, joint, "innovations likelihood over all flights", "(6), (7)")
+        if force is None or not differ or abs(force.K_c / joint.value - 1.0) < settings.K_C_DIFFERENT:
             return parameter
         # Two precise but different values: neither interval is that of K_c.
         method = f"{parameter.method}; lift-off (8) says {force.K_c:.4g}"
-        if parameter.verdict == "identified":
-            return replace(parameter, verdict="weak", method=method)
-        return replace(parameter, method=method)
+        verdict: Verdict = "weak" if parameter.verdict == "identified" else parameter.verdict
+        return replace(parameter, verdict=verdict, method=method)
     if force is not None:
         kind = "lift-offs" if force.points[0].t_s != 0 and len(force.points) else "equilibria"
         return _parameter("K_c", force.K_c, force.std, f"median of {len(force.points)} {kind}", "(8)")
@@ -179,10 +148,9 @@ def force_constant(
 
 
 def drag(
-    fitted: Fit | None,
-    intervals: dict[str, Interval],
+    joint: Interval | None,
+    held: float | None,
     ball: BallStart | None,
-    flying: bool,
     plant: Plant,
     warnings: list[str],
     *,
@@ -191,14 +159,14 @@ def drag(
     """The drag b; an interval that includes zero is reported, and with coloured residuals b is at most weak.
 
     Drag is the smallest force, so an effect that the model lacks (a lag, a delay, another force law) biases b first.
-    Arguments as in `force_constant`; `coloured`: whether the residuals are coloured.
+    Arguments as in `force_constant`; `held`: the b of the flights, where no maximum has a possible one; `coloured`:
+    whether the residuals are coloured.
     """
-    joint = intervals.get("b")
-    if flying and fitted is not None and joint is None and ball is not None:
-        return _impossible_drag(fitted.point.b, ball.d_std * plant.mass_kg)
-    if not flying or fitted is None or joint is None:
-        return _absent("b", 0.0, warnings)
-    value = fitted.point.b
+    if joint is None:
+        if held is None or ball is None:
+            return _absent("b", 0.0, warnings)
+        return _impossible_drag(held, ball.d_std * plant.mass_kg)
+    value = joint.value
     # A negative b within its error is chance. Beyond its error it is no drag at all, so the bound is reported.
     if joint.high <= 0.0:
         warnings.append(
@@ -245,6 +213,11 @@ def _impossible_drag(b: float, std: float) -> Parameter:
         method=f"regression over 60 ms windows, {why}; board51 diagnose looks for it",
         equation="(5), (6)",
     )
+
+
+def _agree(value: float, std: float, joint: Interval) -> bool:
+    """Return whether another estimate agrees with that of the joint fit; one of unknown error (NaN) does."""
+    return not abs(joint.value - value) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, std)
 
 
 def _parameter(name: str, value: float, spread: Interval | float, method: str, equation: str) -> Parameter:

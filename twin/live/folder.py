@@ -17,9 +17,8 @@ from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recor
 from protocol.campaign_text import emit
 from protocol.errors import DataError
 from twin.live.pieces import Piece
-from twin.live.source import LiveData
-from twin.model.nominal import nominal
-from twin.model.parameters import parse_model
+from twin.live.source import LiveData, in_force
+from twin.model.parameters import Model, parse_model
 from twin.readers.log import TwinLog
 
 
@@ -36,18 +35,12 @@ def write(live: LiveData, pieces: Sequence[Piece], plant: Plant, out: Path, *, s
                 session = piece.states[0].session if piece.states else live.parameters[-1].session
                 known = [announced for announced in live.parameters if announced.session == session] or live.parameters
                 at_ns = piece.states[0].host_time_ns if piece.states else known[-1].host_time_ns
-                log.write(
-                    topics.key(site, board, "parameters"), known[-1], message_type=pb.Parameters, log_time_ns=at_ns
-                )
-            for state in piece.states:
-                log.write(
-                    topics.key(site, board, "state"), state, message_type=pb.State, log_time_ns=state.host_time_ns
-                )
-            for capture in piece.captures:
-                log.write(
-                    topics.key(site, board, "capture"), capture,
-                    message_type=pb.CaptureRecord, log_time_ns=capture.host_time_ns,
-                )  # fmt: skip
+                key = topics.key(site, board, "parameters")
+                log.write(key, known[-1], message_type=pb.Parameters, log_time_ns=at_ns)
+            for topic, messages in (("state", piece.states), ("capture", piece.captures)):
+                for message in messages:
+                    key, at_ns = topics.key(site, board, topic), message.host_time_ns
+                    log.write(key, message, message_type=type(message), log_time_ns=at_ns)
     campaign = Campaign(
         where=str(folder / "campaign.toml"),
         folder=folder,
@@ -67,16 +60,14 @@ def plant_of(live: LiveData) -> Plant:
 
     The nominal model is what a twin runs on before anybody has stated a plant: its plant is assumed.
     """
-    model = parse_model(live.model_json, where="the live twin's model") if live.model_json else nominal()
-    return replace(model.plant, assumed=True) if model == nominal() else model.plant
+    nominal = Model.load("ce152")
+    model = parse_model(live.model_json, where="the live twin's model") if live.model_json else nominal
+    return replace(model.plant, assumed=model.plant.assumed or model == nominal)
 
 
 def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:
     """The law, where one set of gains was in force throughout."""
-    laws = {
-        (announced.law, tuple(announced.gains), announced.i_0_a, announced.x_0_m, announced.u_0_v)
-        for announced in parameters
-    }
+    laws = {in_force(announced)[1:] for announced in parameters}
     if len(laws) != 1:
         return None
     law, gains, i_c_a, x_m, u_c_v = laws.pop()

@@ -13,9 +13,9 @@ Rule 3: too little flight is an error that says what is there and which experime
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Kind, Use
@@ -122,25 +122,16 @@ def _spells(states: Sequence[pb.State], changes: set[tuple[int, int]]) -> list[l
 def _judges(flights: Sequence[list[pb.State]], flown_s: float) -> dict[tuple[int, int], int]:
     """Choose for each flight, by (session, tick) of its first sample, the index from which it judges."""
     target_s, slack_s = (1.0 - JUDGE_SHARE) * flown_s, SLACK_SHARE * flown_s
-    starts: dict[tuple[int, int], int] = {}
-    best: tuple[float, tuple[int, int], int] | None = None
+    best = (math.inf, 0, 0)  # cost, flight, index of its sample
     before_s = 0.0
-    for flight in flights:
-        key, start_s = (flight[0].session, flight[0].tick), flight[0].t_s
+    for number, flight in enumerate(flights):
+        start_s = flight[0].t_s
         for index, state in enumerate(flight):
             away_s = abs(before_s + state.t_s - start_s - target_s)
             changed = index == 0 or state.x_ref_m != flight[index - 1].x_ref_m
             # Where nothing changes within the slack, the plain place at three quarters remains the nearest.
             cost = away_s if changed and away_s < slack_s else slack_s + away_s
-            if best is None or cost < best[0]:
-                best = (cost, key, index)
+            best = min(best, (cost, number, index))
         before_s += flight[-1].t_s - start_s
-    assert best is not None
-    later: Literal[False, True] = False
-    for flight in flights:
-        key = (flight[0].session, flight[0].tick)
-        if key == best[1]:
-            starts[key], later = best[2], True
-        elif later:
-            starts[key] = 0
-    return starts
+    _, chosen, start = best
+    return {(flight[0].session, flight[0].tick): 0 if n else start for n, flight in enumerate(flights[chosen:])}

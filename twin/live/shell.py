@@ -73,7 +73,8 @@ def record_live(args: argparse.Namespace, progress: Callable[[str], None]) -> tu
     from protocol.campaign import load_plant
     from twin.live.folder import changes_of, plant_of, write
     from twin.live.pieces import cut, moves
-    from twin.live.source import find_board, from_bus, from_log, open_client
+    from twin.live.source import find_board, from_bus, from_log
+    from twin.mirror.bus.client import open_client
 
     os.nice(_NICE)
     plant = load_plant(args.plant) if args.plant else None
@@ -95,13 +96,13 @@ def record_live(args: argparse.Namespace, progress: Callable[[str], None]) -> tu
 
 def give_to_twin(args: argparse.Namespace, model: Path, board: str, progress: Callable[[str], None]) -> bool:
     """Hand the model over and tell what the twin makes of it; False where it was refused."""
-    from twin.live.source import open_client
     from twin.live.surprise import hand_over_and_compare
+    from twin.mirror.bus.client import open_client
     from twin.mirror.bus.handover import believe
-    from twin.model.parameters import load_model
+    from twin.model.parameters import Model
 
     endpoints = endpoints_of(args)
-    belief = believe(load_model(model), who="diagnose")
+    belief = believe(Model.load(model), who="diagnose")
     identity = find_identity(args.identity)
     with open_client(endpoints, identity) as session:
         accepted, lines = hand_over_and_compare(

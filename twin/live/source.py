@@ -20,8 +20,6 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
-from protocol.bus.endpoint import router_refusal, zenoh_config
-from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
 from protocol.log.reader import LogReader
 from twin.readers.log import entries
@@ -45,18 +43,16 @@ class LiveData:
 
     def take(self, topic: str, data: bytes) -> None:
         """Store a message; data that cannot be parsed is left out."""
-        if topic == "state":
-            if (state := parse(pb.State, data)) is not None:
+        match parse(topics.TOPIC_OF_NAME[topic].message, data):
+            case pb.State() as state:
                 self.states.append(state)
-        elif topic == "capture":
-            if (capture := parse(pb.CaptureRecord, data)) is not None:
+            case pb.CaptureRecord() as capture:
                 self.captures.append(capture)
-        elif topic == "parameters":
-            parameters = parse(pb.Parameters, data)
-            if parameters is not None and not (self.parameters and _same(parameters, self.parameters[-1])):
-                self.parameters.append(parameters)
-        elif topic == "twin/model" and (model := parse(pb.TwinModel, data)) is not None:
-            self.model_json = model.model_json
+            case pb.Parameters() as parameters:
+                if not self.parameters or in_force(parameters) != in_force(self.parameters[-1]):
+                    self.parameters.append(parameters)
+            case pb.TwinModel() as model:
+                self.model_json = model.model_json
 
     def newest(self, span_s: float) -> None:
         """Forget what is older than that, on the host's clock."""
@@ -66,14 +62,6 @@ class LiveData:
         while self.states and self.states[0].host_time_ns < since_ns:
             self.states.popleft()
         self.captures = [capture for capture in self.captures if capture.host_time_ns >= since_ns]
-
-
-def open_client(endpoints: tuple[str, ...], identity: Identity | None = None) -> zenoh.Session:
-    """A session on the bus.  Raises ServiceError where no router answers."""
-    try:
-        return zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
-    except zenoh.ZError:
-        raise router_refusal(endpoints, identity) from None
 
 
 def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[str, pb.Status]:
@@ -167,12 +155,7 @@ def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, progr
     return live
 
 
-def _same(first: pb.Parameters, second: pb.Parameters) -> bool:
-    return (first.session, first.law, list(first.gains), first.i_0_a, first.x_0_m, first.u_0_v) == (
-        second.session,
-        second.law,
-        list(second.gains),
-        second.i_0_a,
-        second.x_0_m,
-        second.u_0_v,
-    )
+def in_force(parameters: pb.Parameters) -> tuple[int, int, tuple[float, ...], float, float, float]:
+    """Return (session, law, gains, i_0, x_0, u_0): two messages of which it is the same say the same law."""
+    p = parameters
+    return p.session, p.law, tuple(p.gains), p.i_0_a, p.x_0_m, p.u_0_v

@@ -62,12 +62,7 @@ def hand_over_and_compare(
     try:
         time.sleep(SPAN_S)
         answers = hand_over(belief, site=site, board=board, endpoints=endpoints, identity=identity)
-        lines = [
-            f"{site}/{answer.board}: {answer.reply.text}"
-            if answer.reply.accepted
-            else f"{site}/{answer.board}: refused: {answer.reply.reason}: {answer.reply.text}"
-            for answer in answers
-        ]
+        lines = [f"{site}/{answer}" for answer in answers]
         if not all(answer.reply.accepted for answer in answers):
             return False, lines
         tick = answers[0].reply.tick

@@ -28,10 +28,7 @@ from protocol.bus import board51_pb2 as pb
 from twin.compiled import Packed
 from twin.mirror.loop import advance
 from twin.mirror.monitor.divergence import Comparison
-from twin.mirror.output import IN_STEP as IN_STEP
-from twin.mirror.output import OUT_OF_STEP as OUT_OF_STEP
-from twin.mirror.output import SETTLING as SETTLING
-from twin.mirror.output import Output
+from twin.mirror.output import IN_STEP, OUT_OF_STEP, SETTLING, Output
 from twin.mirror.regime import KnownParameters, Regime
 from twin.mirror.sample import Sample, interruption, read
 from twin.mirror.step import step

@@ -158,7 +158,7 @@ def run_log(
                     _write_output(log, entry, output)
     finally:
         if log:
-            log.__exit__(None, None, None)
+            log.__exit__()
     analysed = [run for run in runs.values() if run.samples]
     if not analysed:
         raise DataError(

@@ -18,14 +18,7 @@ from twin.mirror.sample import Sample
 from twin.mirror.step import Twin
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
-from twin.settings.mirror import (
-    OFF_PROBABILITY,
-    SETTLE_DRIVEN_S,
-    SETTLE_MAX_S,
-    SETTLE_MIN_S,
-    SETTLING_SHARE,
-    Settings,
-)
+from twin.settings.mirror import OFF_PROBABILITY, SETTLE_DRIVEN_S, SETTLE_MAX_S, SETTLE_MIN_S, SETTLING_SHARE, Settings
 
 # In the board's Parameters these neither shape what it does at a tick nor how it is seen.
 _IRRELEVANT = (

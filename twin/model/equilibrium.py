@@ -66,16 +66,15 @@ def holding_current(p: Base, c: Vector, x_m: float, *, as_reading: bool = False)
     return _root(_lift, low, high, packed, c, x_m, as_reading)
 
 
-def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None) -> float:
+def holding_input(p: Base, c: Vector, i_a: float) -> float:
     """The u_c that gives a steady coil current, V; NaN if the amplifier cannot give it.
 
     Args:
         p: the paper's parameters and the plant.
         c: the causes' parameters, shape (PLACES,).
-        i_a: the coil current, A.
-        warmth_a2: mean square of the current that warms the amplifier, A^2; None: that of `i_a`.
+        i_a: the coil current, A, which has warmed the amplifier.
     """
-    packed, w = tuple(p), i_a * i_a if warmth_a2 is None else warmth_a2
+    packed, w = tuple(p), i_a * i_a
     if _surplus(0.0, packed, c, i_a, w) > 0.0:
         return math.nan
     high = _MAX_V
@@ -109,8 +108,8 @@ def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
     return (float(current_reading(c, y[I_C])), u) if math.isfinite(u) else (math.nan, math.nan)
 
 
-def steady_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
-    """Return the steady-state i_c under a constant u_c, A, with the ball held at x and the coil at its steady warmth.
+def steady_current(p: Base, c: Vector, u_v: float) -> float:
+    """Return the steady-state i_c under a constant u_c, A, with the ball held at 0 and the coil at its steady warmth.
 
     It is simulated because some causes of the amplifier appear only in the differential equations.
     """
@@ -119,7 +118,7 @@ def steady_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
     y[I_C] = y[FIELD] = drive(p, c, u_v, 0.0)
     for _ in range(_SETTLING):
         before = float(y[I_C])
-        y[X], y[V], y[WARMTH] = x_m, 0.0, before**2
+        y[X], y[V], y[WARMTH] = 0.0, 0.0, before**2
         advance(packed, c, y, u_v, 0.0, _SETTLING_STEP_S, True)
         if abs(y[I_C] - before) <= 1e-12:
             break

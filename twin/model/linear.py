@@ -31,18 +31,7 @@ from twin.model.causes import (
 )
 from twin.model.causes.cause import Vector
 from twin.model.equilibrium import at_rest
-from twin.model.extended import (
-    FIELD,
-    I_C,
-    RATE,
-    SENSOR,
-    Base,
-    V,
-    X,
-    advance,
-    current_reading,
-    position_reading,
-)
+from twin.model.extended import FIELD, I_C, RATE, SENSOR, Base, V, X, advance, current_reading, position_reading
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
@@ -144,6 +133,17 @@ def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int])
     return readings
 
 
+def c2d(
+    A: NDArray[np.float64], B: NDArray[np.float64], sample_time_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Discretise with a zero-order hold, (15): [[Phi, Gamma], [0, I]] = exp([[A, B], [0, 0]] T_s)."""
+    n, inputs = B.shape
+    block = np.zeros((n + inputs, n + inputs))
+    block[:n, :n], block[:n, n:] = A, B
+    whole = expm(block * sample_time_s)
+    return np.asarray(whole[:n, :n]), np.asarray(whole[:n, n:])
+
+
 def discretised(
     A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -162,17 +162,10 @@ def discretised(
     held, n = int(whole), len(A)
     if not np.isfinite(A).all():
         return np.full((n + held + 1, n + held + 1), np.nan), np.full((n + held + 1, 1), np.nan)
-
-    def held_for(duration_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        block = np.zeros((n + 1, n + 1))
-        block[:n, :n], block[:n, n:] = A, B
-        whole = expm(block * duration_s)
-        return np.asarray(whole[:n, :n]), np.asarray(whole[:n, n:])
-
-    phi, new = held_for(sample_time_s - part_s)
+    phi, new = c2d(A, B, sample_time_s - part_s)
     if delay_s == 0.0:
         return phi, new
-    before, old = held_for(part_s)
+    before, old = c2d(A, B, part_s)
     phi, old = phi @ before, phi @ old
     taps = [new if age == held else old if age == held + 1 else np.zeros((n, 1)) for age in range(held + 2)]
     size = n + held + 1

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
@@ -72,19 +73,6 @@ _SUPPLIED = BeforeValidator(needs("verdict", "method", "equation"))
 _Parameters = Mapping[str, Annotated[Parameter, _SUPPLIED]]
 
 
-def _fits(name: str, supplied: Parameter, unit: str, low: float, high: float) -> None:
-    if supplied.unit != unit:
-        raise RuleError(
-            f".unit = {supplied.unit!r} is not {unit!r}", remedy=f"Convert the value to {unit!r}", key=f"{name}"
-        )
-    if not low <= supplied.value <= high:
-        raise RuleError(
-            f".value = {supplied.value:g} is not in {low:g} .. {high:g}",
-            remedy="Check the unit and the power of ten",
-            key=name,
-        )
-
-
 def _all_fit(
     supplied: Mapping[str, Parameter],
     known: Mapping[str, tuple[str, float, float]],
@@ -105,12 +93,14 @@ def _all_fit(
         if name not in supplied or name not in known:
             problem = " is missing" if name in known else " is not a parameter"
             raise RuleError(problem, remedy=f"They are {', '.join(known)}", key=name)
-        _fits(name, supplied[name], *known[name])
+        (unit, low, high), parameter = known[name], supplied[name]
+        if parameter.unit != unit:
+            problem = f".unit = {parameter.unit!r} is not {unit!r}"
+            raise RuleError(problem, remedy=f"Convert the value to {unit!r}", key=name)
+        if not low <= parameter.value <= high:
+            problem = f".value = {parameter.value:g} is not in {low:g} .. {high:g}"
+            raise RuleError(problem, remedy="Check the unit and the power of ten", key=name)
     return {name: supplied[name] for name in known}
-
-
-def _of_the_paper(supplied: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
-    return _all_fit(supplied, PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,7 +164,7 @@ class Model:
     __pydantic_config__ = KEYS
 
     plant: Annotated[Plant, AfterValidator(_reach)]
-    parameters: Annotated[_Parameters, AfterValidator(_of_the_paper)]
+    parameters: Annotated[_Parameters, AfterValidator(partial(_all_fit, known=PARAMETERS))]
     # In order of decreasing importance.
     causes: Annotated[tuple[Annotated[ModelCause, AfterValidator(_in_catalogue)], ...], AfterValidator(_each_once)] = ()
     noise: Noise
@@ -185,14 +175,16 @@ class Model:
         """Read a model file, or a shipped model by its name: "ce152", "inteco", "magnetoshield".
 
         Raises:
-            DataError: the file is missing or is not a valid model.
+            DataError: the file is missing, is not JSON or is not a valid model; the message names key and value.
         """
-        shipped = isinstance(path, str) and path in SHIPPED
-        return load_model(str(files("twin.model").joinpath(f"{path}.json")) if shipped else path)
+        if isinstance(path, str) and path in SHIPPED:
+            path = str(files("twin.model").joinpath(f"{path}.json"))
+        return parse_model(read_small(Path(path), remedy="Give the path of a model.json"), where=str(path))
 
     def to_json(self) -> dict[str, Any]:
         """The content of the model file."""
-        return model_to_dict(self)
+        content: dict[str, Any] = json.loads(model_text(self))
+        return content
 
     def save(self, path: str | Path) -> None:
         """Write a model file, as `board51 identify --out` does.
@@ -227,13 +219,9 @@ class Model:
 _COMPLETE = Annotated[Model, BeforeValidator(needs("causes", "provenance"))]
 
 
-def load_model(path: str | Path) -> Model:
-    """Read a model file.
-
-    Raises:
-        DataError: the file is missing, is not JSON or is not a valid model; the message names key and value.
-    """
-    return parse_model(read_small(Path(path), remedy="Give the path of a model.json"), where=str(path))
+def verdict_by(half_width: float, value: float) -> Verdict:
+    """The verdict on a parameter by half the width of its 95 % interval."""
+    return "identified" if half_width < 0.25 * value else "weak" if half_width < value else "not-identifiable"
 
 
 def parse_model(text: str, *, where: str) -> Model:
@@ -250,9 +238,3 @@ def model_from_dict(data: object, *, where: str) -> Model:
     """Check parsed JSON key by key and build the model; `where` names the source in errors.  Raises DataError."""
     model: Model = checked(_COMPLETE, data, where=where, error=DataError)
     return model
-
-
-def model_to_dict(model: Model) -> dict[str, Any]:
-    """The model as parsed JSON; `model_from_dict` is the inverse."""
-    plain: dict[str, Any] = json.loads(model_text(model))
-    return plain

@@ -78,6 +78,12 @@ def legend_above(ax: Axes) -> None:
     )
 
 
+def label(ax: Axes, x: str, y: str) -> None:
+    """Label both axes, and put the legend above."""
+    ax.set(xlabel=x, ylabel=y)
+    legend_above(ax)
+
+
 def ticks_125(ax: Axes, low: float, high: float) -> None:
     """Set ticks of a logarithmic y axis at 1, 2, 5, 10 ... from `low` to `high`; at powers of 10 if it is long."""
     steps = (1, 2, 5) if high / max(low, 1e-12) < 300 else (1,)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from types import TracebackType
 
 from google.protobuf.message import Message
 from mcap.writer import Writer
@@ -78,9 +77,7 @@ class TwinLog:
     def __enter__(self) -> TwinLog:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]  # untyped in the library
         self._file.close()
 

@@ -10,17 +10,7 @@ import numpy as np
 from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
-from twin.model.extended import (
-    FIELD,
-    I_C,
-    SENSOR,
-    STATES,
-    WARMTH,
-    V,
-    X,
-    current_of_reading,
-    current_reading,
-)
+from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, V, X, current_of_reading, current_reading
 from twin.model.extension import base
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import LoopRun, Response
-from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, legend_above, styled, ticks_125
+from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, label, legend_above, styled, ticks_125
 from twin.validation.amplifier import Amplifier, AmplifierTrace
 from twin.validation.ball import Ahead, Windows
 from twin.validation.residuals import Channel
@@ -52,8 +52,7 @@ def ball_figure(result: Windows, travel_m: float) -> Figure:
     error = (result.measured_m - result.simulated_m) * 1e6
     bottom.plot(result.t_s, error, color=MODEL, lw=0.9)
     bottom.axhline(0.0, color="black", lw=0.6)
-    bottom.set_ylabel("error [µm]")
-    bottom.set_xlabel("time [s]")
+    bottom.set(xlabel="time [s]", ylabel="error [µm]")
     return figure
 
 
@@ -69,9 +68,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     ax.set_xticks(h, [f"{value:g}" for value in h])
     ax.minorticks_off()
     _extend_to_two_ticks(ax)
-    ax.set_xlabel("prediction horizon [ms]")
-    ax.set_ylabel("rms error of x [µm]")
-    legend_above(ax)
+    label(ax, "prediction horizon [ms]", "rms error of x [µm]")
     return figure
 
 
@@ -126,8 +123,7 @@ def loop_figure(run: LoopRun, travel_m: float) -> Figure:
     i.set_ylabel("current i_c [A]")
     u.plot(t, run.simulated_u_c_v[0][part], color=MODEL, lw=0.6)
     u.plot(t, run.u_c_v[part], color=MEASURED, lw=0.6)
-    u.set_ylabel("input u_c [V]")
-    u.set_xlabel("time [s]")
+    u.set(xlabel="time [s]", ylabel="input u_c [V]")
     x.set_title(run.name, loc="right")
     return figure
 
@@ -154,9 +150,7 @@ def step_figure(responses: Sequence[Response]) -> Figure:
         middle = difference.mean(axis=0)
         bottom.fill_between(t, middle - half, middle + half, color=MEASURED, alpha=0.25, lw=0, label="95 % interval")
     bottom.axhline(0.0, color="black", lw=0.6)
-    bottom.set_ylabel("difference [% of step]")
-    bottom.set_xlabel("time from the change of the reference [ms]")
-    legend_above(bottom)
+    label(bottom, "time from the change of the reference [ms]", "difference [% of step]")
     return figure
 
 

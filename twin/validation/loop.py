@@ -7,6 +7,7 @@ Rule 2: a law that does not reproduce the recorded u_c from the recorded samples
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, integral_behind, law, rounded
-from twin.estimation.record import runs
+from twin.estimation.record import FloatArray, Record, runs
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.step_figures import LoopRun
 from twin.evidence.checks.control_law import law_gap
@@ -126,26 +127,26 @@ def measured_loops(run: Filtered) -> list[LoopRun]:
     if not r.has("x_ref"):
         return []
     free = np.isfinite(run.state[:, 0]) & np.isfinite(r.x_ref) & np.isfinite(r.u_c)
-    loops = []
-    for piece in runs(np.asarray(free), max(round(SHORTEST_S / r.interval_s), 2)):
-        n = piece.stop - piece.start
-        none = np.full((1, n), np.nan)
-        loops.append(
-            LoopRun(
-                name=r.name,
-                t_s=r.t[piece] - r.t[piece.start],
-                x_ref_m=r.x_ref[piece],
-                x_m=r.x[piece],
-                i_c_a=r.i_c[piece],
-                u_c_v=r.u_c[piece],
-                simulated_x_m=none,
-                simulated_i_c_a=none,
-                simulated_u_c_v=none,
-                quiet_x_m=none[0],
-                expected_std_m=float("nan"),
-            )
-        )
+    pieces = runs(np.asarray(free), max(round(SHORTEST_S / r.interval_s), 2))
+    loops = [_loop(r, piece, np.full((2, 3, piece.stop - piece.start), np.nan), math.nan) for piece in pieces]
     return sorted(loops, key=lambda loop: -len(loop.t_s))
+
+
+def _loop(record: Record, piece: slice, simulated: FloatArray, expected_std_m: float) -> LoopRun:
+    """Put a flight together; `simulated`: i_c, x, u_c of each realisation, the last without noise, shape (m, 3, n)."""
+    return LoopRun(
+        name=record.name,
+        t_s=record.t[piece] - record.t[piece.start],
+        x_ref_m=record.x_ref[piece],
+        x_m=record.x[piece],
+        i_c_a=record.i_c[piece],
+        u_c_v=record.u_c[piece],
+        simulated_x_m=simulated[:-1, 1],
+        simulated_i_c_a=simulated[:-1, 0],
+        simulated_u_c_v=simulated[:-1, 2],
+        quiet_x_m=simulated[-1, 1],
+        expected_std_m=expected_std_m,
+    )
 
 
 def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> float:
@@ -228,16 +229,4 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
         variances[:2] += lsb[:2] ** 2 / 12.0
         ordered = np.array([variances[0], variances[1], lsb[2] ** 2 / 12.0, variances[2], variances[3]])
         expected = float(np.sqrt(autocovariance(*loop, ordered, lags=1)[0, 0]))
-    return LoopRun(
-        name=r.name,
-        t_s=r.t[part] - r.t[part.start],
-        x_ref_m=x_ref,
-        x_m=r.x[part],
-        i_c_a=r.i_c[part],
-        u_c_v=r.u_c[part],
-        simulated_x_m=out[:-1, 1],
-        simulated_i_c_a=out[:-1, 0],
-        simulated_u_c_v=out[:-1, 2],
-        quiet_x_m=out[-1, 1],
-        expected_std_m=expected,
-    )
+    return _loop(r, part, out, expected)

@@ -25,7 +25,7 @@ from tests.harness.gateway.stopped_subscriber import STALL_S, longest_round_s
 from tests.harness.ports import free_port
 from tests.patience import HANG_S
 from twin.mirror.bus.service import TwinService
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")
 
@@ -82,7 +82,7 @@ def ask_twin(client: Client, who: str, board: str = "rig") -> list[pb.CommandRep
 def test_a_twin_takes_models_from_engineers_only(keys: SecurityFolder, caplog: pytest.LogCaptureFixture) -> None:
     with (
         router(keys) as endpoint,
-        TwinService(nominal(), endpoints=(endpoint,), identity=keys.identity("twin")) as service,
+        TwinService(Model.load("ce152"), endpoints=(endpoint,), identity=keys.identity("twin")) as service,
         join(endpoint, keys.identity("gateway")) as gateway,
         join(endpoint, keys.identity("ana")) as ana,
         join(endpoint, keys.identity("ben")) as ben,
@@ -107,7 +107,7 @@ def test_a_twin_takes_models_from_engineers_only(keys: SecurityFolder, caplog: p
 def test_a_guarded_bus_lets_a_twin_see_that_another_serves_its_boards(keys: SecurityFolder) -> None:
     with (
         router(keys) as endpoint,
-        TwinService(nominal(), endpoints=(endpoint,), identity=keys.identity("twin")) as one,
+        TwinService(Model.load("ce152"), endpoints=(endpoint,), identity=keys.identity("twin")) as one,
         join(endpoint, keys.identity("gateway")) as gateway,
     ):
 
@@ -116,7 +116,7 @@ def test_a_guarded_bus_lets_a_twin_see_that_another_serves_its_boards(keys: Secu
             return "rig" in service.boards or service.failure is not None
 
         wait_for(lambda: parameters_at(one), "the board at the twin")
-        with TwinService(nominal(), endpoints=(endpoint,), identity=keys.identity("twin")) as two:
+        with TwinService(Model.load("ce152"), endpoints=(endpoint,), identity=keys.identity("twin")) as two:
             wait_for(lambda: parameters_at(two), "an answer of the second twin")
 
             assert "A twin already serves every board of site board51" in str(two.failure)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from twin.diagnosis.checks.confidence import MAX_CONFIDENCE
+from twin.diagnosis.judge.account import MAX_CONFIDENCE
 from twin.diagnosis.report.sentences import micrometres, percent
 from twin.estimation.prediction_floor import TOLERANCE
 

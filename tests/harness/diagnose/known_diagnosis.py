@@ -16,7 +16,7 @@ from twin.diagnosis.judge.account import account_of
 from twin.diagnosis.judge.prediction_gain import Yardstick
 from twin.diagnosis.report.model_file import model_of
 from twin.diagnosis.report.sentences import finding_sentence, summary_sentence
-from twin.diagnosis.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
+from twin.diagnosis.result import Diagnosis, Excluded, Finding, Member, Proposal, fit_parameters
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import Score
@@ -101,9 +101,9 @@ def diagnosis(
         causes=(_finding(cause, after_fit, spread, account.cause_shares[cause], account.gains[cause]),)
         if extended
         else (),
-        not_testable=(NotTestable(name="current-sensor-gain", why="absorbed by K_A and K_c"),),
+        not_testable=(Excluded(name="current-sensor-gain", why="absorbed by K_A and K_c"),),
         minor_effects=(),
-        ruled_out=(RuledOut(name="coulomb-friction", why="F_f is at most 3 µN (95 %)"),),
+        ruled_out=(Excluded(name="coulomb-friction", why="F_f is at most 3 µN (95 %)"),),
         account=account,
         unexplained_where="" if extended else "most in x in steps_1",
         gains=tuple(gains),

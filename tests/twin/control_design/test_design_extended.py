@@ -19,7 +19,6 @@ from twin.control import discrete, linearise
 from twin.control_design.design import Design, design
 from twin.model.equilibrium import equilibrium
 from twin.model.linear import linearise as numerically
-from twin.model.parameters import model_to_dict
 
 T_S = 2e-3
 MIDDLE_M = 2.85e-3
@@ -94,7 +93,7 @@ def test_delays_are_states_of_the_discrete_model() -> None:
 
 def test_the_command_says_what_the_causes_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "extended_model.json"
-    path.write_text(json.dumps(model_to_dict(true_model(effects={"air-gap-offset": 8e-4, "coulomb-friction": 2e-3}))))
+    path.write_text(json.dumps(true_model(effects={"air-gap-offset": 8e-4, "coulomb-friction": 2e-3}).to_json()))
 
     assert board51.main(["design", str(path), "--json"]) == 0
 

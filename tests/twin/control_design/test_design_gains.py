@@ -19,7 +19,6 @@ from twin.control_design.gains import Weights, in_order_of
 from twin.control_design.loop import backward, closed_loop
 from twin.control_design.margins import delayed_plant
 from twin.control_design.robust import plant_at
-from twin.model.nominal import nominal
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
 
@@ -29,7 +28,7 @@ COIL_PLANE_ABOVE_STOP_M = 2.44e-3
 
 def coil_higher() -> Model:
     """The four equilibria of a CE 152 behind the shipped K_c: same lift-off, coil plane above the top stop."""
-    model = nominal()
+    model = Model.load("ce152")
     x_max = model.plant.travel_m + COIL_PLANE_ABOVE_STOP_M
     K_c = model.parameters["K_c"]
     same_lift_off = dataclasses.replace(K_c, value=K_c.value * (x_max / model.plant.x_max_m) ** 2)
@@ -41,7 +40,7 @@ def coil_higher() -> Model:
 
 
 def uncertain(share: float) -> Model:
-    model = nominal()
+    model = Model.load("ce152")
     return dataclasses.replace(
         model,
         parameters={
@@ -57,7 +56,7 @@ def K_of(found: Design) -> tuple[float, float, float, float]:
 
 
 def test_gains_are_those_of_the_riccati_equation() -> None:
-    model = nominal()
+    model = Model.load("ce152")
 
     found = design(model)
 
@@ -83,7 +82,7 @@ def test_gains_are_those_of_the_riccati_equation() -> None:
 @pytest.mark.parametrize("plant", ["nominal", "coil higher", "coil higher, K_c kept"])
 @pytest.mark.parametrize(("law_name", "designed_on"), [("lqi", "nominal"), ("lqi", "coil higher"), ("pid", "nominal")])
 def test_the_gains_settle_a_step_of_half_a_millimetre(law_name: str, plant: str, designed_on: str) -> None:
-    models = {"nominal": nominal(), "coil higher": coil_higher()}
+    models = {"nominal": Model.load("ce152"), "coil higher": coil_higher()}
     models["coil higher, K_c kept"] = dataclasses.replace(models["nominal"], plant=models["coil higher"].plant)
     found = design(models[designed_on], Specification(law="pid" if law_name == "pid" else "lqi"))
     c = law_numbers(
@@ -116,7 +115,7 @@ def test_the_gains_settle_a_step_of_half_a_millimetre(law_name: str, plant: str,
 
 
 def test_margins_are_where_the_loop_really_goes_unstable() -> None:
-    model = nominal()
+    model = Model.load("ce152")
     found = design(model)
     A, B = linearise(model, found.point.x_m)
     K = K_of(found)
@@ -160,7 +159,7 @@ def test_margins_are_where_the_loop_really_goes_unstable() -> None:
 def test_phase_margin_is_the_one_of_python_control() -> None:
     import control
 
-    model = nominal()
+    model = Model.load("ce152")
     found = design(model)
     plant, c = plant_at(model, found.point.x_m, T_S), backward(K_of(found), T_S)
     loop = control.ss(c.A, c.B, -c.C, -c.D, T_S) * control.ss(plant.phi, plant.gamma, np.eye(3), np.zeros((3, 1)), T_S)
@@ -174,7 +173,7 @@ def test_phase_margin_is_the_one_of_python_control() -> None:
 
 @pytest.mark.parametrize("which", [2, 3])
 def test_rms_is_what_a_simulation_with_that_noise_shows(which: int) -> None:
-    model, converters = nominal(), Converters()
+    model, converters = Model.load("ce152"), Converters()
     found = design(model, Specification(with_observer=True))
     phi, gamma = plant_at(model, found.point.x_m, T_S)
     K = np.array([gain.value for gain in found.quantised] if which == 2 else found.gains)
@@ -221,7 +220,7 @@ def test_pid_counts_its_integral_positive() -> None:
 
 def test_a_gain_beyond_the_format_is_refused() -> None:
     with pytest.raises(UsageError, match="board's largest"):
-        design(nominal(), Specification(converters=Converters(u_lsb_v=1e-9)))
+        design(Model.load("ce152"), Specification(converters=Converters(u_lsb_v=1e-9)))
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from twin.inference.fisher_scoring import climb
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor, floor_of
 from twin.inference.theta import BASE, Theta
-from twin.model.parameters import Model, load_model, model_to_dict
+from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
 
@@ -164,7 +164,7 @@ def test_a_model_of_another_plant_is_refused_by_its_field(
 ) -> None:
     folder = copy("null")
     plant = load(folder).plant
-    base: Model = load_model(Path(board51.__file__).parent / "twin" / "model" / "ce152.json")
+    base: Model = Model.load(Path(board51.__file__).parent / "twin" / "model" / "ce152.json")
     own = replace(
         base.plant,
         mass_kg=plant.mass_kg,
@@ -174,7 +174,7 @@ def test_a_model_of_another_plant_is_refused_by_its_field(
     )
     change: dict[str, Any] = {field: value}
     model = replace(base, plant=replace(own, **change))
-    (tmp_path / "m.json").write_text(json.dumps(model_to_dict(model)))
+    (tmp_path / "m.json").write_text(json.dumps(model.to_json()))
 
     line = refused(capsys, folder, "--model", str(tmp_path / "m.json"))
 

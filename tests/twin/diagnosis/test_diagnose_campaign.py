@@ -23,7 +23,7 @@ from twin.diagnosis.judge.account import exceeds_floor
 from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.result import Diagnosis, to_json
-from twin.model.parameters import Model, load_model, model_to_dict
+from twin.model.parameters import Model
 
 Hide = Any
 
@@ -164,8 +164,8 @@ def test_the_extended_model_runs_in_predict_and_gives_the_stated_error(
     folder = hide(*DRAG)
     found = diagnosed(folder)
     path = tmp_path / "extended_model.json"
-    path.write_text(json.dumps(model_to_dict(found.extended), allow_nan=False))
-    assert load_model(path).causes[0].name == "quadratic-drag"
+    path.write_text(json.dumps(found.extended.to_json(), allow_nan=False))
+    assert Model.load(path).causes[0].name == "quadratic-drag"
 
     squares, count = 0.0, 0
     for number in (5, 6, 7, 8):

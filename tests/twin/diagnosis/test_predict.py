@@ -21,9 +21,8 @@ from protocol.wire.messages import Shape
 from tests.harness.twin.emulated_campaign import TICK_S, Lab
 from tests.harness.twin.true_model import true_model
 from twin.estimation.record import Record
-from twin.identification.horizon import horizons
+from twin.identification.horizon import error_at
 from twin.inference.nominal_fit import Point
-from twin.model.parameters import model_to_dict
 from twin.prediction import predict
 from twin.readers.log import TwinLog
 
@@ -77,7 +76,7 @@ def files(folder: Path, record: Record) -> list[Path]:
 
 def model_file(folder: Path, effects: dict[str, float] | None = None) -> Path:
     path = folder / f"model_{len(list(folder.iterdir()))}.json"
-    path.write_text(json.dumps(model_to_dict(true_model(effects=effects))))
+    path.write_text(json.dumps(true_model(effects=effects).to_json()))
     return path
 
 
@@ -120,10 +119,11 @@ def test_without_causes_it_agrees_with_the_filter_of_the_identification() -> Non
         process_i_c_a=n.process_i_c_a,
         process_a_m_s2=n.process_a_m_s2,
     )
-    (other,) = horizons([record], model.plant, point, TICK_S, horizons_s=(AHEAD * TICK_S,))
+    other = error_at(AHEAD * TICK_S, [record], model.plant, point, TICK_S)
 
     found = predict(model, record, AHEAD)
 
+    assert other is not None
     assert found.rmse_m == pytest.approx(other.rmse_m, rel=0.01)
     assert abs(len(found.x) - other.count) <= 2
 

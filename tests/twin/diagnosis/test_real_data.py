@@ -17,7 +17,7 @@ from protocol.campaign import load
 from twin.diagnosis.judge.prediction_gain import predictions
 from twin.diagnosis.pipeline import tick_of
 from twin.diagnosis.remainder.curve_fits import fully_fitted, roughly_fitted, scores
-from twin.diagnosis.remainder.likeness import substitutes
+from twin.diagnosis.remainder.remainder import substitutes
 from twin.estimation.innovations import FLIES
 from twin.evidence.gather import Evidence, gather
 from twin.evidence.instruments import instruments, with_noise

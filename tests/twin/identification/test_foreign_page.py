@@ -10,7 +10,7 @@ import pytest
 
 import board51
 from tests.harness.twin.independent_plant import Ball, wandering
-from twin.model.parameters import load_model
+from twin.model.parameters import Model
 
 PAGE = Path(__file__).parents[3] / "docs" / "howto" / "foreign.md"
 
@@ -37,7 +37,7 @@ def test_the_smallest_campaign_of_the_page_is_identified_and_predicted(
 
     capsys.readouterr()
     assert (identified, predicted) == (0, 0)
-    K_c = load_model(model).parameters["K_c"]
+    K_c = Model.load(model).parameters["K_c"]
     assert K_c.std is not None
     assert abs(K_c.value - rig.K_c) < 4 * K_c.std
     assert len(ahead.read_text().splitlines()) > 2000

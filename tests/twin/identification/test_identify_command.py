@@ -15,7 +15,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.record import Record
-from twin.model.parameters import load_model
+from twin.model.parameters import Model
 from twin.readers.log import TwinLog
 
 BALL = Ball()
@@ -70,7 +70,7 @@ def test_csv_matlab_and_log_give_the_same_model(
 
         assert run(campaign(tmp_path, file), "--out", out, "--quiet") == 0
 
-        models.append(load_model(out))
+        models.append(Model.load(out))
     capsys.readouterr()
     for name in ("K_A", "T_A", "K_c", "b"):
         values = [model.parameters[name].value for model in models]
@@ -125,7 +125,7 @@ def test_what_cannot_be_known_is_exit_code_1_and_a_model_all_the_same(
 
     assert run(path, "--out", tmp_path / "m.json") == 1
 
-    assert load_model(tmp_path / "m.json").parameters["K_c"].verdict == "not-identifiable"
+    assert Model.load(tmp_path / "m.json").parameters["K_c"].verdict == "not-identifiable"
     assert "no usable model" in capsys.readouterr().err
 
 
@@ -201,7 +201,7 @@ def test_a_log_brings_captures_scalings_and_sessions(tmp_path: Path, flight: Rec
 
     assert run(campaign(tmp_path, "a.mcap"), "--out", tmp_path / "m.json", "--quiet") == 0
 
-    model = load_model(tmp_path / "m.json")
+    model = Model.load(tmp_path / "m.json")
     (usage,) = model.provenance["recordings"]
     assert usage["captures"] == 1
     assert usage["pieces"] >= 2

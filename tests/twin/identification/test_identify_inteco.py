@@ -9,7 +9,7 @@ import pytest
 
 from protocol.campaign import Campaign, load
 from twin.evidence.dead_time import delayed
-from twin.identification.horizon import Horizon, horizons
+from twin.identification.horizon import Horizon, error_at
 from twin.identification.input_delay import input_delay
 from twin.identification.pipeline import identify
 from twin.identification.result import Identification
@@ -37,15 +37,17 @@ def test_one_model_of_the_inteco_rig_and_what_is_wrong_with_it() -> None:
     assert len([name for name in late if "/cl_" in name]) == 3
     errors = _on_judges(campaign, found)
     assert len(errors) == 3
-    assert all(rows[0].rmse_m < 35e-6 for rows in errors.values())  # 2 ms: two sigma of the sensor
+    assert all(error.rmse_m < 35e-6 for error in errors.values())  # 2 ms: two sigma of the sensor
 
 
-def _on_judges(campaign: Campaign, found: Identification) -> dict[str, list[Horizon]]:
+def _on_judges(campaign: Campaign, found: Identification) -> dict[str, Horizon]:
     """Errors on each flight that is kept for judging; a late input is taken out of them as it was for fitting."""
     rows = {}
     for record in read_campaign(campaign, use="judge", data=DATA):
         if found.fit is None or record.kind not in ("closed-loop", "prbs", "free"):
             continue
         late = delayed(record, input_delay(record, campaign.plant))
-        rows[record.name] = horizons([late], campaign.plant, found.fit.point, found.tick_s)
+        error = error_at(2e-3, [late], campaign.plant, found.fit.point, found.tick_s)
+        assert error is not None
+        rows[record.name] = error
     return rows

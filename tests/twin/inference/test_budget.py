@@ -18,14 +18,13 @@ from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow, strong
 from tests.twin.diagnosis.test_diagnose_campaign import comparable
 from twin.diagnosis.options import Options
-from twin.diagnosis.pipeline import diagnose
+from twin.diagnosis.pipeline import ALL_SAMPLES, FLIGHT_SAMPLES, diagnose, shortened
 from twin.diagnosis.search.periodic import AMPLITUDE, CAUSE, FREQUENCY
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
 from twin.estimation.pace import Reuse, pace_of
 from twin.evidence.gather import gather
-from twin.evidence.shorten import ALL_SAMPLES, FLIGHT_SAMPLES, shortened
 from twin.inference.budget import MILLION, QUICK, Budget, Spent
 from twin.inference.fisher_scoring import climb, narrowing
 from twin.inference.likelihood import Criterion

@@ -17,8 +17,9 @@ from tests.harness.ports import free_endpoint
 from tests.harness.twin.twin_bus import router
 from twin.live.folder import changes_of, controller_of, plant_of, write
 from twin.live.pieces import cut
-from twin.live.source import LiveData, find_board, from_bus, from_log, open_client
-from twin.model.nominal import nominal
+from twin.live.source import LiveData, find_board, from_bus, from_log
+from twin.mirror.bus.client import open_client
+from twin.model.parameters import Model
 from twin.readers.log import TwinLog
 
 T_NS = 2_000_000
@@ -81,7 +82,7 @@ def test_the_folder_is_a_campaign_that_reads_back(tmp_path: Path) -> None:
     assert all(campaign.path_of(one).is_file() for one in campaign.recordings)
     assert campaign.controller is not None
     assert campaign.controller.gains == GAINS
-    assert campaign.plant.mass_kg == nominal().plant.mass_kg
+    assert campaign.plant.mass_kg == Model.load("ce152").plant.mass_kg
 
 
 def test_a_change_of_gains_is_where_recordings_end_and_leaves_no_single_law() -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.rig import Rig
-from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, SETTLING, Mirror
-from twin.mirror.output import Output
-from twin.model.nominal import nominal
+from twin.mirror.mirror import Mirror
+from twin.mirror.output import IN_STEP, OUT_OF_STEP, SETTLING, Output
+from twin.model.parameters import Model
 
 HELD = 2.85e-3
 
@@ -21,7 +21,7 @@ def flying(seed: int = 1) -> tuple[Rig, Mirror]:
     """A right rig in closed loop and a mirror in step with it."""
     rig = Rig(seed=seed)
     rig.hold(HELD)
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(rig.parameters())
     outputs = feed(mirror, rig.run(1000, HELD))
     assert outputs[-1].divergence.sync == IN_STEP
@@ -41,7 +41,7 @@ def test_it_attaches_to_a_running_loop_with_the_integrator_the_board_must_have()
     rig = Rig(seed=3)
     rig.hold(HELD)
     list(rig.run(500, 3.2e-3))  # nobody listens
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(rig.parameters())
 
     outputs = feed(mirror, rig.run(300, 3.2e-3))
@@ -63,7 +63,7 @@ def rig_input(rig: Rig) -> float:
 def test_it_enters_closed_loop_as_the_board_does() -> None:
     """From rest on the stop: the same lift-off in twin and rig, tick by tick."""
     rig = Rig(sigma_x_m=1e-9, sigma_i_a=1e-7, process_a=0.0, process_i=0.0, x_lsb=1e-9, i_lsb=1e-7, u_lsb=1e-4)
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(rig.parameters())
     feed(mirror, rig.run(200, HELD))
     rig.set_mode(pb.MODE_CLOSED_LOOP)
@@ -220,7 +220,7 @@ def test_a_change_of_mode_restarts_it_without_an_alarm() -> None:
 
 def test_open_loop_is_driven_by_the_measured_input() -> None:
     rig = Rig(seed=4)
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(rig.parameters())
     feed(mirror, rig.run(50, HELD))
     rig.set_mode(pb.MODE_OPEN_LOOP)
@@ -289,7 +289,7 @@ def test_a_sample_time_the_kernels_do_not_cover_is_refused(sample_time_s: float)
     rig.hold(HELD)
     parameters = rig.parameters()
     parameters.sample_time_s = sample_time_s
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(parameters)
 
     outputs = feed(mirror, rig.run(20, HELD))

@@ -11,21 +11,20 @@ from twin.live.folder import plant_of
 from twin.live.source import LiveData
 from twin.model.assumed import assumption, assumption_warning, mark, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME
-from twin.model.nominal import nominal
 from twin.model.parameters import Model, model_text, parse_model
 
 BALL = "for an assumed ball of 8.28 g and travel of 5.7 mm"
 
 
 def assumed() -> Model:
-    return replace(nominal(), plant=replace(nominal().plant, assumed=True))
+    return replace(Model.load("ce152"), plant=replace(Model.load("ce152").plant, assumed=True))
 
 
 def test_a_stated_plant_needs_no_word() -> None:
-    plant = nominal().plant
+    plant = Model.load("ce152").plant
 
     assert (assumption(plant), assumption_warning(plant)) == ("", "")
-    assert mark(nominal().parameters, plant) == nominal().parameters
+    assert mark(Model.load("ce152").parameters, plant) == Model.load("ce152").parameters
 
 
 def test_k_c_and_b_say_for_which_ball_they_hold_and_how_to_state_it() -> None:
@@ -58,15 +57,15 @@ def test_a_cause_rests_on_mass_or_travel_or_not(cause: str, rests: bool) -> None
 
 def test_a_model_file_keeps_the_mark() -> None:
     assert parse_model(model_text(assumed()), where="a test").plant.assumed
-    assert not parse_model(model_text(nominal()), where="a test").plant.assumed
+    assert not parse_model(model_text(Model.load("ce152")), where="a test").plant.assumed
 
 
 def test_a_design_on_an_assumed_plant_warns() -> None:
     assert any(BALL in warning for warning in design(assumed()).warnings)
-    assert not any("assumed ball" in warning for warning in design(nominal()).warnings)
+    assert not any("assumed ball" in warning for warning in design(Model.load("ce152")).warnings)
 
 
-@pytest.mark.parametrize("model_json", ["", model_text(nominal())])
+@pytest.mark.parametrize("model_json", ["", model_text(Model.load("ce152"))])
 def test_a_live_twin_on_the_nominal_model_states_no_plant(model_json: str) -> None:
     heard = LiveData(model_json=model_json)
 
@@ -74,7 +73,7 @@ def test_a_live_twin_on_the_nominal_model_states_no_plant(model_json: str) -> No
 
 
 def test_a_live_twin_on_another_model_states_its_plant() -> None:
-    own = replace(nominal(), plant=replace(nominal().plant, mass_kg=5e-3))
+    own = replace(Model.load("ce152"), plant=replace(Model.load("ce152").plant, mass_kg=5e-3))
     heard = LiveData(model_json=model_text(own))
 
     assert plant_of(heard) == own.plant

@@ -15,7 +15,7 @@ from protocol.errors import DataError
 from tests.harness.twin.true_model import cause, true_model
 from twin.model.causes.catalogue import CATALOGUE, neutral
 from twin.model.extension import sentences, vector
-from twin.model.parameters import load_model, model_from_dict, model_to_dict
+from twin.model.parameters import Model, model_from_dict
 
 Data = dict[str, Any]
 
@@ -24,9 +24,9 @@ def test_every_cause_survives_the_round_trip(tmp_path: Path) -> None:
     effects = {one.name: 0.5 * (one.strength.low + one.strength.high) for one in CATALOGUE}
     model = true_model(effects=effects)
     path = tmp_path / "extended_model.json"
-    path.write_text(json.dumps(model_to_dict(model)))
+    path.write_text(json.dumps(model.to_json()))
 
-    again = load_model(path)
+    again = Model.load(path)
 
     assert again == model
     assert [one.name for one in again.causes] == list(effects)
@@ -36,7 +36,7 @@ def test_every_cause_survives_the_round_trip(tmp_path: Path) -> None:
 
 
 def test_a_shape_that_a_file_leaves_out_is_that_of_the_usual_form() -> None:
-    data = model_to_dict(true_model(effects={"core-saturation": 3.0, "coulomb-friction": 1e-3}))
+    data = true_model(effects={"core-saturation": 3.0, "coulomb-friction": 1e-3}).to_json()
     for entry, shapes in zip(data["causes"], (["knee"], ["extra", "slow_m_s"]), strict=True):
         for name in shapes:
             del entry["parameters"][name]
@@ -97,7 +97,7 @@ def twice(data: Data) -> None:
     ],
 )
 def test_a_cause_that_is_not_one_is_refused_by_name(change: Callable[[Data], None], says: str) -> None:
-    data = copy.deepcopy(model_to_dict(true_model(effects={"air-gap-offset": 8e-4, "amplifier-gain-drift": 0.05})))
+    data = copy.deepcopy(true_model(effects={"air-gap-offset": 8e-4, "amplifier-gain-drift": 0.05}).to_json())
     change(data)
 
     with pytest.raises(DataError) as refused:

@@ -71,3 +71,18 @@ def test_a_cause_adds_a_current_at_rest_where_points_of_rest_can_show_it() -> No
     assert {cause.name for cause in CATALOGUE if cause.added_a} == {
         cause.name for cause in CATALOGUE if cause.at_rest == "amplifier"
     }
+
+
+def test_the_kernels_of_a_cause_become_part_of_the_step() -> None:
+    """As calls they made it three times as long."""
+    decorators = {
+        (path.name, decorator.id)
+        for path in CAUSES.glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        for decorator in node.decorator_list
+        if isinstance(decorator, ast.Name)
+    }
+
+    assert ("core_saturation.py", "inlined") in decorators
+    assert {name for name, decorator in decorators if decorator == "kernel"} == set()

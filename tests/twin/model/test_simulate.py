@@ -15,7 +15,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.harness.twin.one_tick import numbers, tick
-from twin.model.nominal import nominal
 from twin.model.parameters import Model
 from twin.model.simulate import PlantNumbers, plant_numbers
 
@@ -23,13 +22,13 @@ T_S = 2e-3
 
 
 def with_values(**values: float) -> Model:
-    model = nominal()
+    model = Model.load("ce152")
     parameters = {key: dataclasses.replace(p, value=values.get(key, p.value)) for key, p in model.parameters.items()}
     return dataclasses.replace(model, parameters=parameters)
 
 
 def test_the_amplifier_is_exact_at_every_tick() -> None:
-    p = plant_numbers(nominal(), T_S)
+    p = plant_numbers(Model.load("ce152"), T_S)
     i, u = 0.0, 2.0
 
     for k in range(1, 6):
@@ -74,7 +73,7 @@ def test_without_drag_and_with_constant_current_energy_is_conserved() -> None:
 
 
 def test_a_ball_at_rest_stays_until_the_force_of_eq_8_is_reached() -> None:
-    p = plant_numbers(nominal(), T_S)
+    p = plant_numbers(Model.load("ce152"), T_S)
     lift_off = math.sqrt(8.28e-3 * 9.81 / 2.7507e-6) * 5.7e-3
 
     for share, moves in ((0.999, False), (1.001, True)):
@@ -87,7 +86,7 @@ def test_a_ball_at_rest_stays_until_the_force_of_eq_8_is_reached() -> None:
 
 @pytest.mark.parametrize("u", [0.0, 5.0])
 def test_the_stops_hold_the_ball(u: float) -> None:
-    p = plant_numbers(nominal(), T_S)
+    p = plant_numbers(Model.load("ce152"), T_S)
     i, x, v = 0.5, 2.85e-3, 0.0
 
     for _ in range(200):
@@ -100,7 +99,7 @@ def test_the_stops_hold_the_ball(u: float) -> None:
 
 
 def test_the_ball_leaves_the_top_stop_when_the_coil_is_switched_off() -> None:
-    p = plant_numbers(nominal(), T_S)
+    p = plant_numbers(Model.load("ce152"), T_S)
     i, x, v = 1.4, 5.7e-3, 0.0
 
     for _ in range(40):
@@ -149,7 +148,7 @@ def test_a_tick_agrees_with_an_adaptive_solver(gap_above_stop_m: float, most_m: 
 @pytest.mark.parametrize("sample_time_s", [1e-4, 5e-4, 2e-2])
 def test_other_sampling_times_agree_with_an_adaptive_solver(sample_time_s: float) -> None:
     """From rest and under the input that holds the ball: over 20 ms it would fall away from any other."""
-    p = plant_numbers(nominal(), sample_time_s)
+    p = plant_numbers(Model.load("ce152"), sample_time_s)
     u = 1.01 * 0.48975 / 0.297
 
     after = tick(p, 0.48975, 2.85e-3, 0.0, u)
@@ -159,11 +158,11 @@ def test_other_sampling_times_agree_with_an_adaptive_solver(sample_time_s: float
 
 _TRAJECTORY = """
 import json
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 from twin.mirror.loop import advance
 from twin.control import LawNumbers
 from twin.model.simulate import plant_numbers, rig_at
-p = plant_numbers(nominal(), 2e-3)
+p = plant_numbers(Model.load("ce152"), 2e-3)
 c = tuple(LawNumbers(1.65, 0.49, 2.85e-3, 0.49, 1700.0, 0.0, 17.7, 17600.0, 0.0, 5.0, 1.0, 2e-3))
 memory = rig_at(p, i=0.0, x=0.0, v=0.0, u=0.0)
 out = []

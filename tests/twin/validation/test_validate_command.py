@@ -17,7 +17,6 @@ from protocol.bus.topics import key
 from tests.harness.twin.independent_plant import Ball
 from tests.twin.validation.test_validate_verdicts import BALL, captured, controller_of, model_of, steps
 from twin.estimation.record import Record
-from twin.model.parameters import model_to_dict
 from twin.readers.log import TwinLog
 
 HEAD = f'[plant]\nname = "bench"\nmass_kg = {BALL.m}\ntravel_m = {BALL.travel}\nx_max_m = {BALL.x_max}\n'
@@ -74,7 +73,7 @@ def write_log(path: Path, record: Record, ball: Ball, *, step: bool = True) -> N
 def folder(path: Path, *, K_c: float = 1.0, kind: str = "closed-loop", file: str = "run.mcap") -> list[str]:
     """A campaign of one recording and a model beside it; the arguments that name them."""
     (path / "campaign.toml").write_text(HEAD + RECORDING.format(file=file, kind=kind))
-    (path / "model.json").write_text(json.dumps(model_to_dict(model_of(BALL, K_c=K_c))))
+    (path / "model.json").write_text(json.dumps(model_of(BALL, K_c=K_c).to_json()))
     return [str(path), "--model", str(path / "model.json"), "--out", str(path / "report")]
 
 
@@ -160,7 +159,7 @@ def test_bad_input_is_one_line_and_exit_2(
     elif wrong == "no campaign":
         (tmp_path / "campaign.toml").unlink()
     elif wrong == "other rig":
-        model = model_to_dict(model_of(replace(BALL, m=2.0 * BALL.m)))
+        model = model_of(replace(BALL, m=2.0 * BALL.m)).to_json()
         (tmp_path / "model.json").write_text(json.dumps(model))
     elif wrong == "out is a file":
         (tmp_path / "report").write_text("")

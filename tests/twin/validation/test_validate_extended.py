@@ -15,7 +15,6 @@ from tests.harness.diagnose.hidden_campaign import draw_rig, make_campaign
 from tests.harness.diagnose.simulated_rig import THETA, strong
 from tests.harness.twin.true_model import true_model
 from twin.diagnosis.report.model_file import model_of
-from twin.model.parameters import model_to_dict
 from twin.validation.source import source_of
 
 SEED = 3
@@ -34,7 +33,7 @@ def judged(campaign: Path, folder: Path, effects: dict[str, float]) -> tuple[int
     # The emulated rig has no process noise; with more than it has the residuals would be coloured.
     model = replace(model, noise=replace(model.noise, process_a_m_s2=2e-3, process_i_c_a=1e-5))
     folder.mkdir()
-    (folder / "model.json").write_text(json.dumps(model_to_dict(model)))
+    (folder / "model.json").write_text(json.dumps(model.to_json()))
     code = board51.main(["validate", str(campaign), "--model", str(folder / "model.json"), "--out", str(folder)])
     return code, json.loads((folder / "validation.json").read_text())
 

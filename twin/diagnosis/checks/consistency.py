@@ -44,7 +44,6 @@ class Beginning:
     cause: str
     recording: str
     t_s: float
-    gain: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,14 +119,8 @@ def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Be
         is_significant = abs(after) * math.sqrt(float(weights[index:].sum())) > settings.BEGINNING_Z
         if gain > settings.BEGINNING_GAIN and is_absent_before and is_significant:
             stretch = moves_of_cause[index]
-            result.append(
-                Beginning(
-                    cause=cause,
-                    recording=criterion.evidence.names()[stretch.recording],
-                    t_s=stretch.t_s,
-                    gain=gain,
-                )
-            )
+            recording = criterion.evidence.names()[stretch.recording]
+            result.append(Beginning(cause=cause, recording=recording, t_s=stretch.t_s))
     return result
 
 

@@ -30,7 +30,6 @@ from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor, expected
 from twin.inference.theta import BASE, FLOORS, coordinates_of, reinitialised
 from twin.model.causes.catalogue import CATALOGUE
-from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
 
 
@@ -88,15 +87,12 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
     agreeing = Criterion(parts[1], plant, criterion.tick_s, budget=budget)
     try:
         # Another rig has its coil at another height, too.
-        (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))
+        (cause,) = (cause for cause in CATALOGUE if cause.family == "force" and "displaces" in cause.traits)
+        (coil,) = coordinates_of(cause.name)
         fit = climb(single, start.having(coil, 0.0), (*BASE, *start.colours, coil), passes=2 * settings.PASSES)
         agreed = climb(agreeing, reinitialised(base.theta), base.free)
         # The noise of its own sensors counts, as another rig has other sensors.
-        quiet = replace(
-            fit.theta,
-            process_i_c_a=FLOORS["process_i_c_a"],
-            process_a_m_s2=FLOORS["process_a_m_s2"],
-        )
+        quiet = replace(fit.theta, process_i_c_a=FLOORS["process_i_c_a"], process_a_m_s2=FLOORS["process_a_m_s2"])
         logliks, counts = expected(single.outputs(quiet))
         if not adequate(single, fit, replace(floor, logliks=logliks, counts=counts))[0]:
             return None
@@ -108,7 +104,3 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
         (name, math.expm1(logarithm)) for name, logarithm in moves.items() if abs(logarithm) > settings.DRIFT[name]
     )
     return Outlier(recording=number, name=record.name, moves=large) if large else None
-
-
-def _moves_coil(cause: Cause) -> bool:
-    return cause.family == "force" and "displaces" in cause.traits

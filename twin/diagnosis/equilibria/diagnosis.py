@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -32,15 +33,17 @@ from twin.diagnosis.equilibria.points import (
     points_of,
     rounding,
     standard_error,
+    strength_of,
 )
-from twin.diagnosis.experiments.external_measurements import measurement_for
+from twin.diagnosis.judge.reference_model import check_plant, theta_of
 from twin.estimation.record import FloatArray, Record
 from twin.inference.theta import Theta
 from twin.model import parameters as file
 from twin.model.assumed import assumption_warning, mark
-from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE, measurement_for
 from twin.model.linear import linearised
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
+from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
 
 _METHOD = "least squares in i_c over the points of rest"
@@ -64,7 +67,7 @@ class Explanation:
     @property
     def value(self) -> float:
         """Return the fitted strength of the cause, in the unit of its first parameter."""
-        return self.fit.theta.value(f"{self.name}.{BY_NAME[self.name].strength.name}")
+        return self.fit.theta.value(strength_of(self.name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +86,6 @@ class StaticDiagnosis:
     verdict: Verdict
     confidence: float
     rounding_a: float  # standard deviation that rounding alone gives i_c
-    computed_a_v: float | None  # i_c is this times u_c
     judge: tuple[FloatArray, FloatArray] | None  # i_c measured - predicted on judge points, before and after, A
     extended: file.Model
     warnings: tuple[str, ...]
@@ -131,7 +133,7 @@ def diagnose_points(
     tests = max(len(explained), 1)
     members, verdict, confidence = _verdict(possible, base, round_a, tests)
     rejected = tuple(explanation for explanation in explained if explanation not in members)
-    warnings += _remarks(points, computed, members)
+    warnings += _remarks(points, computed)
     judge_points = _judge_points(judges, plant, warnings)
     after = members[0].fit if members else base
     judge = None
@@ -140,7 +142,7 @@ def diagnose_points(
     slope = (
         holding_currents(base.theta, plant, points.x_m + 1e-7) - holding_currents(base.theta, plant, points.x_m)
     ) / 1e-7
-    reference_off_a = None if model is None else _off(_theta_of(model, base.theta), plant, points)
+    reference_off_a = None if model is None else _off(theta_of(model, base.theta), plant, points)
     better = bool(members) and _predicts_better(members[0], judge, points, plant, base)
     if members and not better:
         warnings.append(
@@ -163,11 +165,30 @@ def diagnose_points(
         verdict=verdict,
         confidence=confidence,
         rounding_a=round_a,
-        computed_a_v=computed,
         judge=judge,
         extended=extended,
         warnings=tuple(dict.fromkeys(warnings)),
     )
+
+
+def is_static(campaign: Campaign) -> bool:
+    """Return whether every recording for fitting is of kind `equilibria`."""
+    return {recording.kind for recording in campaign.recordings if recording.use == "fit"} == {"equilibria"}
+
+
+def diagnose_static(
+    campaign: Campaign, *, data: Path | None, model: file.Model | None, say: Callable[[str], None]
+) -> StaticDiagnosis:
+    """Diagnose points of rest.
+
+    Raises:
+        DataError: recordings that cannot be used, or a model of another plant.
+    """
+    if model is not None:
+        check_plant(model, campaign.plant)
+    records = read_campaign(campaign, data=data)
+    judges = read_campaign(campaign, use="judge", data=data)
+    return diagnose_points(campaign, records, judges, model=model, say=say)
 
 
 def pole(theta: Theta, plant: Plant, reading_m: float) -> float:
@@ -207,27 +228,17 @@ def proposal_for(first: Explanation, second: Explanation) -> tuple[str, float, s
 
 def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) -> Explanation:
     F, p = f_test(base, fit)
-    if p > settings.STATIC_LEVEL or fit.at_bound:
-        # It will not be named: nobody asks how large it is.
-        nan = math.nan
-        no_errors = np.full(len(points), nan)
-        return Explanation(
-            name=fit.cause,
-            fit=fit,
-            low=nan,
-            high=nan,
-            F=F,
-            p=p,
-            left_out_a=no_errors,
-            pole_per_s=nan,
-            pole_std_per_s=nan,
-        )
-    low, high = interval(points, plant, fit)
-    middle = 0.5 * plant.travel_m
-    coordinate = f"{fit.cause}.{BY_NAME[fit.cause].strength.name}"
-    std = standard_error(points, plant, fit)
-    pole_per_s = pole(fit.theta, plant, middle)
-    moved_pole_per_s = pole(fit.theta.having(coordinate, fit.theta.value(coordinate) + 0.1 * std), plant, middle)
+    low = high = pole_per_s = pole_std_per_s = math.nan
+    left_out_a = np.full(len(points), math.nan)
+    # One that will not be named is not measured: nobody asks how large it is.
+    if not (p > settings.STATIC_LEVEL or fit.at_bound):
+        low, high = interval(points, plant, fit)
+        left_out_a = left_out(points, plant, fit)
+        middle, coordinate = 0.5 * plant.travel_m, strength_of(fit.cause)
+        moved = fit.theta.value(coordinate) + 0.1 * standard_error(points, plant, fit)
+        pole_per_s = pole(fit.theta, plant, middle)
+        change = pole(fit.theta.having(coordinate, moved), plant, middle) - pole_per_s
+        pole_std_per_s = abs(change) * 10.0 if math.isfinite(change) else 0.0
     return Explanation(
         name=fit.cause,
         fit=fit,
@@ -235,11 +246,9 @@ def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) 
         high=high,
         F=F,
         p=p,
-        left_out_a=left_out(points, plant, fit),
+        left_out_a=left_out_a,
         pole_per_s=pole_per_s,
-        pole_std_per_s=abs(moved_pole_per_s - pole_per_s) * 10.0
-        if math.isfinite(moved_pole_per_s - pole_per_s)
-        else 0.0,
+        pole_std_per_s=pole_std_per_s,
     )
 
 
@@ -266,7 +275,7 @@ def _verdict(
     return [*tied, *rest], "causes-found", min(settings.STATIC_CONFIDENCE, 1.0 - min(best.p * tests, 1.0))
 
 
-def _remarks(points: Points, computed: float | None, members: Sequence[Explanation]) -> list[str]:
+def _remarks(points: Points, computed: float | None) -> list[str]:
     remarks = ['no recording has use = "judge" and motion: each point is predicted from the others for the gain']
     if computed is not None:
         remarks.append(
@@ -310,14 +319,6 @@ def _off(theta: Theta, plant: Plant, points: Points) -> FloatArray:
     return points.i_c_a - holding_currents(theta, plant, points.x_m)
 
 
-def _theta_of(model: file.Model, like: Theta) -> Theta:
-    theta = replace(like, K_A=model.K_A, T_A=model.T_A, K_c=model.K_c, b=model.b)
-    for cause in model.causes:
-        for name, parameter in cause.parameters.items():
-            theta = theta.having(f"{cause.name}.{name}", parameter.value)
-    return theta
-
-
 def _extended(
     campaign: Campaign,
     fit: StaticFit,
@@ -329,7 +330,7 @@ def _extended(
 ) -> tuple[file.Model, list[str]]:
     """Return (the model with the first member, what in it was not measured)."""
     plant = campaign.plant
-    like = model or nominal()
+    like = model or Model.load("ce152")
     origin = "of the model that was given" if model else "of the shipped CE 152"
     assumed = [f"K_A, T_A, b and the noise in extended_model.json are {origin}: points of rest do not determine them"]
     parameters = {
@@ -343,11 +344,7 @@ def _extended(
         unit="N m^2/A^2",
         std=std,
         ci95=(max(fit.theta.K_c - t * std, 1e-9), fit.theta.K_c + t * std),
-        verdict="identified"
-        if t * std < 0.25 * fit.theta.K_c
-        else "weak"
-        if t * std < fit.theta.K_c
-        else "not-identifiable",
+        verdict=file.verdict_by(t * std, fit.theta.K_c),
         method=f"{_METHOD}, Student t with {fit.freedom} degrees of freedom",
         equation="(3)",
     )
@@ -355,9 +352,7 @@ def _extended(
         parameters["K_A"] = file.Parameter(
             value=computed, unit="A/V", verdict="assumed", method="i_c of the points is u_c times this", equation="(1)"
         )
-    causes: tuple[file.ModelCause, ...] = ()
-    if members:
-        causes = (file.ModelCause(name=members[0].name, parameters=parameters_of(members[0])),)
+    causes = tuple(file.ModelCause(name=member.name, parameters=parameters_of(member)) for member in members[:1])
     return file.Model(
         plant=plant,
         parameters=mark(parameters, plant),
@@ -376,18 +371,17 @@ def _extended(
 
 def parameters_of(explanation: Explanation) -> dict[str, file.Parameter]:
     """Return the cause's parameters: the strength as fitted, the others at their usual values."""
-    parameters = {}
-    for n, entry in enumerate(BY_NAME[explanation.name].parameters):
-        if n:
-            parameters[entry.name] = file.Parameter(value=entry.neutral, unit=entry.unit, method="not in these data")
-            continue
-        half = 0.5 * abs(explanation.high - explanation.low)
-        parameters[entry.name] = file.Parameter(
-            value=explanation.value,
-            unit=entry.unit,
-            ci95=(explanation.low, explanation.high),
-            verdict="identified" if half < 0.25 * abs(explanation.value) else "weak",
-            method=f"{_METHOD}; interval by profile, F(1, {explanation.fit.freedom})",
-            equation=BY_NAME[explanation.name].equation,
-        )
+    cause, half = BY_NAME[explanation.name], 0.5 * abs(explanation.high - explanation.low)
+    parameters = {
+        entry.name: file.Parameter(value=entry.neutral, unit=entry.unit, method="not in these data")
+        for entry in cause.parameters
+    }
+    parameters[cause.strength.name] = file.Parameter(
+        value=explanation.value,
+        unit=cause.strength.unit,
+        ci95=(explanation.low, explanation.high),
+        verdict="identified" if half < 0.25 * abs(explanation.value) else "weak",
+        method=f"{_METHOD}; interval by profile, F(1, {explanation.fit.freedom})",
+        equation=cause.equation,
+    )
     return parameters

@@ -132,7 +132,7 @@ def holding_currents(theta: Theta, plant: Plant, x_m: FloatArray) -> FloatArray:
 def added_current(theta: Theta) -> float:
     """Return the current that an amplifier adds, A: it flows, but a current computed as K_A u_c lacks it."""
     return sum(
-        cause.added_a(theta.value(_coordinate(cause.name)), theta.K_A)
+        cause.added_a(theta.value(strength_of(cause.name)), theta.K_A)
         for cause in CATALOGUE
         if cause.added_a is not None
     )
@@ -147,7 +147,7 @@ def fit_static(points: Points, plant: Plant, cause: str = "") -> StaticFit:
     starts = [value for value in (_value(cause, step * unit) for step in _STARTS) if value != _neutral(cause)]
     fits = []
     for value in dict.fromkeys(starts):
-        at = begin.having(_coordinate(cause), value)
+        at = begin.having(strength_of(cause), value)
         strength = BY_NAME[cause].strength
         fits.append(_climb(points, plant, at, cause, (math.log(begin.K_c), strength.coordinate(value) / unit)))
     return min(fits, key=lambda fit: fit.rss_a2)
@@ -158,13 +158,13 @@ def refit(points: Points, plant: Plant, initial: StaticFit) -> StaticFit:
     begin: tuple[float, ...] = (math.log(initial.theta.K_c),)
     if initial.cause:
         strength = BY_NAME[initial.cause].strength
-        begin += (strength.coordinate(initial.theta.value(_coordinate(initial.cause))) / _unit(initial.cause),)
+        begin += (strength.coordinate(initial.theta.value(strength_of(initial.cause))) / _unit(initial.cause),)
     return _climb(points, plant, initial.theta, initial.cause, begin)
 
 
 def fit_gain(points: Points, plant: Plant, cause: str, value: float, initial: Theta) -> StaticFit:
     """Return K_c alone, the cause's strength held at `value`."""
-    at = initial.having(_coordinate(cause), value)
+    at = initial.having(strength_of(cause), value)
     fit = _climb(points, plant, at, cause, (math.log(initial.K_c),))
     return replace(fit, freedom=len(points) - 2)
 
@@ -183,7 +183,7 @@ def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float
     An end is the physical range's where the data set none before it.
     """
     strength = BY_NAME[fit.cause].strength
-    best = strength.coordinate(fit.theta.value(_coordinate(fit.cause)))
+    best = strength.coordinate(fit.theta.value(strength_of(fit.cause)))
     limit = fit.rss_a2 * (1.0 + float(f_distribution.ppf(1.0 - settings.STATIC_LEVEL, 1, fit.freedom)) / fit.freedom)
     ends = []
     for edge in sorted(_edges(fit.cause)):
@@ -208,12 +208,12 @@ def standard_error(points: Points, plant: Plant, fit: StaticFit, *, of_gain: boo
     steps = [1e-4]
     if fit.cause:
         strength = BY_NAME[fit.cause].strength
-        coordinate = strength.coordinate(fit.theta.value(_coordinate(fit.cause)))
+        coordinate = strength.coordinate(fit.theta.value(strength_of(fit.cause)))
         change = 1e-3 * _unit(fit.cause)
-        if strength.value(coordinate + change) == fit.theta.value(_coordinate(fit.cause)):
+        if strength.value(coordinate + change) == fit.theta.value(strength_of(fit.cause)):
             change = -change
-        moves.append(fit.theta.having(_coordinate(fit.cause), strength.value(coordinate + change)))
-        steps.append(moves[-1].value(_coordinate(fit.cause)) - fit.theta.value(_coordinate(fit.cause)))
+        moves.append(fit.theta.having(strength_of(fit.cause), strength.value(coordinate + change)))
+        steps.append(moves[-1].value(strength_of(fit.cause)) - fit.theta.value(strength_of(fit.cause)))
     now = holding_currents(fit.theta, plant, points.x_m)
     columns = [
         (holding_currents(at, plant, points.x_m) - now) / change for at, change in zip(moves, steps, strict=True)
@@ -261,7 +261,7 @@ def computed_current(points: Points) -> float | None:
 def _climb(points: Points, plant: Plant, at: Theta, cause: str, begin: tuple[float, ...]) -> StaticFit:
     def theta_of(z: FloatArray) -> Theta:
         theta = replace(at, K_c=math.exp(min(max(float(z[0]), -60.0), 10.0)))
-        return theta if len(z) == 1 else theta.having(_coordinate(cause), _value(cause, float(z[1]) * _unit(cause)))
+        return theta if len(z) == 1 else theta.having(strength_of(cause), _value(cause, float(z[1]) * _unit(cause)))
 
     def residual(z: FloatArray) -> FloatArray:
         off = points.i_c_a - holding_currents(theta_of(z), plant, points.x_m)
@@ -286,7 +286,8 @@ def _climb(points: Points, plant: Plant, at: Theta, cause: str, begin: tuple[flo
     )
 
 
-def _coordinate(cause: str) -> str:
+def strength_of(cause: str) -> str:
+    """Return the coordinate of a cause's strength."""
     return f"{cause}.{BY_NAME[cause].strength.name}"
 
 
@@ -300,7 +301,7 @@ def _unit(cause: str) -> float:
 
 
 def _value(cause: str, coordinate: float) -> float:
-    return parameter_of(_coordinate(cause)).value(coordinate)
+    return parameter_of(strength_of(cause)).value(coordinate)
 
 
 def _edges(cause: str) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from twin.diagnosis.report.sentences import quantity
 from twin.diagnosis.result import parameters_json
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.page.plain import plain
 from twin.settings import diagnosis as settings
 
 _MIN_CURRENT_A = 1e-12  # points without any error, as by hand: no ratio divides by less
@@ -58,7 +59,10 @@ def sentence_of(diagnosis: StaticDiagnosis) -> str:
 
 
 def to_json(diagnosis: StaticDiagnosis) -> dict[str, Any]:
-    """The contract of diagnosis.json, with what is special to points of rest under `static`."""
+    """The contract of diagnosis.json, with what is special to points of rest under `static`.
+
+    A number that is not finite, such as the unstable pole of a cause that holds the ball, is null.
+    """
     base, first = diagnosis.base, diagnosis.members[0] if diagnosis.members else None
     floor = len(diagnosis.points) * diagnosis.rounding_a**2
     excess = max(base.rss_a2 - floor, 1e-300)
@@ -70,7 +74,7 @@ def to_json(diagnosis: StaticDiagnosis) -> dict[str, Any]:
         f"{1e3 * remains.std_a:.2g} mA, most at x = {1e3 * diagnosis.points.x_m[worst]:.2f} mm;"
         f" rounding alone makes {1e3 * diagnosis.rounding_a:.2g} mA"
     )
-    return {
+    content = {
         "verdict": diagnosis.verdict,
         "sentence": sentence_of(diagnosis),
         "calibrated": True,
@@ -110,8 +114,9 @@ def to_json(diagnosis: StaticDiagnosis) -> dict[str, Any]:
             "refused": [],
         },
         "static": _rows(diagnosis, remains),
-        "warnings": list(diagnosis.warnings),
+        "warnings": diagnosis.warnings,
     }
+    return plain(content)
 
 
 def _cause(diagnosis: StaticDiagnosis, first: Explanation, share: float) -> dict[str, Any]:
@@ -144,13 +149,13 @@ def _rows(diagnosis: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
     """List each point with its readings and the error of each model."""
     base, first = diagnosis.base, diagnosis.members[0] if diagnosis.members else None
     return {
-        "x_m": diagnosis.points.x_m.tolist(),
-        "i_c_a": diagnosis.points.i_c_a.tolist(),
-        "baseline_error_a": base.residual_a.tolist(),
-        "baseline_error_share": (base.residual_a / diagnosis.points.i_c_a).tolist(),
-        "baseline_error_m": diagnosis.base_off_m.tolist(),
-        "extended_error_a": remains.residual_a.tolist(),
-        "reference_model_error_a": None if diagnosis.reference_off_a is None else diagnosis.reference_off_a.tolist(),
+        "x_m": diagnosis.points.x_m,
+        "i_c_a": diagnosis.points.i_c_a,
+        "baseline_error_a": base.residual_a,
+        "baseline_error_share": base.residual_a / diagnosis.points.i_c_a,
+        "baseline_error_m": diagnosis.base_off_m,
+        "extended_error_a": remains.residual_a,
+        "reference_model_error_a": diagnosis.reference_off_a,
         "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
         "F": None if first is None else first.F,
         "p": None if first is None else first.p,

@@ -30,7 +30,6 @@ from protocol.campaign import Controller
 from protocol.experiments import Experiment
 from twin.diagnosis.experiments.closed_loop import Rig, converters_of
 from twin.diagnosis.experiments.designed_law import lift_off_input
-from twin.diagnosis.experiments.external_measurements import measurement_for
 from twin.diagnosis.experiments.schedules import MENU, schedule_of, sentence
 from twin.diagnosis.experiments.virtual_recordings import input_limit, simulate
 from twin.diagnosis.search.candidate_fits import Trial
@@ -42,7 +41,7 @@ from twin.inference.budget import Budget
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import COLOURS, NOISES, PARAMETERS, STOPS, derivative_step, moved
-from twin.model.causes.catalogue import with_trait
+from twin.model.causes.catalogue import measurement_for, with_trait
 from twin.settings import diagnosis as settings
 
 ENOUGH_Z = math.sqrt(2.0 * settings.EQUIVALENT_GAIN)  # two causes with a larger z are not in one equivalence class

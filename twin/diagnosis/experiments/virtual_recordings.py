@@ -86,7 +86,7 @@ def simulate(rig: Rig, schedule: Schedule, *, seed: int) -> list[Record]:
         if schedule.closed_loop:
             numbers = law_of(rig.controller, theta, plant, rig.tick_s, rig.u_max_v)
             y, u = at_rest(theta.base(plant), theta.vector(), first, as_reading=True)
-            s = integral_at(numbers, theta, plant, y, first, u)
+            s = integral_at(numbers, theta, y, first, u)
         else:
             y[X] = theta.stop_low_m if clamped is None else clamped
             y[I_C] = y[FIELD] = steady_current(theta.base(plant), theta.vector(), first)
@@ -248,9 +248,7 @@ def _held(values: FloatArray, rows: NDArray[np.int64], n: int) -> FloatArray:
     return at[last]
 
 
-def integral_at(
-    numbers: LawNumbers, theta: Theta, plant: Plant, y: NDArray[np.float64], x_ref: float, u: float
-) -> float:
+def integral_at(numbers: LawNumbers, theta: Theta, y: NDArray[np.float64], x_ref: float, u: float) -> float:
     """The integral with which the law gives the input u (V) at state y with the ball at rest, m s."""
     reading = current_reading(theta.vector(), float(y[I_C]))
     return _integral(numbers, reading, float(y[SENSOR]), float(y[SENSOR]), x_ref, u)

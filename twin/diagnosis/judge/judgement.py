@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 from twin.diagnosis.judge.account import Account, Verdict, verdict_of
 from twin.diagnosis.judge.choice import Choice, at_20_ms, candidates_of, choice_without_judges, choose, worse
-from twin.diagnosis.judge.prediction_gain import Gain
+from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.judge.reference_model import off_sentence, theta_of
-from twin.diagnosis.judge.worth import Bench
 from twin.diagnosis.search.state import Selection
 from twin.inference.fisher_scoring import Fit
 from twin.inference.theta import Theta

@@ -23,8 +23,18 @@ import numpy as np
 
 from twin.diagnosis.judge.flexible import flexible_errors
 from twin.diagnosis.judge.prediction_gain import bootstrap, predictions
-from twin.diagnosis.remainder.curve_fits import CurveScore, band, fully_fitted, roughly_fitted, scores, visited
-from twin.diagnosis.remainder.likeness import Substitute, substitutes
+from twin.diagnosis.remainder.curve_fits import (
+    CurveScore,
+    band,
+    coefficients,
+    fully_fitted,
+    roughly_fitted,
+    scores,
+    visited,
+    with_range,
+)
+from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, refine, within_range
+from twin.diagnosis.search.score_test import screen
 from twin.estimation.pace import pace_of
 from twin.estimation.prediction_floor import floor_rmse
 from twin.estimation.record import BoolArray, FloatArray
@@ -38,6 +48,7 @@ from twin.model.causes.curve import CURVES
 from twin.settings import diagnosis as settings
 
 POINTS = 41
+MAX_SUBSTITUTES = 2  # causes that are fitted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +60,14 @@ class Shape:
     share: FloatArray
     low: FloatArray
     high: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Substitute:
+    """A cause of the form of a curve, fitted in its place."""
+
+    trial: Trial
+    absorbed: float  # share of the information about it that the curve takes up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,6 +312,42 @@ def _best_substitute(
     if best is None or judging.choosing(best[1]) > settings.LIKE_ERROR * judging.choosing(curve):
         return None
     return best[0].trial.cause, best[0].trial.fit, best[1]
+
+
+def substitutes(
+    criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: Sequence[Cause]
+) -> list[Substitute]:
+    """Return the causes whose form the curve has, fitted beside the other causes; those that gain most first.
+
+    A curve has a cause's form if it takes up nearly all that the recordings could show of the cause.  With the curve
+    free, the information about the cause is then gone.
+
+    Args:
+        criterion: of the recordings for fitting.
+        at: the model without the curve.
+        curve: which.
+        gain: of log-likelihood, with the curve.
+        candidates: testable causes.
+    """
+    thinned = criterion.thinner
+    without_curve = {score.cause: score for score in screen(thinned, at.theta, at.free, candidates) if score.testable}
+    over = curve.parameters[0].name.removeprefix("from_")
+    theta = with_range(at.theta, curve, visited(criterion.evidence)[over])
+    with_curve = {score.cause: score for score in screen(thinned, theta, (*at.free, *coefficients(curve)), candidates)}
+    # By the information, not by the two forms: what differs only outside the visited range is the same to the data.
+    absorbed = {
+        name: 1.0 - with_curve[name].visible / score.visible
+        for name, score in without_curve.items()
+        if name in with_curve and score.gain > max(settings.MIN_GAIN, settings.LIKE_GAIN * gain)
+    }
+    selected = [without_curve[name] for name, share in absorbed.items() if share >= settings.LIKE_SHARE]
+    trials = fit_candidates(criterion, at, selected[:MAX_SUBSTITUTES]) if selected else []
+    trials = [refine(criterion, trial) for trial in trials]
+    return [
+        Substitute(trial=trial, absorbed=absorbed[trial.cause])
+        for trial in trials
+        if within_range(trial) and trial.gain > 0.0
+    ]
 
 
 def _shape(fit: Fit, curve: Cause, values: dict[str, FloatArray]) -> Shape:

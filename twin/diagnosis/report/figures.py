@@ -23,7 +23,7 @@ from twin.diagnosis.residuals.step_response import Steps
 from twin.diagnosis.residuals.summary import Ahead, Piece
 from twin.diagnosis.search.forward_step import Round
 from twin.estimation.record import FloatArray
-from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, legend_above, styled, ticks_125
+from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, label, styled, ticks_125
 
 BASELINE, FLOOR = MODEL, REFERENCE
 MAX_BARS = 8
@@ -38,14 +38,11 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     for name, colour, estimates in _sides([row.baseline for row in rows], [row.extended for row in rows]):
         _bars(ax, h, estimates, 1e6, name, colour)
     ax.plot(h, [row.floor_m * 1e6 for row in rows], color=FLOOR, ls="--", lw=1.2, label="noise floor")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    ax.set(xscale="log", yscale="log")
     ax.set_xticks(h, [f"{value:.3g}" for value in h])
     ax.minorticks_off()
     ticks_125(ax, *ax.get_ylim())
-    ax.set_xlabel("predicted so far ahead [ms]")
-    ax.set_ylabel("rms error of x [µm]")
-    legend_above(ax)
+    label(ax, "predicted so far ahead [ms]", "rms error of x [µm]")
     return figure
 
 
@@ -58,9 +55,7 @@ def piece_figure(piece: Piece) -> Figure:
     if not np.array_equal(piece.extended_m, piece.baseline_m):
         ax.plot(t, piece.extended_m * 1e3, color=EXTENDED, lw=1.0, label="extended")
     ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=1.0, label="measured")
-    ax.set_xlabel("time [s]")
-    ax.set_ylabel("position x [mm]")
-    legend_above(ax)
+    label(ax, "time [s]", "position x [mm]")
     return figure
 
 
@@ -74,9 +69,7 @@ def error_figure(piece: Piece, floor_m: float) -> Figure:
     ax.plot(t, (piece.baseline_m - piece.x_m) * 1e6, color=BASELINE, lw=0.9, label="baseline")
     if not np.array_equal(piece.extended_m, piece.baseline_m):
         ax.plot(t, (piece.extended_m - piece.x_m) * 1e6, color=EXTENDED, lw=0.9, label="extended")
-    ax.set_xlabel("time [s]")
-    ax.set_ylabel("predicted - measured [µm]")
-    legend_above(ax)
+    label(ax, "time [s]", "predicted - measured [µm]")
     return figure
 
 
@@ -90,15 +83,8 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
     sides = _sides([bin_.baseline for bin_ in regime.bins], [bin_.extended for bin_ in regime.bins])
     for index, (name, colour, estimates) in enumerate(sides):
         if named:
-            _bars(
-                ax,
-                np.arange(count, dtype=np.float64) + 0.24 * (index - 0.5 * (len(sides) - 1)),
-                estimates,
-                1e6,
-                name,
-                colour,
-                sideways=True,
-            )
+            at = np.arange(count, dtype=np.float64) + 0.24 * (index - 0.5 * (len(sides) - 1))
+            _bars(ax, at, estimates, 1e6, name, colour, sideways=True)
         else:
             _bars(ax, np.array([bin_.at for bin_ in regime.bins]) * factor, estimates, 1e6, name, colour)
     line = ax.axvline if named else ax.axhline
@@ -108,12 +94,10 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
         ax.set_yticks(range(count), [short_label(bin_.label) for bin_ in regime.bins])
         ax.invert_yaxis()
         ax.set_xlim(left=0.0)
-        ax.set_xlabel("rms error 20 ms ahead [µm]")
+        label(ax, "rms error 20 ms ahead [µm]", "")
     else:
         ax.set_ylim(bottom=0.0)
-        ax.set_xlabel(f"{regime.title} [{unit}]")
-        ax.set_ylabel("rms error 20 ms ahead [µm]")
-    legend_above(ax)
+        label(ax, f"{regime.title} [{unit}]", "rms error 20 ms ahead [µm]")
     return figure
 
 
@@ -127,9 +111,7 @@ def curve_figure(curve: Curve) -> Figure:
     ax.axhline(0.0, color="black", lw=0.6)
     for name, colour, estimates in _sides([p.baseline for p in curve.points], [p.extended for p in curve.points]):
         _bars(ax, at, estimates, up, name, colour)
-    ax.set_xlabel(f"{curve.title} [{unit}]")
-    ax.set_ylabel(what)
-    legend_above(ax)
+    label(ax, f"{curve.title} [{unit}]", what)
     return figure
 
 
@@ -137,17 +119,14 @@ def curve_figure(curve: Curve) -> Figure:
 def spectrum_figure(spectrum: Spectrum) -> Figure:
     """Draw the densities of the error one sample ahead."""
     figure, ax = _panel()
-    for name, colour, density in _traces(spectrum.baseline, spectrum.extended):
+    for name, colour, density in _sides(spectrum.baseline, spectrum.extended):
         low, high = (density * factor * 1e6 for factor in spectrum.spread)
         ax.fill_between(spectrum.frequency_hz, low, high, color=colour, alpha=0.2, lw=0)
         ax.plot(spectrum.frequency_hz, density * 1e6, color=colour, lw=1.0, label=name)
     ax.axhline(spectrum.floor * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    ax.set(xscale="log", yscale="log")
     ticks_125(ax, *ax.get_ylim())
-    ax.set_xlabel("frequency [Hz]")
-    ax.set_ylabel("error one sample ahead [µm/√Hz]")
-    legend_above(ax)
+    label(ax, "frequency [Hz]", "error one sample ahead [µm/√Hz]")
     return figure
 
 
@@ -157,11 +136,9 @@ def steps_figure(steps: Steps) -> Figure:
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(1.0, color=REFERENCE, lw=0.8, ls=":")
-    for name, colour, trace in (("rig", MEASURED, steps.rig), *_traces(steps.baseline, steps.extended)):
+    for name, colour, trace in (("rig", MEASURED, steps.rig), *_sides(steps.baseline, steps.extended)):
         ax.plot(t, trace, color=colour, lw=1.3, label=name)
-    ax.set_xlabel("time from the change of the reference [ms]")
-    ax.set_ylabel("share of the step [-]")
-    legend_above(ax)
+    label(ax, "time from the change of the reference [ms]", "share of the step [-]")
     return figure
 
 
@@ -171,11 +148,9 @@ def step_difference_figure(steps: Steps) -> Figure:
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(0.0, color="black", lw=0.6)
-    for name, colour, trace in _traces(steps.baseline, steps.extended):
+    for name, colour, trace in _sides(steps.baseline, steps.extended):
         ax.plot(t, 100.0 * (steps.rig - trace), color=colour, lw=1.2, label=f"rig - {name}")
-    ax.set_xlabel("time from the change of the reference [ms]")
-    ax.set_ylabel("difference [% of the step]")
-    legend_above(ax)
+    label(ax, "time from the change of the reference [ms]", "difference [% of the step]")
     return figure
 
 
@@ -213,35 +188,19 @@ def shape_figure(shape: Shape) -> Figure:
     ax.axhline(0.0, color="black", lw=0.6)
     ax.fill_between(at, 100.0 * shape.low, 100.0 * shape.high, color=EXTENDED, alpha=0.2, lw=0, label="95 % band")
     ax.plot(at, 100.0 * shape.share, color=EXTENDED, lw=1.3, label="estimate")
-    ax.set_xlabel(f"{known.symbol.removeprefix('from ')} [{unit}]")
-    ax.set_ylabel(f"% {shape.curve.acts_on}")
-    legend_above(ax)
+    label(ax, f"{known.symbol.removeprefix('from ')} [{unit}]", f"% {shape.curve.acts_on}")
     return figure
 
 
-def _sides(baseline: Sequence[Estimate], extended: Sequence[Estimate]) -> list[tuple[str, str, Sequence[Estimate]]]:
-    """Return the estimates of both models, or of one if nothing was added."""
-    if list(baseline) == list(extended):
-        return [("model", BASELINE, baseline)]
-    return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]
-
-
-def _traces(baseline: FloatArray, extended: FloatArray) -> list[tuple[str, str, FloatArray]]:
-    """Return the traces of both models, or of one if they are equal."""
+def _sides(baseline: Any, extended: Any) -> list[tuple[str, str, Any]]:
+    """Return the values of both models, or of one if nothing was added."""
     if np.array_equal(baseline, extended):
         return [("model", BASELINE, baseline)]
     return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]
 
 
 def _bars(
-    ax: Axes,
-    at: FloatArray,
-    values: Sequence[Estimate],
-    factor: float,
-    name: str,
-    colour: str,
-    *,
-    sideways: bool = False,
+    ax: Axes, at: FloatArray, values: Sequence[Estimate], factor: float, name: str, colour: str, sideways: bool = False
 ) -> None:
     middle = np.array([estimate.value for estimate in values]) * factor
     low = np.maximum(middle - np.array([estimate.low for estimate in values]) * factor, 0.0)

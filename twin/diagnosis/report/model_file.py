@@ -33,13 +33,7 @@ def model_of(
             unit=unit,
             std=float(std) if known else None,
             ci95=(max(value - 1.96 * std, low), value + 1.96 * std) if known else None,
-            verdict="assumed"
-            if not known
-            else "identified"
-            if 1.96 * std < 0.25 * value
-            else "weak"
-            if 1.96 * std < value
-            else "not-identifiable",
+            verdict=file.verdict_by(1.96 * std, value) if known else "assumed",
             method=_METHOD,
             equation=_EQUATIONS[name],
         )
@@ -64,9 +58,5 @@ def model_of(
 
 
 def _of_cause(fit: Fit, cause: str, spread: Mapping[str, float], plant: Plant) -> dict[str, file.Parameter]:
-    parameters = fit_parameters(fit, cause, _spread(fit, cause, spread))
+    parameters = fit_parameters(fit, cause, spread)
     return mark(parameters, plant, tuple(parameters)) if rests_on_plant(BY_NAME[cause]) else parameters
-
-
-def _spread(fit: Fit, cause: str, spread: Mapping[str, float]) -> dict[str, float]:
-    return {name: spread.get(name, math.nan) for name in fit.free if name.startswith(cause + ".")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from twin.diagnosis.report.sentences import bound_sentence
-from twin.diagnosis.result import MinorEffect, NotTestable, RuledOut, fit_parameters
+from twin.diagnosis.result import Excluded, MinorEffect, fit_parameters
 from twin.diagnosis.search.candidate_fits import within_range
 from twin.diagnosis.search.state import Selection
 from twin.estimation.record import Record
@@ -23,7 +23,7 @@ def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
     return [channel for channel in cause.needs if not any(record.has(channel) for record in records)]
 
 
-def not_testable(selection: Selection, records: Sequence[Record]) -> list[NotTestable]:
+def not_testable(selection: Selection, records: Sequence[Record]) -> list[Excluded]:
     """The causes that these recordings could not show."""
     entries = []
     last = {score.cause: score for score in selection.rounds[-1].scores} if selection.rounds else {}
@@ -31,20 +31,20 @@ def not_testable(selection: Selection, records: Sequence[Record]) -> list[NotTes
         missing = missing_channels(cause, records)
         score = last.get(cause.name)
         if cause.not_testable:
-            entries.append(NotTestable(name=cause.name, why=cause.not_testable))
+            entries.append(Excluded(name=cause.name, why=cause.not_testable))
         elif missing:
-            entries.append(NotTestable(name=cause.name, why=f"no recording has {' and '.join(missing)}"))
+            entries.append(Excluded(name=cause.name, why=f"no recording has {' and '.join(missing)}"))
         elif score is not None and not score.testable:
             shows = ", ".join(cause.shows_in) or "no experiment"
             why = f"these recordings would not show it ({shows} would): what it does, the other parameters can do"
-            entries.append(NotTestable(name=cause.name, why=why))
+            entries.append(Excluded(name=cause.name, why=why))
     return entries
 
 
-def ruled_out(selection: Selection, excluded: set[str]) -> list[RuledOut]:
+def ruled_out(selection: Selection, excluded: set[str]) -> list[Excluded]:
     """Return every cause outside `excluded`, with the largest size that it can have."""
     return [
-        RuledOut(name=score.cause, why=bound_sentence(BY_NAME[score.cause], score))
+        Excluded(name=score.cause, why=bound_sentence(BY_NAME[score.cause], score))
         for score in (selection.rounds[-1].scores if selection.rounds else ())
         if score.cause not in excluded and score.testable
     ]

@@ -16,13 +16,13 @@ from pathlib import Path
 from twin.diagnosis.report import figures
 from twin.diagnosis.report.page_causes import causes
 from twin.diagnosis.report.page_errors import errors
-from twin.diagnosis.report.page_noise import instruments
 from twin.diagnosis.report.page_remainder import remainder
 from twin.diagnosis.report.sentences import measured, quantity
 from twin.diagnosis.residuals.regimes import Estimate
 from twin.diagnosis.residuals.summary import HORIZON_S, Ahead, Summary
 from twin.diagnosis.result import Diagnosis
 from twin.estimation.prepare import Usage
+from twin.evidence.noise_levels import colours_json, to_json
 from twin.inference.budget import millions
 from twin.inference.fisher_scoring import Fit
 from twin.model.assumed import RESTING, assumption, assumption_warning
@@ -31,6 +31,7 @@ from twin.model.parameters import Parameter
 from twin.page.figures import Picture, inline
 from twin.page.render import render
 
+_MAX_NAMES = 3  # recordings by name
 _COLOUR = {
     "causes-found": "found",
     "partly-explained": "warn",
@@ -50,7 +51,7 @@ def to_html(diagnosis: Diagnosis, summary: Summary, *, campaign: Path, out: Path
         out: folder of the page, for the same.
     """
     unchanged = diagnosis.before == diagnosis.after
-    rows, over_height = instruments(diagnosis)
+    rows, over_height = _instruments(diagnosis)
     has_causes = any(diagnosis.holds(cause) for cause in diagnosis.causes)
     return render(
         "diagnosis/report/page.html",
@@ -188,13 +189,12 @@ def _removed(share: float, baseline_m: float, floor_m: float) -> str:
 
 def _numbers(diagnosis: Diagnosis) -> list[list[str]]:
     rows = []
-    first, second = diagnosis.baseline.parameters, diagnosis.extended.parameters
+    first, second, plant = diagnosis.baseline.parameters, diagnosis.extended.parameters, diagnosis.extended.plant
     for name, after in second.items():
         before = first.get(name)
-        suffix = (
-            f", {assumption(diagnosis.extended.plant)}" if diagnosis.extended.plant.assumed and name in RESTING else ""
-        )
-        rows.append([f"{name} {_equation_of(after)}{suffix}", _value(before) if before else "-", _value(after)])
+        suffix = f", {assumption(plant)}" if plant.assumed and name in RESTING else ""
+        equation = f"of {after.equation}" if after.equation else ""
+        rows.append([f"{name} {equation}{suffix}", _value(before) if before else "-", _value(after)])
     for cause in diagnosis.extended.causes:
         known = BY_NAME[cause.name]
         for entry in known.parameters:
@@ -208,10 +208,6 @@ def _numbers(diagnosis: Diagnosis) -> list[list[str]]:
     ]
     rows += [[name, quantity(a, unit), quantity(b, unit)] for name, a, b, unit in noise]
     return rows
-
-
-def _equation_of(parameter: Parameter) -> str:
-    return f"of {parameter.equation}" if parameter.equation else ""
 
 
 def _value(parameter: Parameter) -> str:
@@ -237,6 +233,43 @@ def _usage(usage: Usage) -> list[str]:
         usage.captures,
     )
     return [usage.name, usage.kind, *(str(number) for number in numbers)]
+
+
+def _instruments(diagnosis: Diagnosis) -> tuple[list[list[str]], list[str]]:
+    """Return the rows of the instruments of each channel, none where each has one; sentences on heights."""
+    rows: list[list[str]] = []
+    sentences: list[str] = []
+    noise = diagnosis.fit_evidence.noise
+    if noise is None:
+        return rows, sentences
+    for name, channel in to_json(noise, (diagnosis.floor.sigma_i_c_a, diagnosis.floor.sigma_x_m)).items():
+        unit = channel["unit"]
+        rows += [
+            [
+                name,
+                _listed(entry["recordings"]),
+                "in flight" if entry["in_flight"] else "at rest, captures",
+                f"{quantity(entry['sigma'], unit)} ± {100.0 * entry['relative_std']:.2g} %",
+            ]
+            for entry in channel["instruments"]
+        ]
+        if channel["over_height"]:
+            levels = [
+                f"{quantity(entry['sigma'], unit)} at {quantity(entry['x_m'], 'm')}" for entry in channel["over_height"]
+            ]
+            sentences.append(f"The noise of {name} follows the height: {', '.join(levels)}.")
+    for name, colour in colours_json(noise).items():
+        sigma, tau = quantity(colour["sigma"], "m" if name == "x" else "A"), quantity(colour["correlation_time_s"], "s")
+        white = f"{100.0 * colour['white_share_of_variance']:.2g} %"
+        sentences.append(
+            f"The noise of {name} at rest is coloured: {sigma}, correlation time {tau}, {white} of it white."
+        )
+    return rows, sentences
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _MAX_NAMES
+    return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _commands(diagnosis: Diagnosis, campaign: Path, out: Path) -> list[str]:

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,9 +171,8 @@ def _fill_acceleration(
 
 
 def _recordings(recording: NDArray[np.int32]) -> list[slice]:
-    edges = np.flatnonzero(np.diff(recording)) + 1
-    starts, stops = [0, *edges.tolist()], [*edges.tolist(), len(recording)]
-    return [slice(a, b) for a, b in zip(starts, stops, strict=True) if b > a]
+    edges = [0, *(np.flatnonzero(np.diff(recording)) + 1).tolist(), len(recording)]
+    return [slice(a, b) for a, b in pairwise(edges) if b > a]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,16 +242,12 @@ def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: 
     flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
     x, v, i = (np.where(flown, values, np.nan) for values in (x, v, i))
     residuals = [model.force_n for model in models]
-    curves = (
-        (Curve(name="x", title="position x", unit="m", residual_unit="N"), x, even_edges(x, GROUPS)),
-        (Curve(name="v", title="speed x'", unit="m/s", residual_unit="N"), v, quantile_edges(v, _SPEED_SHARES)),
-        (Curve(name="i", title="current i_c", unit="A", residual_unit="N"), i, even_edges(i, GROUPS)),
+    quantities = (
+        ("x", "position x", "m", x, even_edges(x, GROUPS)),
+        ("v", "speed x'", "m/s", v, quantile_edges(v, _SPEED_SHARES)),
+        ("i", "current i_c", "A", i, even_edges(i, GROUPS)),
     )
-    return [
-        curve
-        for empty, values, edges in curves
-        if (curve := _filled(empty, values, edges, residuals, blocks)) is not None
-    ]
+    return _curves(quantities, residuals, "N", blocks)
 
 
 def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s: float, blocks: Blocks) -> list[Curve]:
@@ -265,41 +261,42 @@ def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s
     known = usual & np.isfinite(models[0].unforeseen_i_a) & np.isfinite(models[1].unforeseen_i_a)
     u, change = np.where(known, u, np.nan), np.where(known & before, change, np.nan)
     residuals = [model.unforeseen_i_a for model in models]
-    curves = (
-        (Curve(name="u", title="input u_c", unit="V", residual_unit="A"), u, quantile_edges(u, _INPUT_SHARES)),
-        (
-            Curve(name="du", title="change of u_c", unit="V", residual_unit="A"),
-            change,
-            quantile_edges(change, _CHANGE_SHARES),
-        ),
+    quantities = (
+        ("u", "input u_c", "V", u, quantile_edges(u, _INPUT_SHARES)),
+        ("du", "change of u_c", "V", change, quantile_edges(change, _CHANGE_SHARES)),
     )
-    return [
-        curve
-        for empty, values, edges in curves
-        if (curve := _filled(empty, values, edges, residuals, blocks)) is not None
-    ]
+    return _curves(quantities, residuals, "A", blocks)
 
 
-def _filled(
-    curve: Curve, values: FloatArray, edges: FloatArray, residuals: Sequence[FloatArray], blocks: Blocks
-) -> Curve | None:
-    """Return a curve with its points, the mean residuals of both models in each group; None with too few."""
-    if len(edges) < 3:
-        return None
-    labels, groups = bin_labels(values, edges), len(edges) - 1
-    where, _, samples, pieces = means(np.where(labels >= 0, values, 0.0), labels, groups, blocks)
-    sides = []
-    for residual in residuals:
-        mean, drawn, _, _ = means(np.where(labels >= 0, residual, 0.0), labels, groups, blocks)
-        sides.append((mean, drawn))
-    points = tuple(
-        Point(
-            at=float(where[k]),
-            baseline=estimate(float(sides[0][0][k]), sides[0][1][:, k]),
-            extended=estimate(float(sides[1][0][k]), sides[1][1][:, k]),
+def _curves(
+    quantities: Sequence[tuple[str, str, str, FloatArray, FloatArray]],
+    residuals: Sequence[FloatArray],
+    residual_unit: str,
+    blocks: Blocks,
+) -> list[Curve]:
+    """Return the mean residuals of both models in each group of a quantity; without the curves of too few groups.
+
+    Args:
+        quantities: name, title, unit, values of the samples, edges of the groups.
+        residuals: of baseline and extended model.
+        residual_unit: of these.
+        blocks: of the samples.
+    """
+    curves = []
+    for name, title, unit, values, edges in quantities:
+        if len(edges) < 3:
+            continue
+        labels, groups = bin_labels(values, edges), len(edges) - 1
+        where, _, samples, pieces = means(np.where(labels >= 0, values, 0.0), labels, groups, blocks)
+        first, second = (means(np.where(labels >= 0, residual, 0.0), labels, groups, blocks) for residual in residuals)
+        points = tuple(
+            Point(
+                at=float(where[k]),
+                baseline=estimate(float(first[0][k]), first[1][:, k]),
+                extended=estimate(float(second[0][k]), second[1][:, k]),
+            )
+            for k in np.flatnonzero(solid(samples, pieces))
         )
-        for k in np.flatnonzero(solid(samples, pieces))
-    )
-    if len(points) < 2:
-        return None
-    return replace(curve, points=points)
+        if len(points) > 1:
+            curves.append(Curve(name=name, title=title, unit=unit, residual_unit=residual_unit, points=points))
+    return curves

@@ -7,7 +7,7 @@ recorded one, its sensor noise that of the ball at rest.  The figures are those 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from twin.diagnosis.experiments.virtual_recordings import resimulate
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.step_figures import Compared, LoopRun, compare_steps, responses
 from twin.inference.noise_floor import Floor
-from twin.inference.theta import FLOORS, Theta
+from twin.inference.theta import Theta
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,17 +58,10 @@ def step_responses(
     if controller is None:
         return "the campaign has no [controller]: the law that ran on the board is unknown"
     sigma = floor.sigma_x_m
-    models = [
-        replace(
-            theta,
-            sigma_i_c_a=floor.sigma_i_c_a,
-            sigma_x_m=floor.sigma_x_m,
-            process_i_c_a=FLOORS["process_i_c_a"],
-            process_a_m_s2=FLOORS["process_a_m_s2"],
-        )
-        for theta in (before, after)
+    rigs = [
+        Rig(theta=floor.quiet(theta), plant=plant, controller=controller, tick_s=tick_s) for theta in (before, after)
     ]
-    loops = [_runs(flown, Rig(theta=theta, plant=plant, controller=controller, tick_s=tick_s)) for theta in models]
+    loops = [_runs(flown, rig) for rig in rigs]
     shares = [responses(runs, sigma) for runs in loops]
     if not shares[0]:
         return "the reference has no step after which it stays for 0.15 s"

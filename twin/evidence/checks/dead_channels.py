@@ -7,6 +7,7 @@ Rule: such a channel is removed from its recording and reported.  Otherwise it w
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -56,13 +57,8 @@ def _without_constant(record: Record) -> tuple[Record, list[str]]:
             f"{record.name}: {channel} is {values[np.isfinite(values)][0]:g} {unit} throughout; a constant channel "
             "has no information and was left out. Check its column"
         )
-        absent = np.full(len(values), _ABSENT)
-        if channel == "u_c":
-            record = replace(record, u_c=absent)
-        elif channel == "i_c":
-            record = replace(record, i_c=absent)
-        else:
-            record = replace(record, x=absent)
+        absent: dict[str, Any] = {channel: np.full(len(values), _ABSENT)}
+        record = replace(record, **absent)
     return record, messages
 
 

@@ -5,6 +5,8 @@ Rule: as in `plausibility.py`, each test needs a clear factor and not just a few
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from protocol.campaign import Plant
@@ -129,23 +131,10 @@ def downwards(records: list[Record], plant: Plant) -> None:
         point
         for record in records
         if record.kind == "sawtooth" and record.has("x", "i_c")
-        for point in lift_offs([_upside_down(record, plant)], plant)
+        for point in lift_offs([replace(record, x=plant.travel_m - record.x)], plant)
     ]
     if falling and not rising:
         raise DataError(
             f"{falling[0].recording}: x falls where the rising current pulls the ball up; it is measured downwards",
             remedy=f"Write x = {{ column = ..., scale = -1.0, offset = {plant.travel_m:g} }}",
         )
-
-
-def _upside_down(record: Record, plant: Plant) -> Record:
-    return Record(
-        name=record.name,
-        kind=record.kind,
-        use=record.use,
-        t=record.t,
-        u_c=record.u_c,
-        i_c=record.i_c,
-        x=plant.travel_m - record.x,
-        x_ref=record.x_ref,
-    )

@@ -35,7 +35,6 @@ class Levels:
     K_A_std: float
     offset_a: float
     offset_std_a: float
-    scatter_a: float  # of the levels about the line
     levels: tuple[Level, ...]
     bend_a: float = 0.0  # largest distance of a level from the line; 0 if it is not significant
     bend_at_v: float = 0.0  # u_c of that level
@@ -86,9 +85,7 @@ def find_levels(records: list[Record]) -> Levels | None:
     i = np.array([level.i_a for level in levels])
     error = np.maximum([level.error_a for level in levels], 1e-9)
     distinct = len(set(np.round(u, 6)))
-    columns = np.column_stack((u, np.ones(len(u)))) if distinct > 2 or np.min(np.abs(u)) > 0.05 * np.ptp(u) else None
-    if columns is None:  # two levels, one of them zero
-        columns = np.column_stack((u, np.ones(len(u))))
+    columns = np.column_stack((u, np.ones(len(u))))
     weight = 1.0 / error
     solution = np.zeros(2)
     extra = 0.0
@@ -114,7 +111,6 @@ def find_levels(records: list[Record]) -> Levels | None:
         K_A_std=float(np.hypot(np.sqrt(covariance[0, 0]) * min(widen, 6.5), systematic)),
         offset_a=float(solution[1]),
         offset_std_a=float(np.sqrt(covariance[1, 1])) * min(widen, 6.5),
-        scatter_a=extra,
         levels=tuple(levels),
         bend_a=bend,
         bend_at_v=at,
@@ -148,22 +144,15 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
 
 
 def _plateaus(record: Record) -> list[Level]:
-    levels = []
+    stretches: list[tuple[float, FloatArray]] = []
     for capture in record.captures:
         before, after = capture.i_c_a[: capture.step_index], capture.i_c_a[capture.step_index + 1 :]
-        for u, part in ((capture.u_from_v, before), (capture.u_to_v, after[len(after) // 2 :])):
-            level = _level(u, part)
-            if level:
-                levels.append(level)
-    if not record.has("u_c", "i_c") or record.kind == "equilibria" or (record.captures and record.kind != "prbs"):
-        return levels
-    if record.kind == "closed-loop":
-        return levels
-    for piece in _constant_pieces(record):
-        level = _level(float(np.median(record.u_c[piece])), record.i_c[piece][(piece.stop - piece.start) // 2 :])
-        if level:
-            levels.append(level)
-    return levels
+        stretches += [(capture.u_from_v, before), (capture.u_to_v, after[len(after) // 2 :])]
+    constant = record.kind == "prbs" or (record.kind not in ("equilibria", "closed-loop") and not record.captures)
+    for piece in _constant_pieces(record) if constant and record.has("u_c", "i_c") else ():
+        half = (piece.stop - piece.start) // 2
+        stretches.append((float(np.median(record.u_c[piece])), record.i_c[piece][half:]))
+    return [level for u, i in stretches if (level := _level(u, i)) is not None]
 
 
 def _constant_pieces(record: Record) -> list[slice]:

@@ -74,20 +74,15 @@ def amplifier_start(records: list[Record]) -> AmplifierStart | None:
         return None
     fastest = min(piece[0] for piece in pieces)
     slowest = max(piece[0] for piece in pieces)
-    best: tuple[float, float, float] | None = None
-    grid = np.geomspace(_SHORTEST * fastest, _LONGEST * slowest, 40)
-    for T_A in grid:
-        K_A, square = _simulate(pieces, float(T_A))
-        if best is None or square < best[0]:
-            best = (square, K_A, float(T_A))
-    assert best is not None
+    grid = np.geomspace(_SHORTEST * fastest, _LONGEST * slowest, 40).tolist()
+    (K_A, square), T_A = min(((_simulate(pieces, T_A), T_A) for T_A in grid), key=lambda fit: fit[0][1])
     count = sum(len(piece[1]) for piece in pieces)
     spread = sum(float(np.sum((piece[2] - np.mean(piece[2])) ** 2)) for piece in pieces)
     return AmplifierStart(
-        K_A=best[1],
-        T_A=best[2],
-        sigma_i_c_a=float(np.sqrt(max(best[0] / count, 1e-12))),
-        share=1.0 - best[0] / spread if spread > 0 else 0.0,
+        K_A=K_A,
+        T_A=T_A,
+        sigma_i_c_a=float(np.sqrt(max(square / count, 1e-12))),
+        share=1.0 - square / spread if spread > 0 else 0.0,
     )
 
 

@@ -15,7 +15,8 @@ from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
 from twin.mirror.bus.handover import Belief
 
-REPLY_WAIT_S = 60.0  # a twin that has just started may be compiling: some 10 s, on a busy machine more
+# No twin at all is known at once; one that has just started may be compiling: some 10 s, on a busy machine more.
+REPLY_WAIT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +26,18 @@ class Answer:
     board: str
     reply: pb.CommandReply
 
+    def __str__(self) -> str:
+        refused = "" if self.reply.accepted else f"refused: {self.reply.reason}: "
+        return f"{self.board}: {refused}{self.reply.text}"
+
+
+def open_client(endpoints: tuple[str, ...], identity: Identity | None = None) -> zenoh.Session:
+    """Open a session on the bus.  Raises ServiceError where no router answers."""
+    try:
+        return zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
+    except zenoh.ZError:
+        raise router_refusal(endpoints, identity) from None
+
 
 def hand_over(
     belief: Belief,
@@ -33,7 +46,6 @@ def hand_over(
     board: str | None,
     endpoints: tuple[str, ...],
     command_id: str = "",
-    wait_s: float = REPLY_WAIT_S,
     identity: Identity | None = None,
 ) -> list[Answer]:
     """Hand `belief` to the twin of `board`, or to every twin of the site.
@@ -44,16 +56,12 @@ def hand_over(
         board: second; None: all, those to come too.
         endpoints: where the router listens.
         command_id: the same id is executed at most once; empty: a new one.
-        wait_s: for the answers; no twin at all is known at once.
         identity: whose command it is, on a guarded bus.
 
     Raises:
         ServiceError: no router, or no twin that follows this board.
     """
-    try:
-        session = zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
-    except zenoh.ZError:
-        raise router_refusal(endpoints, identity) from None
+    session = open_client(endpoints, identity)
     command = pb.TwinCommand(id=command_id or uuid.uuid4().hex, who=belief.who)
     command.use_model.model_json = belief.text
     role, who = (identity.role, identity.name) if identity is not None else ("", "")
@@ -66,7 +74,7 @@ def hand_over(
             encoding=zenoh_encoding(pb.TwinCommand),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=wait_s,
+            timeout=REPLY_WAIT_S,
         ):
             message = parse(pb.CommandReply, reply.ok.payload.to_bytes()) if reply.ok is not None else None
             parts = topics.split(str(reply.ok.key_expr)) if reply.ok is not None else None

@@ -202,29 +202,21 @@ class TwinService:
         if parts is None:
             return
         site, board, topic = parts
-        if topic == "parameters":
-            parameters = encoding.parse(pb.Parameters, data)
-            if parameters is None:
-                self.malformed += 1
-                return
-            self._watched(site, board).mirror.parameters(parameters)
-            self.parameters_received += 1
-            return
-        if topic == "status":
-            status = encoding.parse(pb.Status, data)
-            if status is not None:
+        match encoding.parse(topics.TOPIC_OF_NAME[topic].message, data):
+            case pb.Parameters() as parameters:
+                self._watched(site, board).mirror.parameters(parameters)
+                self.parameters_received += 1
+            case pb.Status() as status:
                 self._judge_hearing(board, status, now)
-            return
-        batch = encoding.parse(pb.StateBatch, data)
-        if batch is None:
-            self.malformed += 1
-            return
-        self._sampled_s[board] = now
-        watched = self._watched(site, board)
-        for state in batch.states:
-            output = watched.take(state, now)
-            if output is not None and self._on_output:
-                self._on_output(watched, output)
+            case pb.StateBatch() as batch:
+                self._sampled_s[board] = now
+                watched = self._watched(site, board)
+                for state in batch.states:
+                    output = watched.take(state, now)
+                    if output is not None and self._on_output:
+                        self._on_output(watched, output)
+            case None:
+                self.malformed += topic != "status"
 
     def _judge_hearing(self, board: str, status: pb.Status, now: float) -> None:
         # A stream that is thinned out may pause for longer than that.

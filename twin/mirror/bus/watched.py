@@ -21,13 +21,7 @@ from twin.mirror.output import Output
 from twin.settings.mirror import SILENT_S, Settings
 
 REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
-_MESSAGES: dict[str, type[Message]] = {
-    "twin/state": pb.TwinState,
-    "twin/divergence": pb.Divergence,
-    "twin/alarm": pb.Alarm,
-    "twin/alarms": pb.TwinAlarms,
-    "twin/model": pb.TwinModel,
-}
+_TOPICS = ("twin/state", "twin/divergence", "twin/alarm", "twin/alarms", "twin/model")
 log = logging.getLogger(__name__)
 
 
@@ -62,10 +56,10 @@ class Watched:
         self._publishers = {
             topic: session.declare_publisher(
                 topics.key(site, board, topic),
-                encoding=encoding.zenoh_encoding(message),
+                encoding=encoding.zenoh_encoding(topics.TOPIC_OF_NAME[topic].message),
                 congestion_control=zenoh.CongestionControl.BLOCK,
             )
-            for topic, message in _MESSAGES.items()
+            for topic in _TOPICS
         }
         self._request = DiagnosisRequest(
             after_s=self.mirror.settings.diagnosis_after_s,

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from protocol.bus import board51_pb2 as pb
-from twin.mirror.mirror import IN_STEP, OUT_OF_STEP
+from twin.mirror.output import IN_STEP, OUT_OF_STEP
 from twin.page.figures import ALARM, MEASURED, MODEL, REFERENCE, styled
 
 FLOOR_UM = 1.0  # lower end of the logarithmic axis of errors: below one count of the converter nothing is to be seen

@@ -1,7 +1,4 @@
-"""air-gap-offset: the coil's plane is higher than x_max.
-
-F_m = K_c i_c^2 / (x_max + d - x)^2
-"""
+"""air-gap-offset: the coil's plane is higher than x_max."""
 
 from __future__ import annotations
 
@@ -21,9 +18,7 @@ CAUSE = Cause(
     equation="F_m = K_c i_c^2 / (x_max + d - x)^2",
     source="(3) counts the gap from x_max, taken for the top of the travel; four published equilibria of a CE "
     "152 give d = 2.4 mm",
-    parameters=(
-        CauseParameter(name="d_m", symbol="d", unit="m", index=D, neutral=0.0, low=-0.002, high=0.03, probes=(0.0002,)),
-    ),
+    parameters=(CauseParameter(name="d_m", symbol="d", unit="m", index=D, low=-0.002, high=0.03, probes=(0.0002,)),),
     signature="the current that holds the ball is a straight line in x that meets 0 A at x_max + d, not at x_max",
     shows_in=("holds", "lift-off", "wide-steps"),
     confirm="hold the ball at six heights, plot i_c over x and extend the line to 0 A; or measure from rest to core",

@@ -1,7 +1,4 @@
-"""amplifier-dead-zone: the amplifier does nothing below a certain input.
-
-K_A max(u_c - u_0, 0)
-"""
+"""amplifier-dead-zone: the amplifier does nothing below a certain input."""
 
 from __future__ import annotations
 
@@ -21,9 +18,7 @@ CAUSE = Cause(
     equation="K_A max(u_c - u_0, 0), its corner rounded over r u_0",
     source="threshold of the output stage; the duty table of an INTECO rig shows one of 5 %",
     parameters=(
-        CauseParameter(
-            name="width_v", symbol="u_0", unit="V", index=WIDTH, neutral=0.0, low=0.0, high=2.0, probes=(0.05, 0.2)
-        ),
+        CauseParameter(name="width_v", symbol="u_0", unit="V", index=WIDTH, low=0.0, high=2.0, probes=(0.05, 0.2)),
         rounding(ROUNDING),
     ),
     signature="i_c is 0 up to some u_c and a straight line from there, which misses the origin",
@@ -31,9 +26,7 @@ CAUSE = Cause(
     confirm="ramp u_c up slowly from 0 and note where i_c begins",
     cure="add the width to every u_c above 0 on the board",
     needs=("u_c", "i_c"),
-    deciding_measurements={
-        "current-sensor-offset": CLAMP_METER,
-    },
+    deciding_measurements={"current-sensor-offset": CLAMP_METER},
     at_rest="amplifier",
     added_a=lambda width_v, K_A: -K_A * width_v,
     usual="sharp corner",

@@ -1,7 +1,4 @@
-"""amplifier-gain-drift: the amplifier's gain falls as the coil heats.
-
-K_A (1 - loss w), tau w' + w = i_c^2
-"""
+"""amplifier-gain-drift: the amplifier's gain falls as the coil heats."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import CLAMP_METER
 
-LOSS = 0
-TAU = 1
+LOSS, TAU = 0, 1
 
 CAUSE = Cause(
     name="amplifier-gain-drift",
@@ -22,9 +18,7 @@ CAUSE = Cause(
     equation="K_A (1 - loss w), tau w' + w = i_c^2",
     source="the coil's resistance grows by 0.4 % per kelvin; the paper neglects it on purpose",
     parameters=(
-        CauseParameter(
-            name="loss_1_a2", symbol="loss", unit="1/A^2", index=LOSS, neutral=0.0, low=-0.05, high=0.3, probes=(0.02,)
-        ),
+        CauseParameter(name="loss_1_a2", symbol="loss", unit="1/A^2", index=LOSS, low=-0.05, high=0.3, probes=(0.02,)),
         CauseParameter(
             name="tau_s", symbol="tau", unit="s", index=TAU, neutral=30.0, low=5.0, high=600.0, probes=(30.0,)
         ),
@@ -33,9 +27,7 @@ CAUSE = Cause(
     shows_in=("warm-run", "steps"),
     confirm="hold the ball low for a minute at constant u_c and watch i_c fall; let the coil cool and compare",
     cure="a current loop in the amplifier, or K_A scheduled with the mean square of i_c",
-    deciding_measurements={
-        "current-sensor-gain": CLAMP_METER,
-    },
+    deciding_measurements={"current-sensor-gain": CLAMP_METER},
     traits=frozenset({"warms"}),
 )
 

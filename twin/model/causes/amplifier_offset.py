@@ -22,9 +22,7 @@ CAUSE = Cause(
     equation="K_A u_c + i_offset, not below 0",
     source="offset of the output stage; an INTECO rig gives 0.043 A at zero input",
     parameters=(
-        CauseParameter(
-            name="offset_a", symbol="i_offset", unit="A", index=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
-        ),
+        CauseParameter(name="offset_a", symbol="i_offset", unit="A", index=OFFSET, low=-0.3, high=0.3, probes=(0.01,)),
         rounding(ROUNDING),
     ),
     signature="i_c is not 0 at u_c = 0 (or begins late), and the coil does pull then",
@@ -32,10 +30,7 @@ CAUSE = Cause(
     confirm="measure the coil's current with a clamp meter at u_c = 0 and at one large u_c",
     cure="trim the amplifier, or take the offset off u_c on the board",
     needs=("u_c", "i_c"),
-    deciding_measurements={
-        "current-sensor-offset": CLAMP_METER,
-        "constant-force": UNPLUGGED,
-    },
+    deciding_measurements={"current-sensor-offset": CLAMP_METER, "constant-force": UNPLUGGED},
     at_rest="amplifier",
     added_a=lambda offset_a, K_A: offset_a,
     usual="sharp corner",

@@ -93,3 +93,10 @@ def cause_of_detector(detector: Detector) -> Cause:
     """The cause that has a search of its own."""
     (cause,) = (cause for cause in CATALOGUE if cause.detector == detector)
     return cause
+
+
+def measurement_for(name: str, confounder: str) -> str:
+    """The measurement with other instruments that tells two causes apart; without one, how to confirm each by hand."""
+    cause, other = BY_NAME[name], BY_NAME[confounder]
+    known = cause.deciding_measurements.get(confounder) or other.deciding_measurements.get(name)
+    return known or f"for {name}: {cause.confirm}; for {confounder}: {other.confirm}"

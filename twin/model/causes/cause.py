@@ -39,9 +39,9 @@ class CauseParameter:
 
     name: str
     symbol: str
-    unit: str  # empty: a pure number
+    unit: str = ""  # empty: a pure number
     index: int  # in the vector c
-    neutral: float  # absent; inf for limits
+    neutral: float = 0.0  # absent; inf for limits
     low: float  # of the physical range
     high: float
     probes: tuple[float, ...]  # where the screen looks: small, no rounding error; larger where the signature bends

@@ -1,7 +1,4 @@
-"""constant-force: a constant force acts on the ball.
-
-m x'' = ... + F_0
-"""
+"""constant-force: a constant force acts on the ball."""
 
 from __future__ import annotations
 
@@ -20,9 +17,7 @@ CAUSE = Cause(
     equation="m x'' = ... + F_0",
     source="a wrong mass in [plant], a tilted rig, a draught",
     parameters=(
-        CauseParameter(
-            name="force_n", symbol="F_0", unit="N", index=FORCE, neutral=0.0, low=-0.05, high=0.05, probes=(0.001,)
-        ),
+        CauseParameter(name="force_n", symbol="F_0", unit="N", index=FORCE, low=-0.05, high=0.05, probes=(0.001,)),
     ),
     signature="free fall is slower or faster than g, by the same at every height",
     shows_in=("prbs-open-loop", "holds"),

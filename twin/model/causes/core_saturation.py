@@ -27,18 +27,13 @@ CAUSE = Cause(
         CauseParameter(
             name="i_s_a", symbol="i_s", unit="A", index=I_S, neutral=math.inf, low=0.2, high=100.0, probes=(6.0, 3.0)
         ),
-        CauseParameter(
-            name="knee", symbol="n", unit="", index=KNEE, neutral=2.0, low=0.7, high=8.0, probes=(2.3,), spread=1.0
-        ),
+        CauseParameter(name="knee", symbol="n", index=KNEE, neutral=2.0, low=0.7, high=8.0, probes=(2.3,), spread=1.0),
     ),
     signature="low positions need more current than (3) says; large pulls upwards are weaker than small ones suggest",
     shows_in=("holds", "lift-off", "prbs-open-loop"),
     confirm="note i_c at six heights: the line bends up where the gap is large",
     cure="less current (a lighter ball, a smaller gap), or a table of the force in place of (3)",
-    deciding_measurements={
-        "force-exponent": SCALE,
-        "air-gap-offset": SCALE,
-    },
+    deciding_measurements={"force-exponent": SCALE, "air-gap-offset": SCALE},
     at_rest="balance",
     usual="root of a sum of squares",
     forms=(

@@ -16,9 +16,7 @@ ROUNDED = Form(
 
 def rounding(index: int) -> CauseParameter:
     """The shape of a corner: over how much of the threshold it is rounded."""
-    return CauseParameter(
-        name="rounding", symbol="r", unit="", index=index, neutral=0.0, low=0.0, high=1.5, probes=(0.1,), spread=0.5
-    )
+    return CauseParameter(name="rounding", symbol="r", index=index, low=0.0, high=1.5, probes=(0.1,), spread=0.5)
 
 
 @inlined

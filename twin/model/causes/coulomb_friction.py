@@ -1,7 +1,4 @@
-"""coulomb-friction: dry friction holds and brakes the ball.
-
-F_f (1 + e exp(-(x' / v_s)^2)) sign(x'), and up to F_f (1 + e) at rest
-"""
+"""coulomb-friction: dry friction holds and brakes the ball."""
 
 from __future__ import annotations
 
@@ -21,12 +18,8 @@ CAUSE = Cause(
     equation="F_f (1 + e exp(-(x' / v_s)^2)) sign(x'), and up to F_f (1 + e) at rest",
     source="a ball that touches its guide",
     parameters=(
-        CauseParameter(
-            name="force_n", symbol="F_f", unit="N", index=FORCE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005, 0.004)
-        ),
-        CauseParameter(
-            name="extra", symbol="e", unit="", index=EXTRA, neutral=0.0, low=0.0, high=2.0, probes=(0.1,), spread=0.5
-        ),
+        CauseParameter(name="force_n", symbol="F_f", unit="N", index=FORCE, low=0.0, high=0.05, probes=(0.0005, 0.004)),
+        CauseParameter(name="extra", symbol="e", index=EXTRA, low=0.0, high=2.0, probes=(0.1,), spread=0.5),
         CauseParameter(
             name="slow_m_s",
             symbol="v_s",

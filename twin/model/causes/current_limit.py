@@ -1,7 +1,4 @@
-"""current-limit: the amplifier gives no more than a certain current.
-
-i_c <= i_limit
-"""
+"""current-limit: the amplifier gives no more than a certain current."""
 
 from __future__ import annotations
 
@@ -33,29 +30,15 @@ CAUSE = Cause(
             high=20.0,
             probes=(2.0, 1.5, 1.2, 1.05, 0.9),
         ),
-        CauseParameter(
-            name="softness",
-            symbol="s",
-            unit="",
-            index=SOFTNESS,
-            neutral=0.0,
-            low=0.0,
-            high=0.5,
-            probes=(0.05,),
-            spread=0.2,
-        ),
-        CauseParameter(
-            name="fold", symbol="f", unit="", index=FOLD, neutral=0.0, low=0.0, high=1.0, probes=(0.1,), spread=0.3
-        ),
+        CauseParameter(name="softness", symbol="s", index=SOFTNESS, low=0.0, high=0.5, probes=(0.05,), spread=0.2),
+        CauseParameter(name="fold", symbol="f", index=FOLD, low=0.0, high=1.0, probes=(0.1,), spread=0.3),
     ),
     signature="i_c stays flat at one value while u_c still rises",
     shows_in=("lift-off", "amplifier-steps"),
     confirm="block the ball, turn u_c up slowly and watch where i_c stops rising",
     cure="a larger supply; until then u_max on the board below the limit, so that the integral does not wind up",
     needs=("u_c", "i_c"),
-    deciding_measurements={
-        "current-sensor-gain": CLAMP_METER,
-    },
+    deciding_measurements={"current-sensor-gain": CLAMP_METER},
     measured_probes=MeasuredProbes(of="largest-current", times=(1.02, 1.0, 0.98, 0.93)),
     usual="hard limit",
     forms=(

@@ -1,7 +1,4 @@
-"""current-sensor-gain: i_c reads in the wrong scale.
-
-i_measured = gain i_c
-"""
+"""current-sensor-gain: i_c reads in the wrong scale."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ CAUSE = Cause(
     equation="i_measured = gain i_c",
     source="tolerance of the shunt",
     parameters=(
-        CauseParameter(name="gain", symbol="gain", unit="", index=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.98,)),
+        CauseParameter(name="gain", symbol="gain", index=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.98,)),
     ),
     signature="none: K_A and K_c absorb it exactly",
     shows_in=(),

@@ -1,7 +1,4 @@
-"""current-sensor-offset: i_c reads too high by a constant, or by an amount that wanders.
-
-i_measured = i_c + offset
-"""
+"""current-sensor-offset: i_c reads too high by a constant, or by an amount that wanders."""
 
 from __future__ import annotations
 
@@ -21,9 +18,7 @@ CAUSE = Cause(
     equation="i_measured = i_c + offset",
     source="an amplifier of the shunt that was not zeroed; that of an INTECO rig drifts by tens of mA",
     parameters=(
-        CauseParameter(
-            name="offset_a", symbol="offset", unit="A", index=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
-        ),
+        CauseParameter(name="offset_a", symbol="offset", unit="A", index=OFFSET, low=-0.3, high=0.3, probes=(0.01,)),
         wander(WANDER, unit="A", high=0.1, probe=0.02),
     ),
     signature="i_c is not 0 with the coil off, and the coil does not pull then",

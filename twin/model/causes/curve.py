@@ -31,30 +31,15 @@ def _curve(
     symbol, unit = over
     ends = [
         CauseParameter(
-            name=f"{end}_{symbol}",
-            symbol=f"{end} {symbol}",
-            unit=unit,
-            index=index + n,
-            neutral=0.0,
-            low=-1e3,
-            high=1e3,
-            probes=(1e-3,),
+            name=f"{end}_{symbol}", symbol=f"{end} {symbol}", unit=unit, index=n, low=-1e3, high=1e3, probes=(1e-3,)
         )
-        for n, end in enumerate(("from", "to"))
+        for n, end in enumerate(("from", "to"), index)
     ]
     coefficients = [
         CauseParameter(
-            name=f"k_{j + 1}",
-            symbol=f"k_{j + 1}",
-            unit="",
-            index=index + 2 + j,
-            neutral=0.0,
-            low=-2.0,
-            high=2.0,
-            probes=(0.01,),
-            spread=SPREAD,
+            name=f"k_{j}", symbol=f"k_{j}", index=index + 1 + j, low=-2.0, high=2.0, probes=(0.01,), spread=SPREAD
         )
-        for j in range(COEFFICIENTS)
+        for j in range(1, COEFFICIENTS + 1)
     ]
     return Cause(
         name=name,

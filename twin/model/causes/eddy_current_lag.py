@@ -25,23 +25,17 @@ CAUSE = Cause(
     equation="tau z' + z = (i_c / gap^p)^a, F_m = K_c z^(2/a) gap^(2p - 2)",
     source="eddy currents in a solid core hold the field back",
     parameters=(
+        CauseParameter(name="tau_s", symbol="tau", unit="s", index=TAU, low=0.0, high=0.02, probes=(0.0002, 0.002)),
+        CauseParameter(name="flux", symbol="p", index=FLUX, low=0.0, high=1.5, probes=(0.3,), spread=0.7),
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", index=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
-        ),
-        CauseParameter(
-            name="flux", symbol="p", unit="", index=FLUX, neutral=0.0, low=0.0, high=1.5, probes=(0.3,), spread=0.7
-        ),
-        CauseParameter(
-            name="order", symbol="a", unit="", index=ORDER, neutral=1.0, low=0.5, high=2.5, probes=(1.3,), spread=0.7
+            name="order", symbol="a", index=ORDER, neutral=1.0, low=0.5, high=2.5, probes=(1.3,), spread=0.7
         ),
     ),
     signature="the acceleration lags the measured current, the more the faster the current changes",
     shows_in=("prbs-reference", "prbs-open-loop"),
     confirm="put a search coil on the core and compare its integrated voltage with i_c",
     cure="a laminated core, or a lead of that time in the law",
-    deciding_measurements={
-        "actuation-delay": OSCILLOSCOPE,
-    },
+    deciding_measurements={"actuation-delay": OSCILLOSCOPE},
     traits=frozenset({"hidden-state"}),
     usual="lag of the current",
     forms=(

@@ -26,13 +26,9 @@ CAUSE = Cause(
     equation="d ln F_m / d ln gap = -(n + q (r - 1) + p (r - 1)^2), r = gap / gap_mid; (3) holds at r = 1",
     source="(3) holds for a thin gap between flat poles, and a ball below a round core is different",
     parameters=(
-        CauseParameter(name="n", symbol="n", unit="", index=N, neutral=2.0, low=0.0, high=8.0, probes=(2.05,)),
-        CauseParameter(
-            name="bend", symbol="q", unit="", index=BEND, neutral=0.0, low=-8.0, high=8.0, probes=(0.1,), spread=2.0
-        ),
-        CauseParameter(
-            name="curl", symbol="p", unit="", index=CURL, neutral=0.0, low=-8.0, high=8.0, probes=(0.2,), spread=2.0
-        ),
+        CauseParameter(name="n", symbol="n", index=N, neutral=2.0, low=0.0, high=8.0, probes=(2.05,)),
+        CauseParameter(name="bend", symbol="q", index=BEND, low=-8.0, high=8.0, probes=(0.1,), spread=2.0),
+        CauseParameter(name="curl", symbol="p", index=CURL, low=-8.0, high=8.0, probes=(0.2,), spread=2.0),
     ),
     signature="the current that holds the ball is curved in x, where (3) has a straight line",
     shows_in=("holds", "slow-ramp", "wide-steps"),

@@ -1,7 +1,4 @@
-"""freewheel-diode: while the driver is off, the coil's current flows through a diode, which takes its voltage off.
-
-T_A i_c' + i_c = K_A (u_c - max(V_D - u_c, 0)) while i_c > K_A u_c
-"""
+"""freewheel-diode: while the driver is off, the coil's current flows through a diode, which takes its voltage off."""
 
 from __future__ import annotations
 
@@ -20,9 +17,7 @@ CAUSE = Cause(
     equation="T_A i_c' + i_c = K_A (u_c - max(V_D - u_c, 0)) while i_c > K_A u_c",
     source="a PWM driver gives duty (V_s + V_D) - V_D on average while current flows, but no less than 0 at rest",
     parameters=(
-        CauseParameter(
-            name="drop_v", symbol="V_D", unit="V", index=DROP, neutral=0.0, low=0.0, high=3.0, probes=(0.05, 0.5)
-        ),
+        CauseParameter(name="drop_v", symbol="V_D", unit="V", index=DROP, low=0.0, high=3.0, probes=(0.05, 0.5)),
     ),
     signature="i_c falls faster than it rises, and reaches 0 in finite time, after a step of u_c to 0",
     shows_in=("amplifier-steps", "blocked-ball"),

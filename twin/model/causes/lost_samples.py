@@ -1,7 +1,4 @@
-"""lost-samples: samples are lost between board and log.
-
-each sample is missing with a probability
-"""
+"""lost-samples: samples are lost between board and log."""
 
 from __future__ import annotations
 
@@ -18,16 +15,7 @@ CAUSE = Cause(
     equation="each sample is missing with a probability",
     source="an overrun buffer, a loaded or noisy line",
     parameters=(
-        CauseParameter(
-            name="probability",
-            symbol="probability",
-            unit="",
-            index=PROBABILITY,
-            neutral=0.0,
-            low=0.0,
-            high=0.9,
-            probes=(0.01,),
-        ),
+        CauseParameter(name="probability", symbol="probability", index=PROBABILITY, low=0.0, high=0.9, probes=(0.01,)),
     ),
     signature="gaps in the sequence numbers, or in t",
     shows_in=("rest",),

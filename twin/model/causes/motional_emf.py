@@ -1,7 +1,4 @@
-"""motional-emf: a moving ball induces a voltage that pushes the current.
-
-T_A i_c' + i_c = K_A u_c - coupling i_c x' (gap_mid / gap)^2
-"""
+"""motional-emf: a moving ball induces a voltage that pushes the current."""
 
 from __future__ import annotations
 
@@ -25,18 +22,9 @@ CAUSE = Cause(
     source="i x' dL/dx over the resistance, with dL/dx = 2 K_c / gap^2; about 0.04 s/m at 10 ohm",
     parameters=(
         CauseParameter(
-            name="coupling_s_m",
-            symbol="coupling",
-            unit="s/m",
-            index=COUPLING,
-            neutral=0.0,
-            low=-1.0,
-            high=10.0,
-            probes=(0.05,),
+            name="coupling_s_m", symbol="coupling", unit="s/m", index=COUPLING, low=-1.0, high=10.0, probes=(0.05,)
         ),
-        CauseParameter(
-            name="reach", symbol="a", unit="", index=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
-        ),
+        CauseParameter(name="reach", symbol="a", index=REACH, low=-0.5, high=5.0, probes=(0.3,), spread=1.0),
     ),
     signature="at constant u_c, i_c dips while the ball rises and swells while it falls",
     shows_in=("prbs-open-loop", "wide-steps"),

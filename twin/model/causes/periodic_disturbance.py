@@ -1,7 +1,4 @@
-"""periodic-disturbance: a periodic force shakes the ball.
-
-m x'' = ... + F sin(2 pi f t + phase)
-"""
+"""periodic-disturbance: a periodic force shakes the ball."""
 
 from __future__ import annotations
 
@@ -10,8 +7,7 @@ import math
 from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
-AMPLITUDE = 17
-FREQUENCY = 18
+AMPLITUDE, FREQUENCY = 17, 18
 
 CAUSE = Cause(
     name="periodic-disturbance",
@@ -22,9 +18,7 @@ CAUSE = Cause(
     equation="m x'' = ... + F sin(2 pi f t + phase)",
     source="floor vibration, a fan, a motor on the same table",
     parameters=(
-        CauseParameter(
-            name="amplitude_n", symbol="F", unit="N", index=AMPLITUDE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005,)
-        ),
+        CauseParameter(name="amplitude_n", symbol="F", unit="N", index=AMPLITUDE, low=0.0, high=0.05, probes=(0.0005,)),
         CauseParameter(
             name="frequency_hz", symbol="f", unit="Hz", index=FREQUENCY, neutral=7.0, low=0.5, high=100.0, probes=(7.0,)
         ),

@@ -1,7 +1,4 @@
-"""position-dependent-inductance: the current follows more slowly the nearer the ball is to the coil.
-
-T_A (1 + growth (1/gap - 1/gap_bottom) / (1/gap_mid - 1/gap_bottom))
-"""
+"""position-dependent-inductance: the current follows more slowly the nearer the ball is to the coil."""
 
 from __future__ import annotations
 
@@ -22,23 +19,9 @@ CAUSE = Cause(
     "and e times the voltage i_c x' dL/dx of this inductance",
     source="L = L_0 + 2 K_c / gap follows from (3) by energy; the paper neglects it on purpose",
     parameters=(
-        CauseParameter(
-            name="growth", symbol="growth", unit="", index=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3, 1.5)
-        ),
-        CauseParameter(
-            name="reach", symbol="a", unit="", index=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
-        ),
-        CauseParameter(
-            name="voltage",
-            symbol="e",
-            unit="",
-            index=VOLTAGE,
-            neutral=0.0,
-            low=0.0,
-            high=1.5,
-            probes=(0.3,),
-            spread=0.5,
-        ),
+        CauseParameter(name="growth", symbol="growth", index=GROWTH, low=0.0, high=10.0, probes=(0.3, 1.5)),
+        CauseParameter(name="reach", symbol="a", index=REACH, low=-0.5, high=5.0, probes=(0.3,), spread=1.0),
+        CauseParameter(name="voltage", symbol="e", index=VOLTAGE, low=0.0, high=1.5, probes=(0.3,), spread=0.5),
     ),
     signature="i_c settles more slowly with the ball high than with the ball low, at the same step of u_c",
     shows_in=("blocked-ball", "wide-steps"),

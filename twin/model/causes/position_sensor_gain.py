@@ -1,7 +1,4 @@
-"""position-sensor-gain: x reads in the wrong scale.
-
-x_measured = gain x
-"""
+"""position-sensor-gain: x reads in the wrong scale."""
 
 from __future__ import annotations
 
@@ -21,15 +18,13 @@ CAUSE = Cause(
     equation="x_measured = gain x",
     source="published slopes of the CE 152's sensor differ by 9 %: 800 to 870 V/m",
     parameters=(
-        CauseParameter(name="gain", symbol="gain", unit="", index=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.99,)),
+        CauseParameter(name="gain", symbol="gain", index=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.99,)),
     ),
     signature="x is 0 on the rest but not the travel at the top stop; forces look wrong in proportion to x",
     shows_in=("prbs-open-loop", "lift-off"),
     confirm="read x with a shim of known thickness under the ball, and at the top stop",
     cure="calibrate the sensor at both stops",
-    deciding_measurements={
-        "position-sensor-nonlinearity": SHIM,
-    },
+    deciding_measurements={"position-sensor-nonlinearity": SHIM},
     at_rest="balance",
 )
 

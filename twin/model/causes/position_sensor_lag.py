@@ -23,20 +23,8 @@ CAUSE = Cause(
     equation="r tau^2 s'' + tau s' + s = x",
     source="demodulator and anti-alias filter",
     parameters=(
-        CauseParameter(
-            name="tau_s", symbol="tau", unit="s", index=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
-        ),
-        CauseParameter(
-            name="second",
-            symbol="r",
-            unit="",
-            index=SECOND,
-            neutral=0.0,
-            low=0.0,
-            high=1.0,
-            probes=(0.1,),
-            spread=0.4,
-        ),
+        CauseParameter(name="tau_s", symbol="tau", unit="s", index=TAU, low=0.0, high=0.02, probes=(0.0002, 0.002)),
+        CauseParameter(name="second", symbol="r", index=SECOND, low=0.0, high=1.0, probes=(0.1,), spread=0.4),
     ),
     signature="x lags what the forces say while i_c does not; impacts at the stops are rounded",
     shows_in=("prbs-open-loop", "prbs-reference"),

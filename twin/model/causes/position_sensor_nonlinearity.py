@@ -10,9 +10,7 @@ from __future__ import annotations
 from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
-BOW = 21
-SKEW = 29
-FULLNESS = 30
+BOW, SKEW, FULLNESS = 21, 29, 30
 S_SHAPE = 1.5 * 3.0**0.5  # so that an S is off by the bow at most, too
 
 CAUSE = Cause(
@@ -25,22 +23,10 @@ CAUSE = Cause(
     equation="x_measured = x + bow (1 - w^2) (1 + fullness w^2) (1 - skew^2 + 2.6 skew w), w = 2 x / l - 1",
     source="inductive sensors are bent, and are calibrated at two points",
     parameters=(
+        CauseParameter(name="bow_m", symbol="bow", unit="m", index=BOW, low=-0.001, high=0.001, probes=(5e-05,)),
+        CauseParameter(name="skew", symbol="skew", index=SKEW, low=-1.0, high=1.0, probes=(0.3,), spread=0.7),
         CauseParameter(
-            name="bow_m", symbol="bow", unit="m", index=BOW, neutral=0.0, low=-0.001, high=0.001, probes=(5e-05,)
-        ),
-        CauseParameter(
-            name="skew", symbol="skew", unit="", index=SKEW, neutral=0.0, low=-1.0, high=1.0, probes=(0.3,), spread=0.7
-        ),
-        CauseParameter(
-            name="fullness",
-            symbol="fullness",
-            unit="",
-            index=FULLNESS,
-            neutral=0.0,
-            low=-1.0,
-            high=1.0,
-            probes=(0.3,),
-            spread=0.5,
+            name="fullness", symbol="fullness", index=FULLNESS, low=-1.0, high=1.0, probes=(0.3,), spread=0.5
         ),
     ),
     signature="the current that holds the ball and the free fall disagree with (6) in the middle, not at the ends",

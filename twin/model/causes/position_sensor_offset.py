@@ -1,7 +1,4 @@
-"""position-sensor-offset: x reads too high by a constant, or by an amount that wanders.
-
-x_measured = x + offset
-"""
+"""position-sensor-offset: x reads too high by a constant, or by an amount that wanders."""
 
 from __future__ import annotations
 
@@ -23,14 +20,7 @@ CAUSE = Cause(
     source="a sensor that was zeroed with something in between, or that has moved since",
     parameters=(
         CauseParameter(
-            name="offset_m",
-            symbol="offset",
-            unit="m",
-            index=OFFSET,
-            neutral=0.0,
-            low=-0.002,
-            high=0.002,
-            probes=(0.0001,),
+            name="offset_m", symbol="offset", unit="m", index=OFFSET, low=-0.002, high=0.002, probes=(0.0001,)
         ),
         wander(WANDER, unit="m", high=0.0002, probe=0.00005),
     ),
@@ -38,10 +28,7 @@ CAUSE = Cause(
     shows_in=("rest", "lift-off"),
     confirm="read x with the ball on its rest, the coil off",
     cure="zero the sensor with the ball on its rest",
-    deciding_measurements={
-        "constant-force": SHIM,
-        "sensor-crosstalk": SHIM,
-    },
+    deciding_measurements={"constant-force": SHIM, "sensor-crosstalk": SHIM},
     traits=frozenset({"displaces"}),
     at_rest="balance",
     usual="constant",

@@ -1,7 +1,4 @@
-"""quadratic-drag: the ball feels a drag that grows with the square of its speed.
-
-F_d = b x' + c |x'| x'
-"""
+"""quadratic-drag: the ball feels a drag that grows with the square of its speed."""
 
 from __future__ import annotations
 
@@ -20,11 +17,9 @@ CAUSE = Cause(
     equation="F_d = b x' + c |x'| x' (|x'| / v_0)^(p - 2), v_0 = 0.1 m/s",
     source="the paper neglects it on purpose; air alone gives 4e-5 N s^2/m^2, a narrow guide tube far more",
     parameters=(
+        CauseParameter(name="c_n_s2_m2", symbol="c", unit="N s^2/m^2", index=C, low=0.0, high=20.0, probes=(0.2, 2.0)),
         CauseParameter(
-            name="c_n_s2_m2", symbol="c", unit="N s^2/m^2", index=C, neutral=0.0, low=0.0, high=20.0, probes=(0.2, 2.0)
-        ),
-        CauseParameter(
-            name="power", symbol="p", unit="", index=POWER, neutral=2.0, low=1.2, high=3.0, probes=(2.1,), spread=0.5
+            name="power", symbol="p", index=POWER, neutral=2.0, low=1.2, high=3.0, probes=(2.1,), spread=0.5
         ),
     ),
     signature="fast flights are braked more than b from slow ones predicts, by the square of the speed",

@@ -1,7 +1,4 @@
-"""residual-magnetism: the iron keeps a field that the current sensor does not see.
-
-i -> i_c + i_r
-"""
+"""residual-magnetism: the iron keeps a field that the current sensor does not see."""
 
 from __future__ import annotations
 
@@ -20,11 +17,7 @@ CAUSE = Cause(
     acts_on="magnetic force (3)",
     equation="i -> i_c + i_r",
     source="remanence of core and ball",
-    parameters=(
-        CauseParameter(
-            name="i_r_a", symbol="i_r", unit="A", index=I_R, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
-        ),
-    ),
+    parameters=(CauseParameter(name="i_r_a", symbol="i_r", unit="A", index=I_R, low=-0.3, high=0.3, probes=(0.01,)),),
     signature="the ball needs a constant current less (or more) than (3) says, at every height alike",
     shows_in=("holds", "lift-off"),
     confirm="hold a compass needle to the core with the coil off; demagnetise and measure again",

@@ -5,8 +5,8 @@ i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay); in a capture, whic
 
 from __future__ import annotations
 
-from twin.model.causes.actuation_delay import in_captures
-from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes
+from twin.model.causes.actuation_delay import AT_THE_KINKS, in_captures
+from twin.model.causes.cause import Cause, CauseParameter, Form
 
 DELAY, IN_CAPTURES = 26, 110
 
@@ -19,9 +19,7 @@ CAUSE = Cause(
     equation="i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)",
     source="sample-and-hold and multiplexing before conversion, or a filter in front of both",
     parameters=(
-        CauseParameter(
-            name="delay_s", symbol="delay", unit="s", index=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
-        ),
+        CauseParameter(name="delay_s", symbol="delay", unit="s", index=DELAY, low=0.0, high=0.02, probes=(0.0002,)),
         in_captures(IN_CAPTURES),
     ),
     signature="u_c seems to act late, on i_c and on x alike: from the samples alone it is an actuation delay",
@@ -39,7 +37,6 @@ CAUSE = Cause(
             probed=True,
         ),
     ),
-    # The likelihood of a delay has a kink at every whole interval.
-    measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
+    measured_probes=AT_THE_KINKS,
     same_samples_as="actuation-delay",
 )

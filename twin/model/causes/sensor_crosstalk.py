@@ -1,7 +1,4 @@
-"""sensor-crosstalk: the coil's current shows in x.
-
-x_measured = x + coupling i_c
-"""
+"""sensor-crosstalk: the coil's current shows in x."""
 
 from __future__ import annotations
 
@@ -21,14 +18,7 @@ CAUSE = Cause(
     source="an inductive sensor in the coil's stray field, or a common ground wire",
     parameters=(
         CauseParameter(
-            name="coupling_m_a",
-            symbol="coupling",
-            unit="m/A",
-            index=COUPLING,
-            neutral=0.0,
-            low=-0.002,
-            high=0.002,
-            probes=(2e-05,),
+            name="coupling_m_a", symbol="coupling", unit="m/A", index=COUPLING, low=-0.002, high=0.002, probes=(2e-05,)
         ),
     ),
     signature="x of the resting ball moves with i_c",

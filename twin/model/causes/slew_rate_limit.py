@@ -1,7 +1,4 @@
-"""slew-rate-limit: the current cannot change faster than a certain rate.
-
-|di_c/dt| <= r
-"""
+"""slew-rate-limit: the current cannot change faster than a certain rate."""
 
 from __future__ import annotations
 

@@ -21,7 +21,6 @@ def wander(index: int, *, unit: str, high: float, probe: float) -> CauseParamete
         symbol="w",
         unit=unit,
         index=index,
-        neutral=0.0,
         low=0.0,
         high=high,
         probes=(probe,),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,14 @@ import numpy as np
 import pytest
 
 from board51 import main
-from protocol.campaign import Plant
+from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
+from twin.api.results import as_text
+from twin.diagnosis.equilibria.diagnosis import diagnose_points
 from twin.diagnosis.equilibria.points import f_test, fit_static, holding_currents, interval, points_of, rounding
+from twin.diagnosis.equilibria.to_json import to_json
 from twin.estimation.record import Record
-from twin.model.parameters import load_model
+from twin.model.parameters import Model
 
 Answer = tuple[int, dict[str, Any]]
 MASS_KG, GRAVITY_M_S2, TRAVEL_M = 8.28e-3, 9.81, 5.7e-3
@@ -186,7 +190,7 @@ def test_the_extended_model_runs_and_says_what_was_not_measured(tmp_path: Path) 
     x = heights(6)
     diagnosed(tmp_path, x, [balance(at, d_m=2e-3) + 1e-3 * (-1) ** n for n, at in enumerate(x)])
 
-    model = load_model(tmp_path / "out" / "extended_model.json")
+    model = Model.load(tmp_path / "out" / "extended_model.json")
 
     assert [cause.name for cause in model.causes] == ["air-gap-offset"]
     assert model.parameters["T_A"].verdict == "assumed"
@@ -209,6 +213,17 @@ def test_the_extended_model_runs_and_says_what_was_not_measured(tmp_path: Path) 
 def test_points_that_cannot_be_are_refused(x: list[float], i: list[float], says: str) -> None:
     with pytest.raises(DataError, match=says):
         points_of([record(x, i)], PLANT)
+
+
+def test_a_cause_without_an_unstable_pole_leaves_the_file_readable() -> None:
+    records = [noisy(8, lambda x: balance(x, d_m=2e-3), sigma_a=1e-4, seed=1)]
+    campaign = Campaign(where="campaign.toml", folder=Path(), plant=PLANT, controller=None, recordings=())
+    found = diagnose_points(campaign, records, [])
+    stable = replace(found, members=tuple(replace(member, pole_per_s=math.nan) for member in found.members))
+
+    data = json.loads(as_text(to_json(stable)))
+
+    assert data["causes"][0]["unstable_pole_per_s"] is None
 
 
 def test_rounding_is_read_off_the_digits() -> None:

@@ -27,14 +27,13 @@ from tests.harness.diagnose.simulated_rig import (
 from tests.harness.twin.emulated_campaign import Lab
 from twin.diagnosis.experiments import design as experiments
 from twin.diagnosis.experiments.design import ENOUGH_Z, Proposal, propose
-from twin.diagnosis.experiments.external_measurements import measurement_for
 from twin.diagnosis.experiments.schedules import MENU, schedule_of, sentence
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.estimation.record import Record
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import moved
-from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.catalogue import CATALOGUE, measurement_for
 from twin.model.causes.cause import Cause
 
 GAP, EXPONENT = "air-gap-offset", "force-exponent"

@@ -15,8 +15,7 @@ import pytest
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
 from tests.harness.diagnose.simulated_rig import controller
-from twin.diagnosis.checks.confidence import MAX_CONFIDENCE
-from twin.diagnosis.judge.account import account_of, verdict_of
+from twin.diagnosis.judge.account import MAX_CONFIDENCE, account_of, verdict_of
 from twin.diagnosis.judge.prediction_gain import Gain, bootstrap
 from twin.diagnosis.report.page import to_html
 from twin.diagnosis.report.sentences import beyond_sentence, summary_sentence

@@ -21,7 +21,7 @@ from twin.diagnosis.pipeline import diagnose_records
 from twin.diagnosis.residuals.summary import summarise
 from twin.diagnosis.search.state import Selection
 from twin.inference.theta import Theta
-from twin.model.parameters import load_model
+from twin.model.parameters import Model
 
 ONE, OTHER = strong("quadratic-drag", 1.0, QUIET), strong("coulomb-friction", 1e-3, QUIET)
 BOTH = strong("coulomb-friction", 1e-3, ONE)
@@ -136,7 +136,7 @@ def diagnosis_json(folder: Path) -> dict[str, Any]:
 def test_causes_of_other_flights_are_no_model_for_these(harmed: Path) -> None:
     data = diagnosis_json(harmed)
 
-    model = load_model(harmed / "extended_model.json")
+    model = Model.load(harmed / "extended_model.json")
     (refused, *_) = data["extended_model"]["refused"]
     assert refused["why"] == "worse"
     assert refused["judge"]["extended_rmse_m"] > refused["judge"]["baseline_rmse_m"]
@@ -157,7 +157,7 @@ def test_one_file_agrees_with_itself_where_a_model_was_refused(harmed: Path) -> 
 
 def test_an_assumed_plant_is_said_in_model_answer_and_report(harmed: Path) -> None:
     data, page = diagnosis_json(harmed), (harmed / "report.html").read_text(encoding="utf-8")
-    model = load_model(harmed / "extended_model.json")
+    model = Model.load(harmed / "extended_model.json")
     ball = "for an assumed ball of 8.28 g and travel of 5.7 mm"
 
     assert data["plant_assumed"]

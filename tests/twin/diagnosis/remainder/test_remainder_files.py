@@ -12,7 +12,7 @@ import pytest
 from board51 import main
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.hidden_campaign import make_campaign
-from twin.model.parameters import load_model
+from twin.model.parameters import Model
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +33,7 @@ def test_the_model_with_the_curve_runs_everywhere(tmp_path: Path, capsys: pytest
     assert np.shape(curve["at"]) == np.shape(curve["mean"]) == np.shape(curve["ci95"][0])
     text = (out / "report.html").read_text(encoding="utf-8")
     assert "What is left, as a curve" in text
-    model = load_model(out / "extended_model.json")
+    model = Model.load(out / "extended_model.json")
     assert curve["name"] in {cause.name for cause in model.causes}
     assert (not any(cause.name != curve["name"] for cause in model.causes)) == (left["beside"] == "paper")
     capsys.readouterr()

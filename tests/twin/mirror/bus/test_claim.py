@@ -18,7 +18,7 @@ from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait
 from tests.patience import HANG_S
 from twin.mirror.bus.service import TwinService
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 
 HELD = 2.85e-3
 
@@ -29,7 +29,7 @@ def endpoint() -> str:
 
 
 def twin_of(endpoint: str, board: str | None = None, site: str = "lab") -> TwinService:
-    return TwinService(nominal(), site=site, board=board, endpoints=(endpoint,))
+    return TwinService(Model.load("ce152"), site=site, board=board, endpoints=(endpoint,))
 
 
 def ended(session: zenoh.Session, service: TwinService) -> str:

@@ -20,8 +20,7 @@ from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait,
 from twin.mirror.bus.handover import MAX_PAYLOAD, believe
 from twin.mirror.bus.service import TwinService
 from twin.mirror.bus.watched import REPEAT_S
-from twin.model.nominal import nominal
-from twin.model.parameters import Model, model_to_dict
+from twin.model.parameters import Model
 from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
@@ -39,7 +38,7 @@ def offset_rig(seed: int = 2) -> Rig:
 
 def right_model() -> Model:
     """The model of that rig."""
-    model = nominal()
+    model = Model.load("ce152")
     parameters = dict(model.parameters)
     parameters["K_c"] = dataclasses.replace(parameters["K_c"], value=M * G / SLOPE_A_PER_M**2)
     plant = dataclasses.replace(model.plant, name="moved", x_max_m=TRAVEL + OFFSET_M)
@@ -94,7 +93,7 @@ def test_the_right_model_ends_the_alarms_of_the_wrong_one_without_a_gap(endpoint
     rig = offset_rig()
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,), settings=QUICK) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,), settings=QUICK) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(1000, HELD)))
             wait_for_count(lambda: len(divergences(heard)), 1000, "divergence")
@@ -119,7 +118,7 @@ def test_the_right_model_ends_the_alarms_of_the_wrong_one_without_a_gap(endpoint
     assert abs(sum(last) / len(last) - 2.0) < 5 * 2.0 / math.sqrt(len(last))
     told = [(one.name, one.since_tick, one.who, one.command_id) for one in models(heard)]
     assert list(dict.fromkeys(told)) == [("ce152", 0, "", ""), ("moved", 1000, "me", "one")]
-    assert json.loads(models(heard)[-1].model_json) == model_to_dict(right_model())
+    assert json.loads(models(heard)[-1].model_json) == right_model().to_json()
 
 
 @pytest.mark.parametrize(
@@ -133,11 +132,11 @@ def test_the_right_model_ends_the_alarms_of_the_wrong_one_without_a_gap(endpoint
         (command("no json"), "bad-model"),
         (command("[" * 100_000, number="deep"), "bad-model"),
         (command("9" * 5000, number="long"), "bad-model"),
-        (command(believe(nominal()).text.replace("0.297", "1" + 400 * "0"), number="huge"), "bad-model"),
-        (command(believe(nominal()).text.replace("0.297", "NaN"), number="nan"), "bad-model"),
-        (command(believe(nominal()).text.replace("0.297", "297"), number="unit"), "bad-model"),
-        (command(believe(nominal()).text.replace('"ce152"', '"\\ud800"'), number="half"), "bad-model"),
-        (command(believe(nominal()).text.replace('"ce152"', '"a\\u001b[2J"'), number="screen"), "bad-model"),
+        (command(believe(Model.load("ce152")).text.replace("0.297", "1" + 400 * "0"), number="huge"), "bad-model"),
+        (command(believe(Model.load("ce152")).text.replace("0.297", "NaN"), number="nan"), "bad-model"),
+        (command(believe(Model.load("ce152")).text.replace("0.297", "297"), number="unit"), "bad-model"),
+        (command(believe(Model.load("ce152")).text.replace('"ce152"', '"\\ud800"'), number="half"), "bad-model"),
+        (command(believe(Model.load("ce152")).text.replace('"ce152"', '"a\\u001b[2J"'), number="screen"), "bad-model"),
         (command(" " * MAX_PAYLOAD), "oversize"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -155,7 +154,7 @@ def test_what_is_no_model_is_refused_and_the_old_one_keeps_running(
 
     assert (reply.accepted, reply.refused_by, reply.reason) == (False, "twin", reason)
     assert reply.text.endswith(".")
-    assert before.belief.model == nominal()
+    assert before.belief.model == Model.load("ce152")
     assert before.mirror.counters["models"] == 0
     assert service.running
 
@@ -165,7 +164,7 @@ def bus() -> Iterator[tuple[zenoh.Session, TwinService, Rig]]:
     """A router with a twin of one flying board."""
     endpoint, rig = free_endpoint(), Rig(seed=2)
     rig.hold(HELD)
-    with router(endpoint) as session, TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+    with router(endpoint) as session, TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
         introduce(session, service, rig)
         publish(session, list(rig.run(300, HELD)))
         wait(lambda: "rig" in service.boards and service.boards["rig"].samples == 300, "samples")
@@ -173,7 +172,7 @@ def bus() -> Iterator[tuple[zenoh.Session, TwinService, Rig]]:
 
 
 def test_the_reason_of_a_refusal_names_key_and_value(bus: tuple[zenoh.Session, TwinService, Rig]) -> None:
-    bad = believe(nominal()).text.replace("0.297", "297")
+    bad = believe(Model.load("ce152")).text.replace("0.297", "297")
 
     (reply,) = ask(bus[0], "lab/rig/twin/command", command(bad, number="named")).values()
 
@@ -183,7 +182,7 @@ def test_the_reason_of_a_refusal_names_key_and_value(bus: tuple[zenoh.Session, T
 def test_the_same_id_is_executed_once(endpoint: str) -> None:
     rig = offset_rig()
     with router(endpoint) as session:
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(50, HELD)))
             wait(lambda: service.boards["rig"].samples == 50, "samples")
@@ -192,7 +191,7 @@ def test_the_same_id_is_executed_once(endpoint: str) -> None:
             publish(session, list(rig.run(50, HELD)))
             wait(lambda: service.boards["rig"].samples == 100, "samples")
             again = ask(session, key, command(right_model(), who="somebody else"))
-            other = ask(session, key, command(nominal()))
+            other = ask(session, key, command(Model.load("ce152")))
             watched = service.boards["rig"]
 
             assert again == first
@@ -207,11 +206,14 @@ def test_two_boards_of_one_twin_take_it_together_or_one_of_them(endpoint: str) -
     rigs = {"one": offset_rig(2), "two": offset_rig(3)}
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             early: dict[str, pb.CommandReply] = {}
             # The router may hear of the queryable a moment after the session is open.
             wait(
-                lambda: bool(early.update(ask(session, everybody, command(nominal(), number="early"))) or early), "twin"
+                lambda: bool(
+                    early.update(ask(session, everybody, command(Model.load("ce152"), number="early"))) or early
+                ),
+                "twin",
             )
             for name, rig in rigs.items():
                 introduce(session, service, rig, board=name)
@@ -240,14 +242,14 @@ def test_two_boards_of_one_twin_take_it_together_or_one_of_them(endpoint: str) -
 def test_the_model_is_told_again_for_those_who_come_later(endpoint: str) -> None:
     rig = offset_rig()
     with router(endpoint) as session:
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(10, HELD)))
             wait(lambda: service.boards["rig"].samples == 10, "samples")
             late = Heard(session, "lab")
             wait(lambda: bool(models(late)), "model", REPEAT_S + 10.0)
 
-    assert models(late)[0].sha256 == believe(nominal()).sha256
+    assert models(late)[0].sha256 == believe(Model.load("ce152")).sha256
     assert late.encodings["lab/rig/twin/model"] == "application/protobuf;board51.v1.TwinModel"
 
 
@@ -265,7 +267,7 @@ def test_as_typed(endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
     nobody = call("--hand-over", str(file))
     with router(endpoint) as session:
         no_twin = call("--hand-over", str(file))
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(20, HELD)))
             wait(lambda: service.boards["rig"].samples == 20, "samples")

@@ -11,7 +11,7 @@ from tests.twin.mirror.bus.test_handover import alarms, ask, command, divergence
 from twin.commands import diagnose
 from twin.mirror.bus.request import NAME, DiagnosisRequest
 from twin.mirror.bus.service import TwinService
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
@@ -92,7 +92,7 @@ def test_on_the_bus_a_lasting_alarm_asks_and_the_right_model_takes_it_back() -> 
     settings = Settings(window_s=0.25, diagnosis_after_s=1.0)
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,), settings=settings) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,), settings=settings) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(1500, HELD)))
             wait_for_count(lambda: len(divergences(heard)), 1500, "divergence")

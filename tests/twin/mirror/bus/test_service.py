@@ -15,8 +15,9 @@ from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait, wait_for_count
 from twin.mirror.bus import service as service_module
 from twin.mirror.bus.service import TwinService
-from twin.mirror.mirror import IN_STEP, Mirror
-from twin.model.nominal import nominal
+from twin.mirror.mirror import Mirror
+from twin.mirror.output import IN_STEP
+from twin.model.parameters import Model
 
 HELD = 2.85e-3
 
@@ -30,13 +31,13 @@ def test_the_bus_carries_what_the_mirror_says_bit_by_bit(endpoint: str) -> None:
     rig = Rig(seed=2)
     rig.hold(HELD)
     states = list(rig.run(400, HELD))
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(rig.parameters())
     expected = [output for output in map(mirror.handle, states) if output is not None]
 
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             publish(session, states)
             wait_for_count(lambda: len(heard.payloads["lab/rig/twin/divergence"]), len(states), "divergence")
@@ -55,7 +56,7 @@ def test_each_board_has_its_own_twin_and_other_boards_can_be_left_out(endpoint: 
         rig.hold(HELD)
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", board="two", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", board="two", endpoints=(endpoint,)) as service:
             introduce(session, service, two, board="two")
             publish(session, list(one.run(20, HELD)), board="one")
             publish(session, list(two.run(20, HELD)), board="two")
@@ -69,7 +70,7 @@ def test_silence_raises_an_alarm_and_samples_end_it(endpoint: str) -> None:
     rig.hold(HELD)
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(300, HELD)))
             wait_for_count(lambda: len(heard.payloads["lab/rig/twin/alarm"]), 1, "alarm")
@@ -87,7 +88,7 @@ def test_malformed_messages_are_counted_and_change_nothing(endpoint: str) -> Non
     rig.hold(HELD)
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             session.put("lab/rig/states", b"\xff\xff\xff")
             session.put("lab/rig/parameters", b"\x0a\xff")
@@ -101,7 +102,7 @@ def test_it_waits_for_a_router_and_survives_its_restart(endpoint: str) -> None:
     """Samples lost meanwhile are a gap: out of step, never bridged over."""
     rig = Rig(seed=2)
     rig.hold(HELD)
-    with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
+    with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
         with router(endpoint) as session:
             introduce(session, service, rig)
             publish(session, list(rig.run(300, HELD)))
@@ -124,7 +125,7 @@ def test_a_twin_that_hears_status_and_no_samples_hears_through_a_new_session(mon
     """The fault is real: a rule of the router keeps the states from the one session."""
     monkeypatch.setattr(service_module, "DEAF_S", 1.0)
     endpoint = free_endpoint()
-    with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:  # waits for its router
+    with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:  # waits for its router
         assert service._session is not None
         config = json.loads(zenoh_config("router", listen=[endpoint]))
         config["access_control"] = {

@@ -11,7 +11,7 @@ from scipy.stats import binom, chi2
 from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.rig import T_S, G, M, Rig
 from twin.control import law_numbers
-from twin.mirror.mirror import IN_STEP, Mirror
+from twin.mirror.mirror import Mirror
 from twin.mirror.monitor.alarms import PLACES, TURNED_OFF, TURNED_ON, UNCHANGED, decide, message, white_threshold
 from twin.mirror.monitor.divergence import NIS, Comparison, figures, rolling_mean
 from twin.mirror.monitor.expected import (
@@ -22,8 +22,8 @@ from twin.mirror.monitor.expected import (
     toeplitz_eigenvalues,
     weighted_chi_square_quantile,
 )
-from twin.mirror.output import Output
-from twin.model.nominal import nominal
+from twin.mirror.output import IN_STEP, Output
+from twin.model.parameters import Model
 from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
@@ -33,7 +33,7 @@ MEASURED_OFFSET_M = 2.4377e-3  # its zero, above the top stop
 
 def outputs_of(rig: Rig, ticks: int, *, settings: Settings | None = None) -> tuple[Mirror, list[Output]]:
     rig.hold(HELD)
-    mirror = Mirror(nominal(), settings)
+    mirror = Mirror(Model.load("ce152"), settings)
     mirror.parameters(rig.parameters())
     return mirror, [o for o in map(mirror.handle, rig.run(ticks, HELD)) if o is not None]
 
@@ -74,7 +74,7 @@ def test_the_loop_colours_the_error_as_derived() -> None:
     law = law_numbers(parameters)
     assert law is not None
     expected = ExpectedError(
-        nominal(), law, i_lsb_a=4e-4, x_lsb_m=1.6e-6, u_lsb_v=1.25e-3, window=100, probability=1e-3
+        Model.load("ce152"), law, i_lsb_a=4e-4, x_lsb_m=1.6e-6, u_lsb_v=1.25e-3, window=100, probability=1e-3
     ).at(HELD)
 
     assert expected is not None
@@ -87,7 +87,7 @@ def test_autocovariance_agrees_with_a_simulated_difference() -> None:
     parameters = Rig().parameters()
     law = law_numbers(parameters)
     assert law is not None
-    F, G_, H, through = error_dynamics(nominal(), law, HELD)  # noqa: N806 - the textbook's letters
+    F, G_, H, through = error_dynamics(Model.load("ce152"), law, HELD)  # noqa: N806 - the textbook's letters
     variances = np.array([4e-6, 2.5e-11, 1e-7, 1e-8, 1.6e-9])
     derived = autocovariance(F, G_, H, through, variances, lags=30)
     rng = np.random.default_rng(5)
@@ -140,7 +140,7 @@ def test_false_alarms_of_the_whole_mirror_come_at_the_stated_rate() -> None:
     rate = stated * 86400.0 / window_s
     rig = Rig(seed=101)
     rig.hold(HELD)
-    mirror = Mirror(nominal(), Settings(window_s=window_s, false_alarms_per_day=rate))
+    mirror = Mirror(Model.load("ce152"), Settings(window_s=window_s, false_alarms_per_day=rate))
     mirror.parameters(rig.parameters())
     counts = dict.fromkeys(("divergence-x", "divergence-i_c", "innovation"), 0)
 
@@ -162,11 +162,11 @@ def test_the_window_decision_of_correlated_noise_has_the_stated_probability() ->
     assert law is not None
     window, stated, n = 100, 0.02, 4000
     expected = ExpectedError(
-        nominal(), law, i_lsb_a=4e-4, x_lsb_m=1.6e-6, u_lsb_v=1.25e-3, window=window, probability=stated
+        Model.load("ce152"), law, i_lsb_a=4e-4, x_lsb_m=1.6e-6, u_lsb_v=1.25e-3, window=window, probability=stated
     )
     at = expected.at(HELD)
     assert at is not None
-    F, G_, H, through = error_dynamics(nominal(), law, HELD)  # noqa: N806 - the textbook's letters
+    F, G_, H, through = error_dynamics(Model.load("ce152"), law, HELD)  # noqa: N806 - the textbook's letters
     variances = np.array([4e-6 + 4e-4**2 / 12, 2.5e-11 + 1.6e-6**2 / 12, 1.25e-3**2 / 12, 1e-8, (0.02 * T_S) ** 2])
     rng = np.random.default_rng(21)
     d = np.zeros((5, n))  # n independent flights, 300 ticks to become stationary
@@ -195,7 +195,7 @@ def test_a_coil_plane_above_the_stop_raises_every_alarm() -> None:
     """The rig of the measured equilibria against the model of eq. (8), the reference moving."""
     rig = Rig(K_c=M * G / MEASURED_SLOPE**2, gap_offset_m=MEASURED_OFFSET_M)
     rig.hold(HELD)
-    mirror = Mirror(nominal())
+    mirror = Mirror(Model.load("ce152"))
     mirror.parameters(rig.parameters())
 
     outputs = [mirror.handle(s) for s in rig.run(3000, lambda k: HELD if (k // 400) % 2 else 3.6e-3)]
@@ -265,7 +265,7 @@ def test_the_same_messages_give_the_same_bits() -> None:
     del states[700:760]
 
     def run() -> list[bytes]:
-        mirror = Mirror(nominal())
+        mirror = Mirror(Model.load("ce152"))
         mirror.parameters(Rig().parameters())
         produced = []
         for state in states:

@@ -16,10 +16,10 @@ from tests.twin.mirror.bus.test_handover import alarms as alarms_on_bus
 from tests.twin.mirror.bus.test_handover import divergences, offset_rig
 from twin.mirror.bus.request import NAME
 from twin.mirror.bus.service import TwinService
-from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, Mirror
+from twin.mirror.mirror import Mirror
 from twin.mirror.offline import run_log
-from twin.mirror.output import Output
-from twin.model.nominal import nominal
+from twin.mirror.output import IN_STEP, OUT_OF_STEP, Output
+from twin.model.parameters import Model
 from twin.readers.log import TwinLog
 from twin.settings.mirror import Settings
 
@@ -32,7 +32,7 @@ class Run:
     """A mirror, and which of its alarms are active."""
 
     def __init__(self) -> None:
-        self.mirror = Mirror(nominal())
+        self.mirror = Mirror(Model.load("ce152"))
         self.active: dict[str, pb.Alarm] = {}
         self.said: list[tuple[str, bool]] = []
         self.last: Output | None = None
@@ -183,7 +183,7 @@ def test_over_a_log_the_alarms_are_those_of_the_live_twin(tmp_path: Path) -> Non
             else:
                 live.mirror.parameters(message)
 
-    (run,), _ = run_log(tmp_path / "flight.mcap", nominal())
+    (run,), _ = run_log(tmp_path / "flight.mcap", Model.load("ce152"))
 
     assert [(alarm.name, alarm.active) for alarm in run.alarms] == live.said
     assert live.active == {}
@@ -195,7 +195,7 @@ def test_on_the_bus_a_restarted_gateway_leaves_no_alarm_and_asks_for_no_diagnosi
     settings = Settings(window_s=0.25, diagnosis_after_s=2.0)
     with router(endpoint) as session:
         heard = Heard(session, "lab")
-        with TwinService(nominal(), site="lab", endpoints=(endpoint,), settings=settings) as service:
+        with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,), settings=settings) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(800, HELD)))
             wait_for_count(lambda: len(divergences(heard)), 800, "divergence")

@@ -12,7 +12,7 @@ import board51
 from protocol.bus import board51_pb2 as pb
 from tests.harness.twin.rig import Rig
 from twin.mirror.bus.handover import believe
-from twin.model.nominal import nominal
+from twin.model.parameters import Model
 from twin.readers.log import TwinLog
 
 HELD = 2.85e-3
@@ -38,13 +38,13 @@ def test_the_log_of_a_rerun_says_which_model_ran(flown: Path, capsys: pytest.Cap
     result = json.loads(capsys.readouterr().out)
     (model,) = result["boards"][0]["models_logged"]
     assert (model["name"], model["since_tick"], model["who"]) == ("ce152", 0, "")
-    assert model["sha256"] == believe(nominal()).sha256 == result["model_sha256"]
+    assert model["sha256"] == believe(Model.load("ce152")).sha256 == result["model_sha256"]
 
 
 def test_info_names_the_model_of_the_twin(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert board51.main(["info", str(flown)]) == 0
 
-    assert f"ce152 ({believe(nominal()).sha256[:12]}) from tick 0" in capsys.readouterr().out
+    assert f"ce152 ({believe(Model.load('ce152')).sha256[:12]}) from tick 0" in capsys.readouterr().out
 
 
 def test_a_span_more_is_a_column_more(flown: Path, tmp_path: Path) -> None:
