@@ -77,8 +77,7 @@ def identify_records(
     starts = find_starts(records, plant)
     progress("start values: " + starts.text(plant.mass_kg))
 
-    # Without the samples near x_max: there (3) is too steep for a linearisation, and three samples dominated a
-    # campaign.
+    # Not near x_max: (3) is too steep there for a linearisation, and three samples dominated a campaign.
     series, usages = prepare(records, plant, min_gap_m=settings.POLE_DISTANCE * plant.travel_m)
     for usage, samples in zip(usages, delays, strict=True):
         usage.input_delay = samples
