@@ -51,6 +51,7 @@ class CaptureReader:
         self._counts: list[int] = []
         self._failures = 0
         self._under_way = True
+        # Not by CAPTURE_DONE alone: the line may lose it, and the samples would stay unread.
         self.deadline_s = now_s + _SETTLE_S + self._requested * scaling.capture_time_s + _MARGIN_S
 
     def capture_completed(self, now_s: float) -> None:
@@ -83,6 +84,7 @@ class CaptureReader:
 
     def _read(self, now_s: float) -> None:
         self.deadline_s = float("inf")
+        # One block at a time, not all at once: other commands can be sent between two blocks.
         self._token = self._session.submit("READ_CAPTURE", now_s, index=len(self._counts))
 
     def _block(self, block: Message, now_s: float) -> None:

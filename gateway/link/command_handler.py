@@ -110,6 +110,8 @@ class CommandHandler:
         self._gate = Gate(limits)
         self._session, self._known, self._sink, self._on_accepted = session, known, sink, accepted
         self._pending: dict[int, _Pending] = {}
+        # In memory, not in a file: that would need an fsync before each command. After a restart the age of a dated
+        # command protects from a second execution.
         self._retained: OrderedDict[str, _Retained] = OrderedDict()
         self._x_ref_m: float | None = None  # commanded, not yet seen in a state
         self._x_ref_tick: float = -1  # seen from this tick on
@@ -151,7 +153,9 @@ class CommandHandler:
         not_allowed = sender.right(command)
         if not_allowed is not None:
             return not_allowed
+        # Before the checks of id and date: a STOP with a used id or an old date must still stop the board.
         if command.WhichOneof("what") == "stop":
+            # By its arrival, not by its own date: a STOP from a clock that is behind would count too early.
             self.stopped_ns = max(self.stopped_ns, sender.arrived_ns)  # also of a STOP that cannot be sent now
             return self._stop(request, now_s, link, reason)
         waiting = (r for pending in self._pending.values() for r in pending.requests)
@@ -170,6 +174,7 @@ class CommandHandler:
             return None
         refusal = sender.fresh(command)
         if refusal is not None:
+            # The first arrival is kept: sent again with a new date, the command must not pass a STOP in between.
             self._stale.setdefault(command.id, sender.arrived_ns)
             if len(self._stale) > STALE_IDS:
                 self._stale.popitem(last=False)
@@ -182,6 +187,8 @@ class CommandHandler:
         if command.WhichOneof("what") in KINDS:
             self._note(request)
             return None
+        # No margin for clocks that are ahead: it would refuse every command in the time after a STOP, also where the
+        # clocks agree.
         before_s = (self.stopped_ns - self._issued_ns(command, sender)) * 1e-9
         if before_s > 0:
             return Refusal(
@@ -210,6 +217,7 @@ class CommandHandler:
         elif answer.outcome == "timed-out":
             reply.refused_by, reply.reason = "link", "timed-out"
             reply.text = _timed_out(pending.wire.name, answer.attempts)
+            # Before its first byte nothing can have acted, so the sender may try again with the same id.
             keep = answer.attempts > 0
             self.timed_out_count += count
         else:
@@ -274,6 +282,7 @@ class CommandHandler:
             x_ref_m = self._x_ref_m
         elif sample is not None and scaling is not None:
             x_ref_m = scaling.x_m(sample.state.x_ref)
+        # Until a state shows the commanded mode, the mode is unknown: the last state may be from before the command.
         known_mode = sample is not None and self._mode_tick <= tick
         flags = sample.state.flags if sample is not None else 0
         return BoardView(

@@ -149,6 +149,7 @@ class BoardDriver:
             if counters.stray_board_answers != board_answers:
                 self.to_board.answered()  # too late for its command, but it proves that the board received it
             self.to_board.frames_arrived(now_s, self.known.stream_period_s)
+            # The sign of life means that samples arrive, and not that the process, the port or the session lives.
             if self.link != "streaming" and self._encoder is not None and not self.from_board.states_missing(now_s):
                 assert self.known.identity is not None
                 text = event_text.board_identity(self.known.identity, self.port, self.session.number)
@@ -192,6 +193,7 @@ class BoardDriver:
     def wrote(self, count: int) -> None:
         """Note that the port has accepted `count` bytes, and log them."""
         if count:
+            # Logged once the port has accepted them: what a STOP or a time-out dropped before has never been sent.
             self._sink.raw(self.session.output()[:count], self.report.host_ns(), to_board=True)
         self.counts.bytes_sent += count
         self.session.wrote(count)
@@ -282,8 +284,6 @@ class BoardDriver:
             self.keepalive.host_loss_is(int(wire.values["timeout"]), self._now_s)
         if wire.name in ("SET_GAINS", "SET_STREAM", "SET_HOST_LOSS"):
             self.keepalive.read_parameters(self._now_s)
-
-    # -- time
 
     def _explain(self, now_s: float) -> None:
         if not self._refused_until_s:

@@ -115,4 +115,5 @@ class FromBoard:
 
     def _states_limit_s(self) -> float:
         period_s = self._known.stream_period_s
+        # A slow stream may pause longer than `stale_s` without a fault.
         return max(self._config.stale_s, 3 * period_s) if period_s else float("inf")

@@ -105,6 +105,7 @@ class LinkThread:
         try:
             while not self._stopping:
                 pause_s = max(0.0, next_poll_s - time.monotonic())
+                # One selector, not a thread for each board: 32 threads that read would compete for the interpreter.
                 for key, mask in self._selector.select(pause_s):
                     line: _Line | None = key.data
                     if line is None:
@@ -119,6 +120,8 @@ class LinkThread:
                     time.sleep(BATCH_S)
         finally:
             for line in self._lines:
+                # No STOP is sent: a restart for an update must not drop the ball. The board follows its host-loss
+                # policy.
                 self._close(line, "The gateway ends.", severity="info")
             with self._gate:
                 self._ended = True
@@ -179,6 +182,7 @@ class LinkThread:
         line.opening = True
         config = line.driver.config
 
+        # In a thread of its own: a TCP port or a stuck driver may block for seconds, and all boards would wait.
         def work() -> None:
             try:
                 result = open_port(config.port, config.baud)
@@ -227,6 +231,8 @@ class LinkThread:
                 self._close(line, f"{line.port.name} is gone.")
                 return
             line.driver.wrote(written)
+            # The rest stays in the session. From a buffer here, a command could act after its sender was told of a
+            # time-out.
             if written < len(data):
                 break
         waits = bool(line.driver.output())

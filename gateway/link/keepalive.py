@@ -82,6 +82,7 @@ class Keepalive:
                 self._got_parameters(answer.message)
             elif name == "SET_HOST_LOSS":
                 self.host_loss_is(int(values["timeout"]), now_s)
+        # A PING is not repeated, because the next one is due soon. A setting would be missing for the whole session.
         elif name not in ("", "PING") and self._session.is_open:
             self._redo.append((name, values))
             self._redo_s = now_s + REDO_S
@@ -90,6 +91,7 @@ class Keepalive:
         """Send the commands that are due."""
         if now_s >= self._next_ping_s:
             self._next_ping_s = now_s + self._ping_s
+            # One PING at a time: if the board does not answer, more of them would only delay other commands.
             if not any(name == "PING" for name, _ in self._under_way.values()):
                 self._order("PING", now_s)
         if now_s >= self._next_parameters_s:

@@ -86,6 +86,7 @@ class Port:
 def _from_device(device: serial.SerialBase, end: socket.socket) -> None:
     try:
         while True:
+            # One byte, then the rest: a read of more would wait for its time-out before it returns what has come.
             data = device.read(1)
             if data:
                 end.sendall(bytes(data) + bytes(device.read(getattr(device, "in_waiting", 0))))
@@ -134,6 +135,7 @@ def open_port(url: str, baud: int) -> Port | PortProblem:
         if not names:
             return PortProblem("port-absent", f"No device matches {url}.")
     problem: Port | PortProblem = PortProblem("port-absent", f"There is no {url}.")
+    # Not only the first match: another program may use it.
     for name in names:
         problem = _open_port(name, baud)
         if isinstance(problem, Port):

@@ -49,6 +49,7 @@ class LinkReporter:
 
     def host_ns(self) -> int:
         """Return Unix time that does not step within a session, ns."""
+        # Not the wall clock itself: a step of it would put samples of one session into the wrong order.
         return time.monotonic_ns() + self.offset_ns
 
     def publish(self, name: str, severity: str, text: str, *, source: str = "gateway", tick: int = 0) -> pb.Event:

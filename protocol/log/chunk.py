@@ -31,15 +31,18 @@ def unpack(content: bytes) -> tuple[bytes, str]:
         if length > len(content) - at - 8:
             return b"", "a chunk whose lengths contradict each other"
         packed = content[at + 8 : at + 8 + length]
+        # Before anything is unpacked: 32 kB may unpack to a gigabyte.
         if size > LARGEST_CHUNK:
             return b"", f"a chunk that unpacks to {size} bytes, more than {LARGEST_CHUNK}"
         if name not in (b"", b"lz4", b"zstd"):
             return b"", f"a chunk compressed with {name!r}, which is unknown"
+        # One byte more than stated shows a chunk that holds more, without unpacking the rest of it.
         plain = _decompress(name, packed, size + 1)
     except (struct.error, RuntimeError, zstandard.ZstdError, MemoryError):
         return b"", "a chunk that does not decompress"
     if len(plain) > size:
         return b"", f"a chunk that holds more than the {size} bytes it states"
+    # A CRC of 0 means that the writer has computed none: such a chunk cannot be checked, but is not damaged.
     if len(plain) != size or (crc and zlib.crc32(plain) != crc):
         return b"", "a chunk whose CRC is wrong"
     return plain, ""
@@ -51,6 +54,7 @@ def unpack_prefix(content: bytes) -> bytes:
         _, _, _, _, name_length = CHUNK_HEAD.unpack_from(content)
         at = CHUNK_HEAD.size + name_length
         name, packed = content[CHUNK_HEAD.size : at], content[at + 8 :]
+        # Without its end a chunk has no CRC to check, but decompression gives exact bytes or none.
         return _decompress(name, packed, LARGEST_CHUNK)
     except (struct.error, RuntimeError, zstandard.ZstdError, MemoryError):
         return b""

@@ -144,6 +144,7 @@ class LogReader:
             topics_=topics_, boards=boards, start_s=start_s, end_s=end_s
         ):
             message = encoding.parse(topics.TOPIC_OF_NAME[topic].message, data)
+            # Counted, not raised: one message that cannot be parsed must not cost all that follow.
             if message is None:
                 self.unparsable[key] += 1
             else:
@@ -230,6 +231,7 @@ def read(
     for record in reader.records(topics_=topics, boards=boards, start_s=start_s, end_s=end_s):
         last_ns = record.time_ns
         yield record
+    # At the end, not at the first damage: the caller gets all intact records before the error.
     reader.check(last_ns=last_ns)
 
 

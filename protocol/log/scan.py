@@ -136,6 +136,7 @@ class Scan:
                 if wrong := _why(head, opcode, end, self.size):
                     # Search from `proven`, not from `at`: a damaged length may have skipped whole chunks.
                     resumed = self._next_chunk(file, proven)
+                    # A last chunk without its end is not given up: its first messages can still be decompressed.
                     if resumed is None and opcode == _CHUNK and end > self.size:
                         yield from self._cut_chunk(_read_at(file, at + RECORD.size, LARGEST_RECORD), at)
                         return
@@ -148,6 +149,7 @@ class Scan:
                 content = file.read(length) if opcode in _READ else b""
                 if opcode == _CHUNK:
                     start, stop = struct.unpack_from("<QQ", content) if length >= 16 else (0, 0)
+                    # Only with an index: without it, a chunk that is passed over may hold the description of a channel.
                     if self.indexed and (stop < start_ns or start >= end_ns):
                         at = end  # its channels are known from the index
                         continue
@@ -178,6 +180,7 @@ class Scan:
                 b"",
                 f"a chunk of {size} bytes, with which the file unpacks to more than {LARGEST_RATIO} times its size",
             )
+        # Counted before it succeeds: a file of false heads would otherwise cost work without a bound.
         self.unpacked += size if size <= LARGEST_CHUNK else 0
         return unpack(content)
 
@@ -185,6 +188,7 @@ class Scan:
         """Return the offset of the next chunk with a correct CRC, from `start` on."""
         if self._searched is None or not self._searched[0] <= start <= self._searched[1]:
             candidates = _chunk_heads(file, start, self.size)
+            # Only a right CRC ends the search: the bytes of a chunk's head also occur within compressed data.
             intact = (at for at, length in candidates if not self._unpack(_read_at(file, at + RECORD.size, length))[1])
             self._searched = (start, next(intact, self.size))
         # The next damaged chunk asks again: without this answer, a file of them would be searched once for each.
@@ -212,6 +216,7 @@ class Scan:
             if opcode == _MESSAGE and length >= 22:
                 channel_id, _, time_ns, _ = unpack_message(plain, at)
                 channel = channels.get(channel_id)
+                # Counted, not guessed: a number alone does not tell which topic a message belongs to.
                 if channel is None:
                     self.unknown_channel += 1
                 else:
@@ -258,6 +263,7 @@ class Scan:
             start, _, crc = struct.unpack_from("<QQI", footer, RECORD.size)
             if opcode != _FOOTER or length != 20 or not footer.endswith(MAGIC) or not 0 < start < self.size:
                 return False
+            # A summary is read as a whole, so its size is bounded. Without it the pass still finds all messages.
             if self.size - start > LARGEST_SUMMARY:
                 return False
             summary = _read_at(file, start, max(0, self.size - _FOOTER_BYTES - start))
@@ -324,6 +330,7 @@ def _chunk_heads(file: BinaryIO, start: int, size: int) -> Iterator[tuple[int, i
             _, length = RECORD.unpack_from(piece, at)
             (crc, name_length) = struct.unpack_from("<II", piece, at + head_bytes - 8)
             fits = length <= LARGEST_RECORD and start + at + RECORD.size + length <= size
+            # Without a CRC nothing would tell a chunk from noise, so the search does not stop there.
             if crc and name_length <= 4 and fits:
                 yield start + at, length
             at = piece.find(_CHUNK, at + 1)

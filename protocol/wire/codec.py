@@ -33,6 +33,7 @@ class _Codec:
         pending: int | None = None
         for field in self.row.fields:
             value = values[field.name]
+            # Checked here, not by struct: a count of 4096 would run into its neighbour in the packed pair.
             if not _in_range(field, value):
                 bounds = "" if field.low is None else f" within {field.low} .. {field.high}"
                 raise ValueError(f"{self.row.name}.{field.name} = {value!r} is not {field.type}{bounds}")

@@ -73,8 +73,10 @@ class CommandExchange:
         """
         encode_body(name, id=1, **values)  # refuse invalid values before queueing
         if name == "STOP":
+            # Only what could move the ball: a question or the rate of the stream does no harm after a STOP.
             self._cancel(lambda c: c.name in MOVERS, "stop")
             shared = next((c for c in self._queue if c.name == "STOP"), None)
+            # Shared, not sent as well: more STOPs would fill the line and delay the answers.
             if shared is not None:
                 return shared.token
         self._next_token += 1
@@ -107,9 +109,12 @@ class CommandExchange:
                 del self._outstanding[command.id]
                 self._sending.drop(command)
                 self._sending.spare(command)
+                # A board that did not answer has to prove itself again: the line may hold frames that it reads much
+                # later.
                 self._proven_s = -math.inf
                 self._answer(command, "timed-out")
             else:
+                # With the same id: the board repeats its answer, and does not execute the command twice.
                 self._transmit(command, now_s, self._timeout_s)
         for command in [c for c in self._queue if now_s >= c.deadline_s]:
             self._queue.remove(command)
@@ -151,7 +156,9 @@ class CommandExchange:
                 self._send(stop, now_s)
         queued = [c for c in self._queue if c.name != "STOP"]
         if self.is_open and queued and not any(c.name != "STOP" for c in self._outstanding.values()):
+            # An answer is the proof, not the kernel's output queue: a pty reports an empty one with bytes in it.
             proven = now_s - self._proven_s <= PROVEN_S
+            # Without a proof only questions are sent: they change nothing if the board reads them late.
             following = next((c for c in queued if proven or c.name in ANSWERS), None)
             if following is not None:
                 self._queue.remove(following)
@@ -173,6 +180,7 @@ class CommandExchange:
         used_ids = self._outstanding.keys() | ({self._hello.id} if self._hello else set())
         while True:
             self._next_id = self._next_id % 255 + 1
+            # An id under way is skipped: the answer to the one command would end the other.
             if self._next_id not in used_ids:
                 return self._next_id
 

@@ -51,4 +51,5 @@ def encode_frame(body: bytes) -> bytes:
     """
     if not 0 < len(body) <= MAX_BODY:
         raise ValueError(f"a body has 1 to {MAX_BODY} bytes, this one has {len(body)}")
+    # One delimiter would do on a perfect line. With two, noise before a frame costs only itself.
     return DELIMITER + cobs_encode(body + crc16(body).to_bytes(2, "big")) + DELIMITER

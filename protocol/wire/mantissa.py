@@ -19,6 +19,7 @@ def to_mantissa(gain: float) -> tuple[int, int]:
     if gain == 0:
         return 0, 0
     shift = SHIFT_MAX
+    # Tried, not computed by a logarithm: rounding may carry a mantissa beyond its range.
     while abs(round(gain * 2.0**shift)) > MANTISSA_MAX:
         shift -= 1
     return round(gain * 2.0**shift), shift

@@ -67,12 +67,14 @@ class SendQueue:
         """Return the next frame, or the rest of the current one; b"" if there is none."""
         if self._rest:
             return self._rest
+        # One frame, not all that wait: a STOP can pass those that the port has not accepted yet.
         return self._due[0].frame if self._due else b""
 
     def wrote(self, count: int) -> None:
         """Note that the port has accepted `count` bytes of `output`."""
         if not self._rest and count:
             self._writer = self._due.popleft()
+            # Counted at the first byte, not when it is due: with 0 attempts a command cannot have acted.
             self._writer.attempts += 1
             self._rest = self._writer.frame
         self._rest = self._rest[count:]
@@ -82,6 +84,7 @@ class SendQueue:
         if command in self._due:
             return
         if command.name == "STOP":
+            # In front of what waits, but not into a frame that is partly written: the board would reject both.
             self._due.appendleft(command)
         else:
             self._due.append(command)
@@ -94,6 +97,7 @@ class SendQueue:
     def drop(self, command: Command) -> None:
         """Remove a command that must not act any more, including the rest of its frame."""
         self.withdraw(command)
+        # Half a frame is no command: the board rejects it by its CRC. The whole frame would still act.
         if command is self._writer and command.name != "STOP":
             self._rest = b""
 

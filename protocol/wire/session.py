@@ -81,6 +81,7 @@ class Session(CommandExchange):
     def connect(self, now_s: float) -> None:
         """Begin the handshake on a new connection."""
         self._decoder = StreamDecoder()
+        # What is left of the old connection would be written in front of the first HELLO.
         self._sending.clear()
         self._shake(now_s)
 

@@ -110,6 +110,7 @@ class TickUnwrapper:
             self._agreed(tick, now_s)
             return None
         claim, self._claim = self._claim, (tick, now_s)
+        # One full tick does not end the count: noise passes the CRC once in 65536.
         if claim is None or now_s - claim[1] > _CLAIM_S or not -_OVERTAKEN_TICKS <= tick - claim[0] < _HALF_WRAP:
             return None
         ahead = tick - self._last
@@ -136,6 +137,8 @@ class TickUnwrapper:
             self._arrived(self._last, now_s)
 
     def _feed_slowly(self, state: State, now_s: float) -> list[Placed | Jump]:
+        # Later, one sequence number may belong to two runs of the counter. A new handshake costs some states, a wrong
+        # guess would shift all.
         if now_s - max(self._last_s, self._witnessed_s) >= self._sure_s:
             self.give_up()
             self.unplaced += 1
@@ -165,6 +168,7 @@ class TickUnwrapper:
             self._count_noise(gap.state)
         elif gap is not None:
             self.unplaced += 1
+        # Held, not published: noise with a right CRC would look like a loss, and move the count.
         self._gap = Placed(tick, 0, state, now_s)
         self._quick = False  # the next state decides about this one, also if it follows the old count
         return []
@@ -172,6 +176,7 @@ class TickUnwrapper:
     def _too_early(self, state: State, now_s: float) -> list[Placed | Jump]:
         unexpected, self._unexpected = self._unexpected, (state, now_s)
         self._quick = False
+        # One frame that is too early may be noise. The next one decides.
         if unexpected is None:
             return []
         if not 0 < (state.sequence - unexpected[0].sequence) & 0xFFFF <= max(self.divider or 1, _EARLY_TICKS):
@@ -207,6 +212,7 @@ class TickUnwrapper:
         if not self._first:
             step = tick - self._last
             self._smallest_step = min(step, self._smallest_step)
+            # By the divider, not by single ticks: those that the board skips on purpose are no losses.
             lost = (step - 1) // (self.divider or self._smallest_step)
             self.lost += lost
         self._last, self._last_s, self._first, self._quick = tick, arrived_s, False, True
@@ -241,6 +247,7 @@ class TickUnwrapper:
 
     def _arrived(self, tick: int, now_s: float) -> None:
         lead = tick - now_s * self._rate
+        # The best arrival of the last two windows, not of all time: the drift of the two clocks would add up.
         if now_s > self._window_end_s:
             self._lead, self._next_lead = self._next_lead, lead
             self._window_end_s = now_s + _LEAD_WINDOW_S

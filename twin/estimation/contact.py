@@ -38,6 +38,8 @@ OPEN_LOOP = ("sawtooth", "prbs", "free")
 def held_samples(record: Record, plant: Plant) -> BoolArray:
     """Return whether the ball is held at each sample, shape (n,): in open loop, x within its noise for 50 ms."""
     n = len(record.t)
+    # Open loop only: a controller holds a free ball as still as a stop does, while in open loop a free ball is
+    # unstable.
     if record.kind not in OPEN_LOOP or n < 2 * HELD_SAMPLES or not record.has("x"):
         return np.zeros(n, np.bool_)
     x = record.x
@@ -52,6 +54,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     for piece in _rests(held, x, HELD_SCALES * sigma):
         held[piece] &= ~_bounces(record.i_c[piece], x[piece], held[piece], sigma)
     follows_reference = np.abs(x - record.x_ref) < 0.03 * plant.travel_m  # NaN compares False
+    # A ball that follows its reference was in closed loop after all, where a standstill is no contact.
     if record.kind == "free" and record.has("x_ref") and np.mean(follows_reference) > 0.5:
         held[:] = False
     return np.asarray(held)
@@ -163,6 +166,7 @@ def stop_readings(
     stops: list[float | None] = []
     for side, what in enumerate(("lower", "upper")):
         levels = readings[side]
+        # No mean of the two: at most one height is that of the stop, and nothing tells which.
         if levels and max(levels) - min(levels) > AGREE_SHARE * plant.travel_m:
             notes.append(f"the ball rested at different heights near the {what} stop: not used as a stop")
             levels = []
@@ -172,6 +176,7 @@ def stop_readings(
 
 def range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[float]:
     """Return the ends of the position sensor's range, m: a ball at rest beyond one gives that reading without noise."""
+    # Decided from all recordings: one with the ball beyond the range shows no noise, whatever noise its sensor has.
     if min_noise(records) < MIN_NOISE_M:
         return []
     blind = set()
@@ -196,6 +201,7 @@ def min_noise(records: Sequence[Record]) -> float:
     """Return the smallest noise of the position among the recordings, m, without the extreme readings of each."""
     levels = []
     for x in (record.x[np.isfinite(record.x)] for record in records):
+        # Readings at the converter's end have no noise, and many of them would make the sensor seem quiet.
         between = x[(x != x.min()) & (x != x.max())] if len(x) else x
         levels += [scatter(between)] if len(between) >= HELD_SAMPLES else []
     return min(levels, default=0.0)
@@ -246,6 +252,8 @@ def _lying(record: Record, pieces: Sequence[slice], plant: Plant) -> list[slice]
     known = np.isfinite(i_c) & np.isfinite(x)
     if known.sum() < HELD_SAMPLES:
         return list(pieces)
+    # The other rests decide, not the noise alone: a disturbed ball hovered above its stop within ten times the noise.
+    # Its few readings changed the log-likelihood by thousands.
     line = line_over(i_c[known], x[known])
     off = [abs(float(np.nanmedian(record.x[piece] - line(record.i_c[piece])))) for piece in pieces]
     return [piece for piece, distance in zip(pieces, off, strict=True) if not distance > HOVERS_SHARE * plant.travel_m]

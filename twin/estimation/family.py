@@ -31,6 +31,7 @@ def holm(chances: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:
     """
     ordered = sorted((chance, index) for index, chance in enumerate(chances) if math.isfinite(chance))
     significant = [False] * len(chances)
+    # Holm's levels, not Bonferroni's: they keep the same chance for the family and never reject less.
     for rejected, (chance, index) in enumerate(ordered):
         if chance > level / (len(ordered) - rejected):
             break

@@ -74,11 +74,13 @@ def whiten(out: NDArray[np.float64], loglik: NDArray[np.float64], white: NDArray
         white[n, 0], white[n, 1] = np.nan, np.nan
         has_i, has_x = s_ii == s_ii, s_xx == s_xx
         if has_i:
+            # Not an exception: a climb may try impossible parameters, and turns back at -inf.
             if not s_ii > 0.0:
                 return -np.inf
             white[n, 0] = n_i / math.sqrt(s_ii)
             value -= 0.5 * (math.log(s_ii) + white[n, 0] ** 2)
         if has_x:
+            # The order does not change the sum. With i_c first, x counts only for what i_c does not tell already.
             if has_i:
                 n_x -= s_ix / s_ii * n_i
                 s_xx -= s_ix * s_ix / s_ii

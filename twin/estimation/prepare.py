@@ -134,6 +134,7 @@ def scatter(values: FloatArray) -> float:
     """Estimate the noise of a smooth signal: robust scale of its third difference over sqrt(20), its gain for noise."""
     if len(values) < 8:
         return 0.0
+    # The median, not the mean square: an impact makes a few large differences, which would dominate a mean.
     third = np.diff(values, 3)
     return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
 
@@ -156,6 +157,7 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int, min_gap_m: 
     follows[::BLOCK_SAMPLES] = False
     usage.pieces = int(np.count_nonzero(~follows))
     flies = np.zeros(n, np.bool_)
+    # Before lift-off a ball may rest on anything at any height, and may creep: a sawtooth gives no flight.
     if record.has("x") and record.kind not in ("sawtooth", "amplifier-step"):
         wild = spikes(record.x, plant)
         use_x &= ~wild
@@ -211,6 +213,7 @@ def _cut(record: Record) -> BoolArray:
     idle = np.median(record.u_c[pile]) <= CUT_INPUT_SHARE * max(float(np.max(record.u_c[known])), 0.0)
     if not idle or np.count_nonzero(pile) < max(CUT_FEWEST, CUT_SHARE * len(record.t)):
         return np.zeros(len(record.t), np.bool_)
+    # All readings within the noise go, not the cut ones alone: without those, the others would be too high on average.
     reach = 6.0 * scatter(record.i_c[known])
     return np.asarray(known & (record.i_c <= lowest + reach) & (record.u_c <= np.max(record.u_c[pile])))
 
@@ -229,7 +232,9 @@ def spikes(x: FloatArray, plant: Plant) -> BoolArray:
     steps = np.abs(np.diff(x))
     steps = steps[np.isfinite(steps) & (steps > 0)]
     count = float(np.min(steps)) if steps.size else 0.0
+    # At least one count of the converter: a smaller scale would take its rounding for outliers.
     scale = max(1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 0.0, count)
+    # Only the largest of neighbours: a wrong reading puts those beside it off their own cubic, too.
     wild[1:-1] = (off[1:-1] > SPIKE_SCALES * scale) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
     middle, difference = 0.5 * (x[:-2] + x[2:]), np.abs(x[2:] - x[:-2])
     clear = difference + 2.0 * CONTACT_SHARE * plant.travel_m

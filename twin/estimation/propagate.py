@@ -68,6 +68,8 @@ def propagate(
     if delay <= 0.0:
         over(base, c, y, u[n - 1], t, T_s, stops)
         return
+    # The interval is split where the delayed input changes. With a delay of whole samples, the likelihood would be a
+    # staircase without a slope.
     whole = int(delay / T_s)
     part = delay - whole * T_s
     over(base, c, y, u[max(n - 2 - whole, first)], t, part, stops)
@@ -114,6 +116,7 @@ def find_input(
 
     The other arguments are those of `propagate`; `moved`, shape (STATES,), is a working array.
     """
+    # From the response of i_c, not from the control law: so the law of the board need not be known.
     held = u[lost]
     for _ in range(3):
         copy(moved, before)
@@ -124,6 +127,8 @@ def find_input(
         propagate(base, c, moved, u, n, first, t, T_s, False)
         u[lost] -= INPUT_DELTA_V
         answer = (current_reading(c, moved[I_C]) - i_c) / INPUT_DELTA_V
+        # Where i_c hardly responds within an interval, its noise would be divided by almost nothing: the last input
+        # stays.
         if not answer > _ANSWERS * base[0]:
             return
         max_change = 5.0 * UNKNOWN_INPUT_V

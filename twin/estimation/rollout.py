@@ -128,6 +128,7 @@ def _roll(
             or np.isnan(state[begin, 0])
         ):
             continue
+        # From each estimate anew, not in one free run: the ball is unstable, and an error grows by e every 13 ms.
         copy(y, state[begin])
         for k in range(begin + 1, n + 1):
             advance(f, y, u, k, t[k - 1], step[k], stops)

@@ -145,6 +145,8 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
                 for x, u in zip(run.simulated_x_m, run.simulated_u_c_v, strict=True)
             ]
             table = np.array(several)
+            # A figure needs all realisations: the mean of those that settle would leave out the slow ones, and look too
+            # good.
             known = np.isfinite(table).all(axis=0)
             simulation.append(list(np.where(known, np.where(known, table, 0.0).mean(axis=0), np.nan)))
     if not rig:
@@ -271,6 +273,7 @@ def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence
     """Compare one figure of rig and simulation, each of shape (steps,); `bands`: settling band of each step."""
     both = np.isfinite(rig) & np.isfinite(simulation)
     n = int(both.sum())
+    # Paired, not mean against mean: the steps differ in size and height, and that spread would hide a difference.
     difference = rig[both] - simulation[both]
     mean = float(difference.mean()) if n else float("nan")
     ci95, chance = None, float("nan")

@@ -71,5 +71,6 @@ def whiteness(series: Series, white: FloatArray) -> Whiteness:
         p_i=p_i,
         p_x=p_x,
         worst=max(worst_i, worst_x),
+        # Significance alone would not do: in a long campaign even the effect of rounding is significant.
         white=min(known, default=1.0) > LEVEL or max(worst_i, worst_x) < SMALL,
     )

@@ -35,6 +35,7 @@ def input_delay(record: Record, plant: Plant) -> int:
         if start is None or start.K_A <= 0:
             return 0
         series, _ = prepare([shifted], plant)
+        # By i_c alone: with x in the likelihood, a wrong law of the force could decide on the delay.
         current_series = replace(series, flags=series.flags & np.uint16(~(FLIES | USE_X) & 0xFFFF))
         point = Point(
             K_A=start.K_A,
@@ -48,4 +49,5 @@ def input_delay(record: Record, plant: Plant) -> int:
         )
         values.append(fit(Likelihood(current_series, plant, record.interval_s), point, _FREE, passes=15).loglik)
     best = int(np.argmax(values))
+    # Not simply the likeliest: other errors of the model change the likelihood, too.
     return best if values[best] > values[0] + settings.DELAY_GAIN else 0

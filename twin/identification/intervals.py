@@ -49,6 +49,7 @@ def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -
             or (name == "b" and abs(value) < settings.SMALL_DRAG * std)
             or not np.isfinite(std)
         )
+        # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
         if not crooked:
             low, high = (
                 (value - Z * std, value + Z * std)

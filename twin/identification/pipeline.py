@@ -77,6 +77,7 @@ def identify_records(
     starts = find_starts(records, plant)
     progress("start values: " + starts.text(plant.mass_kg))
 
+    # Not near x_max: (3) is too steep there for a linearisation, and three samples dominated a campaign.
     series, usages = prepare(records, plant, min_gap_m=settings.POLE_DISTANCE * plant.travel_m)
     for usage, samples in zip(usages, delays, strict=True):
         usage.input_delay = samples
@@ -188,6 +189,7 @@ def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, 
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
+    # Not left at the bound, where b replaces another effect: other numbers would be those beside an impossible drag.
     return fit(likelihood, replace(fitted.point, b=steady), free)
 
 
@@ -201,6 +203,7 @@ def _misfit(
         "for the cause"
     )
     ahead = _ahead(records, campaign, fitted, tick_s)
+    # Colour alone says little about the use of a model, so its prediction is compared with the simplest one.
     if ahead is not None and ahead.rmse_m > ahead.constant_m:
         warnings.append(
             f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, a constant "

@@ -54,6 +54,7 @@ def noise_of(fitted: Fit | None, records: list[Record]) -> Noise:
         i_lsb, x_lsb = (max((record.lsb[n] for record in records), default=0.0) for n in (0, 1))
         for name, lsb in (("sigma_i_c_a", i_lsb), ("sigma_x_m", x_lsb)):
             if name in known:
+                # The twin adds the rounding of the converter itself: left in sigma, it would count twice.
                 values[name] = math.sqrt(max(values[name] ** 2 - lsb**2 / 12.0, 0.01 * values[name] ** 2))
     return Noise(**{name: min(max(values[name], low), high) for name, (low, high) in NOISE.items()})
 

@@ -34,6 +34,7 @@ def gain(joint: Interval | None, levels: Levels | None, shape: Shape | None, war
     """
     if levels is not None:
         top = max(abs(level.i_a) for level in levels.levels)
+        # Two bars: of accurate levels even an offset that is too small to matter is significant.
         offset = abs(levels.offset_a) > max(settings.AGREEMENT_ERRORS * levels.offset_std_a, settings.LEVEL_SHARE * top)
         if offset:
             warnings.append(
@@ -52,6 +53,7 @@ def gain(joint: Interval | None, levels: Levels | None, shape: Shape | None, war
                 f"({shape.steps} steps); K_A is from the steady levels, T_A the best first-order fit"
             )
         differ = joint is not None and not _agree(levels.K_A, levels.K_A_std, joint)
+        # The levels win a disagreement: a transient that is not first order biases the joint fit, but no steady level.
         if joint is None or offset or bent or differ or (shape is not None and not shape.first_order):
             if joint is not None and differ and not offset and not bent:
                 warnings.append(
@@ -165,6 +167,7 @@ def drag(
             return _absent("b", 0.0, warnings)
         return _impossible_drag(held, ball.d_std * plant.mass_kg)
     value = joint.value
+    # A negative b within its error is chance. Beyond its error it is no drag at all, so the bound is reported.
     if joint.high <= 0.0:
         warnings.append(
             f"b = {value:.3g} N s/m is negative beyond its error: something that the model lacks feeds energy in "
@@ -179,6 +182,7 @@ def drag(
             method=f"innovations likelihood, at its bound (unbounded {value:.3g}); {joint.method}",
             equation="(5), (7)",
         )
+    # Left free below 0 in the fit and cut here: a bound in the fit would make the interval wrong.
     parameter = _parameter("b", max(value, 0.0), joint, "innovations likelihood over all flights", "(5), (7)")
     if coloured and parameter.verdict == "identified":
         return replace(
@@ -228,6 +232,7 @@ def _parameter(name: str, value: float, spread: Interval | float, method: str, e
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)
     high = high if math.isfinite(high) else highest
+    # By the interval, not by the standard error: at a floor there is none, and a profile is lopsided.
     width = 0.5 * (high - low) / abs(value) if value else _INFINITE
     verdict: Verdict = "identified" if width <= IDENTIFIED else "weak" if width <= WEAK else "not-identifiable"
     if bounded != value:

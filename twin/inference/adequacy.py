@@ -66,6 +66,7 @@ def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
         parts.append(f"most in {largest[1]} (mean square {largest[0]:.2g} times its share)")
     if flying.sum() > 500:
         x, w = series.x[flying], white[flying, 1] ** 2
+        # Fifths of the readings, not of the travel: each mean then rests on as many readings as the others.
         edges = np.quantile(x, np.linspace(0.0, 1.0, 6))
         means = [float(w[(x >= a) & (x <= b)].mean()) for a, b in pairwise(edges)]
         index = int(np.argmax(means))

@@ -73,6 +73,7 @@ class Budget:
         try:
             yield
         except Spent:
+            # The outer question replaces the open ones inside it: it is answered completely or not at all (rule 3).
             self.unanswered[before:] = [words]
             raise
 

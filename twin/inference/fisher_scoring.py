@@ -40,6 +40,7 @@ class Fit:
         spread = math.sqrt(max(float(self.covariance[index, index]), 0.0))
         value = self.theta.value(name)
         shifted = moved(self.theta, name, 1e-3, plant).value(name)
+        # At an upper bound a step outwards moves nothing, so the unit comes from a step inwards.
         if shifted == value:
             shifted = moved(self.theta, name, -1e-3, plant).value(name)
         return spread * abs(shifted - value) / 1e-3
@@ -76,6 +77,7 @@ def climb(
         loglik=top.loglik + narrowing(free, top.covariance),
         free=tuple(free),
         covariance=top.covariance,
+        # Never converged by rough slopes: they give the direction of a step, but not the maximum.
         converged=top.converged and not approximate,
         ahead=max(top.ahead, _ROUGH) if approximate else top.ahead,
     )

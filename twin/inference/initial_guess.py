@@ -32,6 +32,8 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
         # No recording has x: only the amplifier can be estimated, and any K_c will do.
         weight, half = plant.mass_kg * plant.gravity_m_s2, plant.x_max_m - 0.5 * plant.travel_m
         return _start(amplifier, weight * half**2 / 0.25, 0.0)
+    # A regression, not multiple shooting: (6) is linear in K_c/m and b/m, so a regression has no local minima and needs
+    # no guess.
     ball = ball_start(list(records), plant, amplifier)
     if ball is None or ball.k <= 0.0:
         raise DataError(
@@ -69,6 +71,7 @@ def coloured(noise: Noise) -> tuple[tuple[str, float], ...]:
 def with_noise_bounds(theta: Theta, evidence: Evidence) -> Theta:
     """Bound the sensor noise from below by a share of the noise at rest, and give it the colour that it has there."""
     sigma_i, sigma_x = sensor_noise(evidence)
+    # A bound, not a fixed level: the noise in flight may differ from that at rest, as it may follow the height.
     min_sigma_i = settings.MIN_NOISE_SHARE * sigma_i if sigma_i else theta.min_sigma_i_c_a
     min_sigma_x = settings.MIN_NOISE_SHARE * sigma_x if sigma_x else theta.min_sigma_x_m
     if evidence.noise is not None:

@@ -65,6 +65,7 @@ class Criterion:
         self.plant, self.tick_s = plant, tick_s
         self.evidence, self.pace, self.halves = evidence, pace_of(evidence.series), _halves(evidence.series)
         self.share = 1.0  # of the samples of the campaign
+        # Two pools: in one, climbs could fill all threads and wait for their derivatives for ever.
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
         self.whole = budget or Budget()
@@ -243,6 +244,8 @@ class Criterion:
                 innovations are about as large as the filter expects, this gives the direction of a step, but not the
                 maximum.
         """
+        # Differences of the filter, not analytic sensitivities. These would be a second set of equations, and each new
+        # cause would extend it. The differences include the effect on the Kalman gains.
         steps = {name: derivative_step(theta, name, self.plant) for name in names if name not in STOPS}
         models = [moved(theta, name, step, self.plant) for name, step in steps.items()]
         if at is None:
@@ -251,6 +254,8 @@ class Criterion:
             # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             is_reused = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
+            # Only the noise levels may take over steps: they change the weight of a reading, but not the motion between
+            # two of them.
             reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
             reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
             base, outs = at.innovations, self.outputs_reusing(models, at, reuse)
@@ -305,6 +310,7 @@ def mean_square(out: FloatArray) -> float:
 
 def _halves(series: Series) -> list[slice]:
     """Return two parts of about equal size for two workers; they meet where a recording begins."""
+    # Cut where a recording begins: the filter starts anew there, so its results do not depend on the cut.
     begins = np.flatnonzero(np.diff(series.recording, prepend=-1))
     n = len(series)
     middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0

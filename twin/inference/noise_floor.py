@@ -57,6 +57,7 @@ class Floor:
 
     def quiet(self, theta: Theta) -> Theta:
         """The model with sensor noise and no process noise."""
+        # Without process noise: it absorbs errors of the model, which a floor must not include.
         return replace(
             theta.all_of(self.colours),
             sigma_i_c_a=self.sigma_i_c_a,
@@ -67,6 +68,8 @@ class Floor:
 
     def under(self, criterion: Criterion, theta: Theta) -> Floor:
         """The floor of another model: the spread of the innovations depends on its slope of the force."""
+        # Computed for each model, not once: the floor of a first, wrong fit was off by nearly the whole limit.
+        # Two of four diagnoses with only right names then ended as unknown.
         logliks, counts = expected(criterion.outputs(self.quiet(theta)))
         misplaced_m = max(abs(theta.stop_low_m), abs(theta.stop_high_m))
         return replace(self, logliks=logliks, counts=counts, misplaced_m=misplaced_m)
@@ -86,6 +89,8 @@ class Floor:
             logliks: of the parts, under the model of this floor.
             points: number of lift-off points and equilibria.
         """
+        # Each part apart, not in sum: a noisy current would hide that a law of the force explains nearly all that its
+        # own part lacks.
         excess = np.array([*self.logliks, -0.5 * points]) - logliks
         return np.where(excess > [*(self.tolerance * np.array(self.counts)), settings.MIN_GAIN], excess, np.inf)
 
@@ -93,6 +98,7 @@ class Floor:
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
     """The floor with the covariances that the filter has at `theta`."""
     sigma_i, sigma_x = sensor_noise(criterion.evidence)
+    # A campaign without x must not count as unmeasured: its only noise is that of i_c.
     asks_x = bool((criterion.evidence.series.flags & USE_X).any())
     measured = sigma_i is not None and (sigma_x is not None or not asks_x)
     floor = Floor(
@@ -127,6 +133,8 @@ def part_logliks(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
 def _log_variances(out: FloatArray) -> FloatArray:
     """Return the log variance of each innovation of i_c, and of x given i_c, shape (n, 2); NaN without one."""
     both = np.isfinite(out[:, 2])
+    # x given i_c, not x alone: only the conditional variances multiply to the determinant of S, so that the parts add
+    # up.
     conditional = out[:, 4] - np.where(both, out[:, 3] ** 2 / out[:, 2], 0.0)
     with np.errstate(invalid="ignore"):
         return np.log(np.column_stack([out[:, 2], conditional]))

@@ -72,6 +72,7 @@ class Point:
 
     def moved(self, name: str, step: float, mass_kg: float) -> Point:
         """The point with one coordinate moved by `step`: a logarithm, or for b the quotient b / m in 1/s."""
+        # b is linear: as a logarithm it could not become negative, and an interval that reaches 0 would be wrong.
         if name == "b":
             return replace(self, b=self.b + step * mass_kg)
         value = float(getattr(self, name)) * math.exp(step)
@@ -246,6 +247,8 @@ def sandwich(likelihood: Likelihood, fitted: Fit, lags: int) -> Fit:
 
 def _newey_west(scores: FloatArray, lags: int) -> FloatArray:
     total = scores.T @ scores
+    # The weights fall with the lag. With equal weights the sum need not be positive semidefinite, and a variance could
+    # be negative.
     for lag in range(1, min(lags, len(scores) - 1) + 1):
         cross = scores[lag:].T @ scores[:-lag]
         total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
@@ -270,6 +273,7 @@ def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Serie
         known = values[np.isfinite(values)]
         if known.size < 50:
             continue
+        # The median, not the standard deviation, gives the scale: outliers would widen the limit that is to catch them.
         scale = max(float(np.median(known)) / 0.6745, 1e-12)
         del known
         wild = np.isfinite(values) & (values > GATE * max(scale, 1.0))
@@ -283,6 +287,7 @@ def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Serie
 def _blocks(starts: np.ndarray[tuple[int, ...], np.dtype[np.intp]], n: int) -> list[slice]:
     edges = [0]
     for start in starts:
+        # Only at the start of a chain: a cut elsewhere would make the filter forget its state.
         if start - edges[-1] >= BLOCK_SAMPLES:
             edges.append(int(start))
     return [slice(a, b) for a, b in zip(edges, [*edges[1:], n], strict=True) if b > a]

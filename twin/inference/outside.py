@@ -43,6 +43,8 @@ class Outside:
 
     def _residuals(self, theta: Theta) -> FloatArray:
         stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
+        # A part of the samples gets the same share of this evidence. At full weight it would pull the fit of the part
+        # towards itself.
         return math.sqrt(self.share) * np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
 
     def _statics(self, theta: Theta) -> FloatArray:
@@ -51,6 +53,8 @@ class Outside:
     def _static(self, theta: Theta, point: LiftOff) -> float:
         p, c = theta.base(self.plant), theta.vector()
         x = self.plant.x_max_m - point.gap_m
+        # The error is one of K_c, which goes with the square of the current. The residual is a relative error of the
+        # current: hence both halves.
         sigma = max(0.5 * point.relative_error, 0.003)
         force = magnetic_force(p, c, point.i_c_a, x)
         weight = self.plant.mass_kg * self.plant.gravity_m_s2

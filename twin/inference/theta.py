@@ -180,6 +180,7 @@ def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
         coordinate = parameter.coordinate(value) + step * unit_of(parameter)
         return theta.having(name, parameter.value(coordinate))
     if name == "b":
+        # b moves linearly, as a logarithm could not reach 0. Beyond the unstable pole it would imitate another effect.
         return replace(theta, b=min(max(value + step * plant.mass_kg, 0.0), max_drag(plant)))
     if name in STOPS:
         return theta.having(name, value + step * STOP_UNIT_M)
@@ -211,6 +212,7 @@ def max_drag(plant: Plant) -> float:
 def derivative_step(theta: Theta, name: str, plant: Plant) -> float:
     """A step for differences in that coordinate, inwards at a bound."""
     step = 1e-2 if name == "b" else 0.05 if name in STOPS else 1e-3 if "." in name else 1e-4
+    # A one-sided step inwards, not a central difference: that would double the runs, and needs both sides of a bound.
     return step if moved(theta, name, step, plant) != theta else -step
 
 

@@ -50,6 +50,7 @@ class EmulatedPlant:
     ) -> None:
         self.rig = rig
         self.step_s = step_s
+        # Two generators, not one: a lost frame would otherwise change all noise after it.
         noise, loss = np.random.SeedSequence(seed).spawn(2)
         self._noise = np.random.default_rng(noise)
         self._loss = np.random.default_rng(loss)

@@ -81,6 +81,7 @@ class EmulatedMagnetoShield(EmulatedPlant):
         Raises:
             UsageError: as of `EmulatedPlant`.
         """
+        # Inverted by a table, not by a root of the cubic at each tick: its codes rise, so each has one voltage.
         volts = float(np.interp(u_v, _CODES, _VOLTS)) if u_v > 0.0 else 0.0
         super().advance(volts, duration_s)
 

@@ -154,6 +154,7 @@ def _rates(y: PlantState, t: float, u: float, free: bool, direction: float, c: C
     if c.emf != 0.0:
         drive -= c.emf * y.i * y.v * (c.gap_mid / gap) ** 2
     di = min(max(drive / T_A, -c.slew), c.slew)
+    # The target is limited already, but the induced voltage of a falling ball could drive the current beyond it.
     if y.i >= c.current_max:
         di = min(di, 0.0)
     df = (y.i - y.f) / c.eddy if c.eddy > 0.0 else di
@@ -215,6 +216,8 @@ def step(y: PlantState, t: float, h: float, u: float, c: Constants) -> PlantStat
     for _ in range(_EVENTS_PER_STEP):
         direction = _sign(y.v)
         free = True
+        # At rest the force decides, not the speed: a ball stays as long as it is pressed to its stop or held by
+        # friction.
         if y.v == 0.0:
             force = pull(y, t, c)
             pressed = (y.x <= 0.0 and force <= 0.0) or (y.x >= c.travel and force >= 0.0)
@@ -225,17 +228,21 @@ def step(y: PlantState, t: float, h: float, u: float, c: Constants) -> PlantStat
         if not (free and _event(z, direction, c)):
             return z
         start, end = 0.0, h
+        # Bisection, as an event is a yes or no here: it needs no slope, and always ends after the same number of steps.
         for _ in range(_BISECTIONS):
             middle = 0.5 * (start + end)
             if _event(_runge_kutta(y, t, middle, u, free, direction, c), direction, c):
                 end = middle
             else:
                 start = middle
+        # The later end of the bracket: at the earlier one the stop is not passed yet, and `_land` would take it for a
+        # reversal.
         y = _land(_runge_kutta(y, t, end, u, free, direction, c), c)
         t += end
         h -= end
         if h <= 0.0:
             return y
+    # More events than a step can have: the ball is held for what is left of it, rather than moved through a stop.
     return _runge_kutta(y, t, h, u, False, 0.0, c)
 
 
@@ -268,6 +275,7 @@ def advance(
     n = inputs.shape[0]
     for k in range(first, first + count):
         inputs[k % n] = u
+        # k h, not a running sum: its rounding would depend on how a span is cut into calls.
         y = step(y, k * h, h, float(inputs[(k - c.input_delay) % n]), c)
         sensed[(k + 1) % n, 0] = y.i
         sensed[(k + 1) % n, 1] = y.s

@@ -113,6 +113,7 @@ def _strength(effect: Effect, rng: np.random.Generator) -> float:
     """Draw a strength, log-uniform in its distance from neutral between weak and strong; of either sign if signed."""
     reference = effect.neutral if np.isfinite(effect.neutral) else 0.0
     weak, strong = effect.weak - reference, effect.strong - reference
+    # Log-uniform: a uniform draw would make most effects strong.
     deviation = weak * (strong / weak) ** rng.random()
     if effect.signed and rng.random() < 0.5:
         deviation = -deviation

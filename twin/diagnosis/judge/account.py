@@ -79,6 +79,7 @@ def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account
     gain_sum = sum(gains.values())
     unexplained = float(not is_adequate) if total <= 0.0 else left / total
     total = total or 1.0  # of nothing every share is 0
+    # In proportion, not in the order of the search: the first cause would get the whole of a gain in common.
     scale = min(1.0, explained / max(gain_sum, 1e-300)) / total
     return Account(
         explained=explained,
@@ -92,6 +93,7 @@ def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account
 
 def exceeds_floor(gain: Gain | None) -> bool:
     """Tell whether the error on the judge recordings lies significantly above the noise floor and its tolerance."""
+    # The lower end of the interval, so that a right model fails by chance in 2.5 % of campaigns at most.
     return gain is not None and gain.ci95_floor[0] > TOLERANCE
 
 
@@ -116,6 +118,7 @@ def verdict_of(
     """
     if not finished:
         return "unfinished"
+    # Noise in the recordings for fitting is not enough: process noise may hide there what a longer prediction shows.
     if is_adequate and not exceeds_floor(gain) and not (named and worse):
         return "causes-found" if named else "model-adequate"
     return "partly-explained" if named and leading and _holds(gain) and not worse else "unknown-cause"

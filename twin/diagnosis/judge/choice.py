@@ -121,6 +121,7 @@ def choose(
     refused: list[Refusal] = []
     for index, candidate in enumerate(candidates):
         gains = measure(candidate.fit.theta)
+        # Only the first model has the names of the verdict. One with fewer causes has to predict surely better.
         refusal = refusal_of(candidate, gains, sure=sure and index == 0)
         if refusal is None:
             return Choice(

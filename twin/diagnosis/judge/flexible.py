@@ -51,6 +51,7 @@ def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> 
 
     train, unit = features(inputs), moved.std() + 1e-12
     first = np.arange(len(train)) % 500 < 400  # blocks: neighbouring windows share their readings
+    # Chosen on the recordings for fitting: a penalty that the judges choose would make their error an optimistic one.
     best = min(_PENALTIES, key=lambda p: _missed(train, moved / unit, first, p))
     errors[predicted] = features(rows) @ _ridge(train, moved / unit, best) * unit - targets
     return errors

@@ -71,6 +71,7 @@ def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, s
     """Return x_hat, shape (n,), of every sample `samples` ahead; NaN where there is none."""
     system = theta.system(plant, tick_s)
     x_hat = predict(system, evidence.samples, samples)
+    # Without this limit a few predictions near the coil, ten travels off, would make up the whole error.
     return within_reach(x_hat, theta.base(plant), system.c, system.stops)
 
 
@@ -93,8 +94,11 @@ class Yardstick:
             return None
         first, second = errors[0][both] ** 2, errors[1][both] ** 2
         block = max(round(settings.ERROR_BLOCK_S / tick_s), 1)
+        # The floor of the extended model, not of the baseline: it depends on the force gradient, which the two do not
+        # share.
         floor_m = floor_rmse(self.floor.quiet(after).system(plant, tick_s), self.judge.samples, samples, both)
         over = (math.nan, math.nan)
+        # Of fewer blocks the interval would be too narrow, so there is none.
         if math.isfinite(floor_m) and len(second) >= settings.ERROR_BLOCKS * block:
             over = bootstrap(np.full_like(second, floor_m**2), second, block, seed)
         return Gain(
@@ -141,6 +145,7 @@ class Bench(Yardstick):
 def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> tuple[float, float]:
     """Return the 95 % interval of the ratio of root mean squares, second over first, by blocks."""
     count = max(len(first) // block, 1)
+    # Whole blocks are drawn: errors 20 ms ahead overlap, and single ones would make the interval too narrow.
     edges = np.linspace(0, len(first), count + 1).astype(int)
     sums = np.array([[first[a:b].sum(), second[a:b].sum()] for a, b in pairwise(edges)])
     drawn = np.random.default_rng(seed).integers(0, count, size=(DRAWS, count))

@@ -59,6 +59,7 @@ def visited(evidence: Evidence) -> dict[str, FloatArray]:
 
 def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
     """Return theta with a curve that is 0 over the range of these values."""
+    # Quantiles, not extremes: a single reading far out would stretch the knots over a range without data.
     ends = np.nanquantile(values, (_OUTER, 1.0 - _OUTER)).tolist()
     for parameter, end in zip(curve.parameters[:2], ends, strict=True):
         theta = theta.having(f"{curve.name}.{parameter.name}", float(end))
@@ -78,6 +79,7 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         theta = with_range(theta, curve, values[_over(curve)])
     names = (*at.free, *(name for curve in curves for name in coefficients(curve)))
     run = criterion.run(theta)
+    # Rough derivatives suffice: the score only ranks the curves, and a fit of the best of them decides.
     outputs, change = criterion.derivatives(theta, names, run, rough=True)
     _, score, fisher = criterion.slopes(theta, names, outputs, change)
     k = len(at.free)
@@ -90,6 +92,7 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         slope = score[block] - cross @ score[:k]
         step = np.linalg.solve(left, slope)
         widths = np.array([prior_spread(name) for name in coefficients(curve)])
+        # The coefficients are integrated out: by the maximum alone a curve would always gain, as it has eight numbers.
         _, logarithm = np.linalg.slogdet(left * np.outer(widths, widths))
         start = with_range(at.theta, curve, values[_over(curve)])
         for name, change in zip(coefficients(curve), (_OVERSHOOT * step).tolist(), strict=True):

@@ -150,6 +150,7 @@ class _Judge:
     def improvement(self, before: FloatArray, after: FloatArray, theta: Theta, floor: Floor) -> Improvement:
         """Return the errors of the half that measures."""
         plant, tick_s = self.criterion.plant, self.criterion.tick_s
+        # The other half picked the smallest of several errors, so its own error is too small.
         where = ~self.chooses & np.isfinite(before) & np.isfinite(after)
         flexible = flexible_errors(self.criterion.evidence, self.judge, self.samples, self.seed) ** 2
         known = where & np.isfinite(flexible)
@@ -247,6 +248,7 @@ def _extend(
         # The likelihood chooses which curves are fitted, the prediction which one is kept: what a smooth function
         # gains one sample ahead says little about 20 ms.
         best = _best(judging, at, promising, attempts)
+        # The upper end of the interval must be below the limit, so that noise gets no curve.
         if best is None or not judging.ratio(at.squares, best[2], judging.chooses)[1] < settings.CURVE_RATIO:
             break
         curve, fit, errors = best
@@ -274,6 +276,7 @@ def _best(
     fits = criterion.each(partial(roughly_fitted, criterion, at.fit), promising)
     results = [(entry.curve, fit, judging.squares(fit.theta)) for entry, fit in zip(promising, fits, strict=True)]
     if results:
+        # Only the best is fitted to the end: its error tells it from the others long before its maximum is known.
         best_index = min(range(len(results)), key=lambda n: judging.choosing(results[n][2]))
         fit = fully_fitted(criterion, results[best_index][1])
         results[best_index] = results[best_index][0], fit, judging.squares(fit.theta)
@@ -305,6 +308,7 @@ def _best_substitute(
         for entry, errors in results
     ]
     best = min(results, key=lambda entry: judging.choosing(entry[1]), default=None)
+    # A cause may be a little worse than the curve: it has fewer numbers, and holds outside the range.
     if best is None or judging.choosing(best[1]) > settings.LIKE_ERROR * judging.choosing(curve):
         return None
     return best[0].trial.cause, best[0].trial.fit, best[1]
@@ -330,6 +334,7 @@ def substitutes(
     over = curve.parameters[0].name.removeprefix("from_")
     theta = with_range(at.theta, curve, visited(criterion.evidence)[over])
     with_curve = {score.cause: score for score in screen(thinned, theta, (*at.free, *coefficients(curve)), candidates)}
+    # By the information, not by the two forms: what differs only outside the visited range is the same to the data.
     absorbed = {
         name: 1.0 - with_curve[name].visible / score.visible
         for name, score in without_curve.items()

@@ -99,6 +99,8 @@ def step_linearised(f: Memory, slopes: Floats, before: Floats, after: Floats, T_
 @kernel
 def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
     """Fill F with the Jacobian d state(n) / d state(n - 1); the other arguments as `propagate`."""
+    # Differences of the step, not a variational equation: that would be a second copy of the physics, which each new
+    # cause would have to extend.
     moved, back = f.moved[:], f.back[:]
     rubs = f.c[coulomb_friction.FORCE] != 0.0
     for column in range(f.coloured):
@@ -112,6 +114,7 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
         if a == I_C and f.field < 0:
             moved[FIELD] = moved[I_C]
         advance(f, moved, inputs, n, t, T_s, False)
+        # To both sides, so that a ball that may or may not be held has half of the effect.
         if wide:
             copy(back, f.previous[:])
             back[a] -= delta
@@ -199,6 +202,7 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     if f.closed_form:
         f_ii = math.exp(-T_s / p.T_A)
         y[I_C] = p.K_A * inputs[n - 1] + (y[I_C] - p.K_A * inputs[n - 1]) * f_ii
+    # Without a lag or warmth the current alone is integrated, at a quarter of the cost of the whole state.
     elif f.wandering == 3:
         i = y[I_C]
         y[I_C] = current_held(base, c, i, inputs, n, f.first, T_s, y[WARMTH], held)

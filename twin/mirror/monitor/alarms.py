@@ -67,8 +67,11 @@ def decide(row: NDArray[np.float64], window: int, square: float, on: float, off:
 
     Over a window the largest thresholds seen apply.
     """
+    # One decision in a window, not at each tick on a sliding mean. That would need the crossing rate of a correlated
+    # process, and would gain a window at most.
     row[SUM] += square
     row[COUNT] += 1.0
+    # The largest threshold of the window: so the stated rate also holds for a reference that moves within it.
     row[ON] = max(row[ON], on)
     row[OFF] = max(row[OFF], off)
     change = UNCHANGED
@@ -79,6 +82,7 @@ def decide(row: NDArray[np.float64], window: int, square: float, on: float, off:
             row[RAISED] += 1.0
             change = TURNED_ON
     full = row[COUNT] == window
+    # A lower threshold clears the alarm: with one threshold, an error near it would switch the alarm on and off.
     if full and row[ACTIVE] == 1.0 and row[EXCEEDED] == 0.0 and row[SUM] < row[OFF] * window:
         row[ACTIVE] = 0.0
         change = TURNED_OFF

@@ -54,6 +54,7 @@ def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, value
     ring[slot, VALUE] = value
     for column in range(ORIGIN):
         sums[column] += ring[slot, column]
+    # Once in a window: at each sample this pass would cost a window of work, and never would gather rounding errors.
     if slot == n - 1:
         for column in range(ORIGIN):
             total = 0.0
@@ -99,10 +100,12 @@ def figures(
         totals[row, 2] += error * error
     held = min(counts[row], n)
     full = bool(counts[row] >= n)
+    # NaN, not 0: proto3 cannot leave out a number, and a 0 would be a perfect twin in a plot.
     rmse = math.nan
     bias = math.nan
     fit = math.nan
     if held > 0:
+        # Values that leave the window are subtracted, so a sum of squares may round to just below 0.
         mean_square = max(sums[row, SQUARE], 0.0) / held
         rmse = math.sqrt(mean_square)
         bias = sums[row, VALUE] / held

@@ -94,6 +94,7 @@ class ExpectedError:
                 low[1] + share * (high[1] - low[1]),
                 low[2] + share * (high[2] - low[2]),
             ),
+            # The larger quantile of the two neighbours, not one between them: in doubt, fewer false alarms.
             on=(max(tails[0][0][0], tails[0][1][0]), max(tails[1][0][0], tails[1][1][0])),
             off=(max(tails[0][0][1], tails[0][1][1]), max(tails[1][0][1], tails[1][1][1])),
         )
@@ -118,6 +119,7 @@ class ExpectedError:
         # On demand: 10 ms each for a window of 500, and a rig visits few of the positions.
         if (point, signal) not in self._quantiles:
             covariance = autocovariance(*self._loops[point], self._variances, lags=self._window)[:, signal]
+            # A covariance has no negative eigenvalues: those just below 0 are rounding errors.
             weights = np.maximum(toeplitz_eigenvalues(covariance / covariance[0]), 0.0) / self._window
             self._quantiles[point, signal] = (
                 weighted_chi_square_quantile(weights, self._probability),
