@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 import zenoh
 
+import board51
 from gateway.config import GatewayConfig, ZenohConfig
 from gateway.daemon import open_bus
 from gateway.emulator.serve import Emulator
@@ -400,14 +401,6 @@ def test_a_taken_endpoint_is_an_error() -> None:
 # -- as a user starts it
 
 
-def board51(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("BOARD51_")}
-    return subprocess.run(
-        [sys.executable, "-m", "board51", "gateway", *arguments],
-        capture_output=True, text=True, timeout=HANG_S, check=False, env=environment, **options,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -421,23 +414,30 @@ def board51(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]
         (["--config", "absent.toml"], "cannot be read"),
     ],
 )
-def test_bad_usage_is_one_line_and_exit_code_2(arguments: list[str], says: str, tmp_path: Path) -> None:
+def test_bad_usage_is_one_line_and_exit_code_2(
+    arguments: list[str], says: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     listen = [] if "--listen" in arguments else ["--listen", f"tcp/127.0.0.1:{free_port()}"]
 
-    done = board51(*arguments, *listen)
+    code = board51.main(["gateway", *arguments, *listen])
 
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
-    assert says in done.stderr
+    said = capfd.readouterr().err
+    assert code == 2
+    assert len(said.splitlines()) == 1
+    assert says in said
 
 
-def test_the_printed_configuration_is_one_that_passes_the_check(tmp_path: Path) -> None:
-    (tmp_path / "gateway.toml").write_text(board51("--print-config").stdout)
+def test_the_printed_configuration_is_one_that_passes_the_check(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert board51.main(["gateway", "--print-config"]) == 0
+    (tmp_path / "gateway.toml").write_text(capfd.readouterr().out)
 
-    done = board51("--config", str(tmp_path / "gateway.toml"), "--check")
+    assert board51.main(["gateway", "--config", str(tmp_path / "gateway.toml"), "--check"]) == 0
 
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "rig1 at /dev/ttyUSB0" in done.stdout
+    done = capfd.readouterr()
+    assert done.err == ""
+    assert "rig1 at /dev/ttyUSB0" in done.out
 
 
 PANICS = """

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import board51
 from gateway.processes.command import listens
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.harness.ports import free_port
@@ -82,22 +83,25 @@ def children_of(pid: int) -> list[int]:
         (["--emulated", "--log-dir", "/dev/null/logs"], "Give another --log-dir"),
     ],
 )
-def test_what_cannot_be_is_said_at_once(words: list[str], problem: str) -> None:
-    done = subprocess.run([*START, *words], capture_output=True, text=True, check=False, timeout=HANG_S)
+def test_what_cannot_be_is_said_at_once(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        code = board51.main(["start", *words])
+    except SystemExit as ended:  # argparse
+        code = int(ended.code or 0)
 
-    assert done.returncode == 2
-    assert problem in done.stderr
+    assert code == 2
+    assert problem in capsys.readouterr().err
 
 
-def test_a_port_that_is_taken_is_named_before_anything_starts(tmp_path: Path) -> None:
+def test_a_port_that_is_taken_is_named_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        done = subprocess.run(
-            [*START, "--emulated", "--page", f"127.0.0.1:{port}", "--log-dir", str(tmp_path / "logs")],
-            capture_output=True, text=True, check=False, timeout=HANG_S,
-        )  # fmt: skip
+        code = board51.main(["start", "--emulated", "--page", f"127.0.0.1:{port}", "--log-dir", str(tmp_path / "logs")])
 
-    assert done.returncode == 2
-    assert re.search(rf"Cannot listen on 127\.0\.0\.1:{port} .*give --page HOST:PORT", done.stderr)
-    assert done.stderr.count("\n") == 1
+    said = capsys.readouterr().err
+    assert code == 2
+    assert re.search(rf"Cannot listen on 127\.0\.0\.1:{port} .*give --page HOST:PORT", said)
+    assert said.count("\n") == 1
     assert not (tmp_path / "logs").exists()

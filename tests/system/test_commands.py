@@ -124,7 +124,7 @@ def test_a_mistake_is_one_clear_line_and_exit_code_2(
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize(("words", "code"), [(["--help"], 0), (["fly"], 2), (["identify", "absent.toml"], 2)])
+@pytest.mark.parametrize(("words", "code"), [(["--help"], 0), (["fly"], 2), (["info", "absent.mcap"], 2)])
 def test_a_shell_sees_the_exit_code(words: list[str], code: int, tmp_path: Path) -> None:
     done = _call(*words, cwd=tmp_path)
 

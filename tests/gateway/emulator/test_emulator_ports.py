@@ -306,20 +306,24 @@ def test_a_port_in_use_is_an_error_and_leaves_nothing_open(tmp_path: Path) -> No
 # The command
 
 
-def command(*arguments: str) -> subprocess.Popen[str]:
-    call = [sys.executable, "-m", "board51", "emulate", *arguments]
-    return subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@pytest.fixture
+def _same_signals() -> Iterator[None]:
+    """A command in this process leaves its handlers behind."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_command_serves_until_a_signal_and_cleans_up(number: signal.Signals, tmp_path: Path) -> None:
-    process = command("--pty", str(tmp_path / "rig"), "--boards", "2")
+def test_the_command_serves_until_a_signal_and_cleans_up(tmp_path: Path) -> None:
+    call = [sys.executable, "-m", "board51", "emulate", "--pty", str(tmp_path / "rig"), "--boards", "2"]
+    process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     lines = [process.stdout.readline() for _ in range(2)]
     with Wire(lines[1].split()[-1]) as wire:
         wire.until(is_state)
 
-    process.send_signal(number)
+    process.send_signal(signal.SIGINT)  # SIGTERM takes the same way: protocol/ending.py
     _, errors = process.communicate(timeout=HANG_S)
 
     assert [line.split() for line in lines] == [
@@ -331,13 +335,12 @@ def test_the_command_serves_until_a_signal_and_cleans_up(number: signal.Signals,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path) -> None:
-    secret = ("--secret", "7", "--sealed", str(tmp_path / "sealed.json"))
-    process = command("--tcp", "127.0.0.1:0", "--json", "--duration", "0.1", *secret)
-    output, errors = process.communicate(timeout=HANG_S)
+@pytest.mark.usefixtures("_same_signals")
+def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    secret = ["--secret", "7", "--sealed", str(tmp_path / "sealed.json")]
+    assert board51.main(["emulate", "--tcp", "127.0.0.1:0", "--json", "--duration", "0.1", *secret]) == 0
 
-    told = [json.loads(line) for line in output.splitlines()]
-    assert process.returncode == 0, errors
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert told[0]["board_id"] == 1
     assert told[0]["url"].startswith("socket://127.0.0.1:")
     assert (tmp_path / "sealed.json").exists()
@@ -345,13 +348,14 @@ def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path) -> None:
     assert told[2]["counts"]["time_s"] == pytest.approx(0.1)
 
 
+@pytest.mark.usefixtures("_same_signals")
 @pytest.mark.parametrize(("host", "lines"), [("0.0.0.0", 1), ("127.0.0.1", 0), ("localhost", 0)])
-def test_a_listener_beyond_this_machine_is_one_line_of_warning(host: str, lines: int) -> None:
-    process = command("--tcp", f"{host}:0", "--duration", "0.02")
-    _, errors = process.communicate(timeout=HANG_S)
+def test_a_listener_beyond_this_machine_is_one_line_of_warning(
+    host: str, lines: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert board51.main(["emulate", "--tcp", f"{host}:0", "--duration", "0.02"]) == 0
 
-    warnings = [line for line in errors.splitlines() if "open to the network" in line]
-    assert process.returncode == 0, errors
+    warnings = [line for line in capsys.readouterr().err.splitlines() if "open to the network" in line]
     assert len(warnings) == lines
     assert all(f"--tcp {host}:0" in line and "may command" in line for line in warnings)
 

@@ -78,9 +78,7 @@ def save(data: bytes, folder: Path) -> tuple[list[object], Path] | None:
     return [(r.key, r.data, r.time_ns) for r in reader.raw()], clean
 
 
-@settings(
-    max_examples=120, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_log_cut_anywhere_gives_its_beginning(
     intact: tuple[bytes, list[object]], tmp_path: Path, data: st.DataObject
@@ -98,9 +96,7 @@ def test_a_log_cut_anywhere_gives_its_beginning(
         assert cut < len(whole) / 5
 
 
-@settings(
-    max_examples=120, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_bytes_cost_their_chunk_and_never_give_wrong_data(
     intact: tuple[bytes, list[object]], tmp_path: Path, data: st.DataObject
@@ -122,7 +118,7 @@ def test_damaged_bytes_cost_their_chunk_and_never_give_wrong_data(
 RECORDING = [state(tick) for tick in range(5000)]  # 10 s, as a campaign or an import writes it: nobody flushes
 
 
-@pytest.fixture(scope="module", params=["zstd, finished", "zstd, killed", "lz4, finished", "lz4, killed"])
+@pytest.fixture(scope="module", params=["zstd, finished", "lz4, killed"])
 def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("recording") / "intact.mcap"
     writer = LogWriter(path, compression="zstd" if "zstd" in request.param else "lz4")
@@ -158,16 +154,18 @@ def test_every_kind_of_record_may_be_cut(tmp_path: Path) -> None:
     log = tmp_path / "intact.mcap"
     written = write_log(log)
     whole = log.read_bytes()
-    edges, at = [], 8
+    kinds: dict[int, list[tuple[int, int]]] = {}
+    at = 8
     while at < len(whole) - 8:
         opcode, length = struct.unpack_from("<BQ", whole, at)
-        edges += [(opcode, at + offset) for offset in (0, 1, 5, 9, 9 + length // 2, 8 + length)]
+        kinds.setdefault(opcode, []).append((at, length))
         at += 9 + length
-    assert {opcode for opcode, _ in edges} >= {1, 2, 3, 4, 6, 7, 8, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F}
+    assert kinds.keys() >= {1, 2, 3, 4, 6, 7, 8, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F}
 
-    for _, cut in edges:
-        saved = save(whole[:cut], tmp_path)
-        assert saved is None or saved[0] == written[: len(saved[0])]
+    for at, length in [record for records in kinds.values() for record in (records[0], records[-1])]:
+        for offset in (0, 1, 5, 9, 9 + length // 2, 8 + length):
+            saved = save(whole[: at + offset], tmp_path)
+            assert saved is None or saved[0] == written[: len(saved[0])]
 
 
 def test_a_log_without_its_end_reads_whole_and_silently(tmp_path: Path) -> None:

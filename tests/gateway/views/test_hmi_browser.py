@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.patience import HANG_MS
@@ -42,12 +42,6 @@ NOTE_CHANGES = """() => {
     window.observer = new MutationObserver(() => { window.changes += 1; });
     window.observer.observe(document.querySelector('[data-live=x]'), options);
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.rig_peers import Network, Rig, emulated_rig
 from tests.patience import HANG_MS
@@ -19,12 +19,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
 SAID = '[data-live="stop-said"]'
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from protocol.log.reader import read
 from tests.harness.gateway.access_peers import PASSWORD, guarded_rig, made_folder
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, Process, hmi
 from tests.harness.ports import free_port
@@ -25,12 +25,6 @@ pytestmark = pytest.mark.xdist_group("hmi-access")
 in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)
 UP_MS = 60_000
 WORK_MS = 240_000  # a quick campaign takes 35 s, a quick diagnosis 20 s of processor time: more on a busy machine
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
 
 
 class Plant:

@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, Page, expect
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway import hmi_peers
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.hmi_peers import Process, frame
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
@@ -38,12 +38,6 @@ def bus(rig: Rig) -> Iterator[Bus]:
     with client(rig.endpoint) as bus:
         wait_for(bus.states, "a sample")
         yield bus
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import Any
 
+import pytest
 from asyncua import ua
 
 from gateway.access.roles import Role
@@ -16,10 +17,12 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served, peer, until
 
+pytestmark = pytest.mark.xdist_group("opcua")
 O, S, V = ua.ObjectIds, ua.StatusCodes, ua.VariantType  # noqa: E741
 A = ua.AttributeIds
 ATTRIBUTES = (A.NodeClass, A.BrowseName, A.DisplayName, A.Description, A.DataType, A.ValueRank, A.Value, A.AccessLevel)
 BATCH = 400
+TYPE_CLASSES = {ua.NodeClass.ObjectType, ua.NodeClass.VariableType, ua.NodeClass.DataType, ua.NodeClass.ReferenceType}
 UNSAID = {S.BadWaitingForInitialData, S.BadNoCommunication, S.BadDataUnavailable, S.UncertainLastUsableValue}
 
 
@@ -40,8 +43,9 @@ class Seen:
 
 
 async def walk(client: Peer) -> dict[ua.NodeId, Seen]:
-    """All nodes that can be reached from Root, whatever the reference."""
+    """All nodes that can be reached from Root, whatever the reference, but for the insides of the standard's types."""
     seen: dict[ua.NodeId, Seen] = {}
+    kinds: dict[ua.NodeId, ua.NodeClass] = {}
     waiting = [ua.NodeId(O.RootFolder)]
     while waiting:
         batch, waiting = waiting[:BATCH], waiting[BATCH:]
@@ -54,7 +58,13 @@ async def walk(client: Peer) -> dict[ua.NodeId, Seen]:
         for node, result in zip(batch, await client.client.uaclient.browse(parameters), strict=True):
             assert result.StatusCode.is_good(), node
             seen[node].references = result.References
-            waiting += [r.NodeId for r in result.References if r.NodeId not in seen]
+            kinds |= {r.NodeId: r.NodeClass for r in result.References}
+            followed = result.References
+            if node.NamespaceIndex == 0 and kinds.get(node) in TYPE_CLASSES:  # of 6000 nodes 4000 are inside these
+                followed = [
+                    r for r in followed if r.NodeId.NamespaceIndex or r.ReferenceTypeId == ua.NodeId(O.HasSubtype)
+                ]
+            waiting += [r.NodeId for r in followed if r.NodeId not in seen]
         waiting = list(dict.fromkeys(node for node in waiting if node not in seen))
     ours = [node for node in seen if node.NamespaceIndex >= 2]
     for start in range(0, len(ours), BATCH):
@@ -80,8 +90,8 @@ def test_every_node_is_as_the_standard_asks() -> None:
             async def whole() -> dict[ua.NodeId, Seen] | None:
                 """Nodes before and after a condition that appeared meanwhile do not belong together."""
                 before = await conditions(client)
-                found = await walk(client)
-                return found if before and await conditions(client) == before else None
+                found = await walk(client) if before else None
+                return found if await conditions(client) == before else None
 
             seen = await until(whole, "nodes with a condition")
             spaces = await client.client.get_namespace_array()
@@ -217,8 +227,8 @@ def shape(top: ua.NodeId, seen: dict[ua.NodeId, Seen], path: str = "") -> dict[s
     return found
 
 
-def test_a_method_of_the_type_is_called_at_the_rig() -> None:
-    async def ask(server: Served) -> None:
+def test_a_method_of_the_type_is_called_at_the_rig(server: Served) -> None:
+    async def ask() -> None:
         async with peer(server.port) as client:
             await client.await_status("rig/state/x_m", S.Good)
             codes = []
@@ -228,9 +238,7 @@ def test_a_method_of_the_type_is_called_at_the_rig() -> None:
                 codes.append((await client.client.uaclient.call([request]))[0].StatusCode.value)
             assert codes == [S.Good, S.BadMethodInvalid, S.BadMethodInvalid]
 
-    with played_gateway() as gateway:
-        settings = OpcuaSettings(port=0, anonymous=Role.ENGINEER)
-        with ticking(gateway, "rig"), Served(gateway, settings) as served:
-            asyncio.run(ask(served))
-        assert [command.WhichOneof("what") for _, command in gateway.commands] == ["set_mode"]
-        assert gateway.commands[0][1].set_mode.mode == pb.MODE_IDLE
+    with ticking(server.gateway, "rig"):
+        asyncio.run(ask())
+    assert [command.WhichOneof("what") for _, command in server.gateway.commands] == ["set_mode"]
+    assert server.gateway.commands[0][1].set_mode.mode == pb.MODE_IDLE

@@ -5,16 +5,17 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import pytest
 from asyncua import ua
 
-from gateway.access.roles import Role
-from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.bus_peers import ticking
 from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, peer, until
 
+pytestmark = pytest.mark.xdist_group("opcua")
 ID, S = ua.ObjectIds, ua.StatusCodes
-CONDITION = "rig/alarm/divergence-x"
+RIG = "conditioned"
+CONDITION = f"{RIG}/alarm/divergence-x"
 
 
 async def declared(client: Peer, kind: ua.NodeId, *, prefix: str = "") -> dict[str, tuple[Any, ...]]:
@@ -51,22 +52,22 @@ async def seen(node: Any) -> tuple[Any, ...]:
     return (kind, await node.read_data_type(), await node.read_type_definition()) if is_variable else (kind,)
 
 
-def test_a_condition_is_browsed_read_heard_and_acknowledged() -> None:
+def test_a_condition_is_browsed_read_heard_and_acknowledged(server: Served) -> None:
     notified = Notifications()
 
-    async def ask(server: Served) -> None:
+    async def ask() -> None:
         async with peer(server.port) as client:
-            await client.await_status("rig/state/x_m", S.Good)
+            await client.await_status(f"{RIG}/state/x_m", S.Good)
             alarm = pb.Alarm(name="divergence-x", active=True, text="x is off", value=9.0)
-            server.gateway.send("twin/alarm", alarm, "rig")
+            server.gateway.send("twin/alarm", alarm, RIG)
 
             async def raised() -> Any:
-                conditions = await client.node("rig").get_referenced_nodes(ID.HasCondition, ua.BrowseDirection.Forward)
+                conditions = await client.node(RIG).get_referenced_nodes(ID.HasCondition, ua.BrowseDirection.Forward)
                 return next((node for node in conditions if node.nodeid.Identifier == CONDITION), None)
 
             node = await until(raised, "the condition of the rig")
             assert (await node.read_type_definition()).Identifier == ID.AlarmConditionType
-            assert node in await client.node("rig/alarms").get_children()
+            assert node in await client.node(f"{RIG}/alarms").get_children()
             shown, wanted = await below(node), await declared(client, ua.NodeId(ID.AlarmConditionType))
             assert {name: shown.get(name) for name in wanted} == wanted
             assert {"0:Acknowledge", "0:AddComment", "0:Enable", "0:Disable", "0:AckedState/0:Id"} <= wanted.keys()
@@ -76,7 +77,7 @@ def test_a_condition_is_browsed_read_heard_and_acknowledged() -> None:
                     await client.node(path).read_value()  # raises where the status is bad
 
             assert (await value(client, "Message")).Text == "x is off"
-            assert await value(client, "SourceNode") == client.node("rig").nodeid
+            assert await value(client, "SourceNode") == client.node(RIG).nodeid
             assert [await value(client, f"{state}State/Id") for state in ("Active", "Acked")] == [True, False]
             subscription = await client.client.create_subscription(20, notified)
             await subscription.subscribe_data_change(client.node(f"{CONDITION}/AckedState/Id"))
@@ -95,9 +96,8 @@ def test_a_condition_is_browsed_read_heard_and_acknowledged() -> None:
             await until(heard, "the acknowledgement")
             assert (await value(client, "Comment")).Text == "a cold coil"
 
-    with played_gateway() as gateway, ticking(gateway, "rig"):
-        with Served(gateway, OpcuaSettings(port=0, anonymous=Role.ENGINEER)) as served:
-            asyncio.run(ask(served))
+    with ticking(server.gateway, RIG):
+        asyncio.run(ask())
 
 
 async def value(client: Peer, path: str) -> Any:

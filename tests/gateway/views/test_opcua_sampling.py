@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -16,17 +15,9 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
 from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, peer, received, subscribe, until
 
+pytestmark = pytest.mark.xdist_group("opcua")
 S = ua.StatusCodes
 INTERVAL_MS = 20.0
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[Served]:
-    with (
-        played_gateway() as gateway,
-        Served(gateway, OpcuaSettings(port=0, rate_hz=1000.0 / INTERVAL_MS, anonymous=Role.ENGINEER)) as served,
-    ):
-        yield served
 
 
 async def revised(client: Peer, path: str, *asked_ms: float, publishing_ms: float = 100.0) -> list[float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Any
@@ -11,25 +10,21 @@ from typing import Any
 import pytest
 from asyncua import ua
 
-from gateway.access.roles import Role
 from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
-from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.bus_peers import ticking
 from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, peer, received, subscribe, until
 
+pytestmark = pytest.mark.xdist_group("opcua")
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[Served]:
-    """At 50 Hz; anonymous clients may command, as on a loopback that somebody opened."""
-    with played_gateway() as gateway:
-        gateway.answer = answer
-        with Served(gateway, OpcuaSettings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served:
-            yield served
+@pytest.fixture(autouse=True)
+def _limits(server: Served) -> None:
+    server.gateway.answer = answer
 
 
 def answer(_: str, command: pb.Command) -> pb.CommandReply:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Any
@@ -20,26 +19,17 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, monitor, peer, received, until
 
+pytestmark = pytest.mark.xdist_group("opcua")
 S = ua.StatusCodes
 T = ua.TimestampsToReturn
 V = ua.VariantType
-PATH = "rig/state/x_m"
+PATH = "timed/state/x_m"
 SERVER = ua.NodeId(ua.ObjectIds.Server)
 EVENTS = [
     ua.ObjectIds.AlarmConditionType, ua.ObjectIds.BaseEventType, ua.ObjectIds.RefreshStartEventType,
     ua.ObjectIds.RefreshEndEventType,
 ]  # fmt: skip
 CONDITION_TYPE = ua.NodeId(ua.ObjectIds.ConditionType)
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[Served]:
-    """At 50 Hz; anonymous clients may all."""
-    with (
-        played_gateway() as gateway,
-        Served(gateway, OpcuaSettings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served,
-    ):
-        yield served
 
 
 # -- timestamps
@@ -57,7 +47,7 @@ def test_a_read_has_the_timestamps_asked_for(server: Served, asked: ua.Timestamp
             ]
             return list(await client.client.uaclient.read(parameters))
 
-    with ticking(server.gateway, "rig"):
+    with ticking(server.gateway, "timed"):
         value, name = asyncio.run(ask())
 
     assert (value.SourceTimestamp is not None) == (asked in (T.Source, T.Both))
@@ -73,15 +63,15 @@ def test_a_monitored_item_has_the_timestamps_asked_for(server: Served, asked: ua
 
     async def ask() -> None:
         async with peer(server.port) as client:
-            await client.await_status("rig/state/sequence", S.Good)
-            items = await monitor(client, notified, "rig/state/sequence", asked=asked)
+            await client.await_status("timed/state/sequence", S.Good)
+            items = await monitor(client, notified, "timed/state/sequence", asked=asked)
             assert items[0].StatusCode.is_good()
-            await received(notified, "rig/state/sequence", 3)
+            await received(notified, "timed/state/sequence", 3)
 
-    with ticking(server.gateway, "rig"):
+    with ticking(server.gateway, "timed"):
         asyncio.run(ask())
 
-    for value in notified.values["rig/state/sequence"]:
+    for value in notified.values["timed/state/sequence"]:
         assert (value.SourceTimestamp is not None) == (asked in (T.Source, T.Both))
         assert (value.ServerTimestamp is not None) == (asked in (T.Server, T.Both))
 
@@ -99,7 +89,7 @@ def test_history_has_the_timestamps_asked_for(server: Served, asked: ua.Timestam
 
             return await until(enough, "history")
 
-    with ticking(server.gateway, "rig"):
+    with ticking(server.gateway, "timed"):
         values = asyncio.run(ask())
 
     for value in values:
@@ -122,7 +112,7 @@ def test_timestamps_that_do_not_exist_are_refused(server: Served) -> None:
             with pytest.raises(UaStatusCodeError, match="BadTimestampsToReturnInvalid"):
                 await monitor(client, Notifications(), PATH, asked=T.Invalid)
 
-    with ticking(server.gateway, "rig"):
+    with ticking(server.gateway, "timed"):
         asyncio.run(ask())
 
 
@@ -218,10 +208,10 @@ def _written(server: Served, path: str, value: ua.Variant) -> tuple[int, int]:
     async def ask() -> int:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
-            return await client.write(f"rig/{path}", value)
+            return await client.write(f"timed/{path}", value)
 
     server.gateway.commands.clear()
-    with ticking(server.gateway, "rig"):
+    with ticking(server.gateway, "timed"):
         code = asyncio.run(ask())
     return code, len(server.gateway.commands)
 
@@ -231,18 +221,18 @@ def test_an_argument_of_another_type_is_named(server: Served) -> None:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
             results = [
-                await client.call("rig", "SetReference", ua.Variant(2e-3, V.Float)),
-                await client.call("rig", "SetMode", ua.Variant(2, V.Int32)),
+                await client.call("timed", "SetReference", ua.Variant(2e-3, V.Float)),
+                await client.call("timed", "SetMode", ua.Variant(2, V.Int32)),
                 await client.call(
-                    "rig", "Capture", *(ua.Variant(0.1, kind) for kind in (V.Double, V.Float, V.Double, V.Double))
+                    "timed", "Capture", *(ua.Variant(0.1, kind) for kind in (V.Double, V.Float, V.Double, V.Double))
                 ),
-                await client.call("rig", "Mark", ua.Variant(7, V.UInt32)),
-                await client.call("rig", "SetReference", ua.Variant(2e-3, V.Double)),
+                await client.call("timed", "Mark", ua.Variant(7, V.UInt32)),
+                await client.call("timed", "SetReference", ua.Variant(2e-3, V.Double)),
             ]
             return [(r.StatusCode.value, [code.value for code in r.InputArgumentResults]) for r in results]
 
     server.gateway.commands.clear()
-    with ticking(server.gateway, "rig"):
+    with ticking(server.gateway, "timed"):
         results = asyncio.run(ask())
 
     mismatch = S.BadTypeMismatch
@@ -292,11 +282,11 @@ def test_a_client_with_a_deadband_does_not_end_the_service_when_a_value_goes(ser
 @pytest.mark.parametrize(
     ("path", "attribute", "asked"),
     [
-        ("rig/state/x_m", ua.AttributeIds.Value, ua.EventFilter()),
-        ("rig/state/x_m", ua.AttributeIds.Value, ua.AggregateFilter()),
-        ("rig/state/x_m", ua.AttributeIds.Value, ua.ReadRawModifiedDetails()),
-        ("rig", ua.AttributeIds.EventNotifier, ua.DataChangeFilter()),
-        ("rig", ua.AttributeIds.EventNotifier, None),
+        ("timed/state/x_m", ua.AttributeIds.Value, ua.EventFilter()),
+        ("timed/state/x_m", ua.AttributeIds.Value, ua.AggregateFilter()),
+        ("timed/state/x_m", ua.AttributeIds.Value, ua.ReadRawModifiedDetails()),
+        ("timed", ua.AttributeIds.EventNotifier, ua.DataChangeFilter()),
+        ("timed", ua.AttributeIds.EventNotifier, None),
     ],
 )
 def test_a_filter_that_does_not_fit_is_refused_and_ends_nothing(
@@ -311,7 +301,7 @@ def test_a_filter_that_does_not_fit_is_refused_and_ends_nothing(
             assert (await monitor(client, other, PATH, asked=T.Both))[0].StatusCode.is_good()
             await received(other, PATH, 1)
 
-    with ticking(server.gateway, "rig", values=lambda n: {"x_m": n * 1e-6}):
+    with ticking(server.gateway, "timed", values=lambda n: {"x_m": n * 1e-6}):
         asyncio.run(ask())
 
 
@@ -440,13 +430,13 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
 def test_only_who_may_disables_a_condition() -> None:
     async def ask(server: Served) -> None:
         async with peer(server.port) as client:
-            came = await condition(server, client, Notifications(), "rig")
+            came = await condition(server, client, Notifications(), "timed")
             code = await of_condition(client, came, ua.ObjectIds.ConditionType_Disable)
             assert code == S.BadUserAccessDenied
 
     with (
         played_gateway() as gateway,
-        ticking(gateway, "rig"),
+        ticking(gateway, "timed"),
         Served(gateway, OpcuaSettings(port=0, anonymous=Role.OPERATOR)) as server,
     ):
         asyncio.run(ask(server))

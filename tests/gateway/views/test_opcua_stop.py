@@ -3,40 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 
 import pytest
 from asyncua import ua
 
-from gateway.access.roles import Role
-from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
+from tests.harness.gateway.bus_peers import PlayedGateway, ticking
 from tests.harness.gateway.opcua_peers import Served, peer, until
 from tests.patience import HANG_S
 
+pytestmark = pytest.mark.xdist_group("opcua")
 S = ua.StatusCodes
 BOARDS = ("rig", "dead")
 CLOSED = ua.Variant(2, ua.VariantType.UInt32)
 
 
-@pytest.fixture
-def server() -> Iterator[Served]:
-    """The gateway answers what is for `rig` and STOP; the commands for `dead` wait."""
-
-    def answer(key: str, command: pb.Command) -> pb.CommandReply | None:
-        if "/dead/" in key and command.WhichOneof("what") != "stop":
-            return None
-        return pb.CommandReply(id=command.id, accepted=True, tick=7)
-
-    with played_gateway() as gateway:
-        gateway.answer = answer
-        with (
-            Served(gateway, OpcuaSettings(port=0, anonymous=Role.ENGINEER)) as served,
-            ticking(gateway, *BOARDS),
-        ):
-            yield served
-            gateway.give_up()
+def answer(key: str, command: pb.Command) -> pb.CommandReply | None:
+    """What is for `rig` and STOP; the commands for `dead` wait."""
+    if "/dead/" in key and command.WhichOneof("what") != "stop":
+        return None
+    return pb.CommandReply(id=command.id, accepted=True, tick=7)
 
 
 def waiting(gateway: PlayedGateway) -> int:
@@ -60,7 +46,9 @@ def test_a_stop_waits_for_no_other_request_of_its_connection(server: Served) -> 
             await asyncio.gather(*writes)
             return [stop.StatusCode.value for stop in stops], still
 
-    codes, still = asyncio.run(play())
+    server.gateway.answer = answer
+    with ticking(server.gateway, *BOARDS):
+        codes, still = asyncio.run(play())
 
     assert codes == [S.Good, S.Good]
     assert still, "the writes were waiting all the time"
