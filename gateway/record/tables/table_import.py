@@ -238,7 +238,7 @@ def _check_time(table: Table, recording: Recording, time_s: FloatArray) -> Float
 
 
 def _round(step_s: float) -> float:
-    """Round to nine digits: 0.002 computed as a difference of large times is 0.00200000000018."""
+    """Round to six digits where that is the same step: a difference of large times is 0.00200000000018 for 0.002."""
     return float(f"{step_s:.6g}") if abs(float(f"{step_s:.6g}") - step_s) < 1e-6 * step_s else step_s
 
 
