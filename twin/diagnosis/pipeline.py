@@ -106,17 +106,10 @@ def diagnose_records(
             warnings.append(UNASKED)
         # An offset that wanders from recording to recording also explains one of another rig.
         wanders = _wanders(search.selection.fit.theta)
-        outlier = _outlier(criterion, search) if look_for_outlier and (wanders or not search.is_adequate) else None
-        if outlier is not None:
-            options.say(f"{outlier.name} contradicts the others: repeating without it")
-            (remaining,) = budget.shares(1)
-            others = [record for index, record in enumerate(everything) if index != outlier.recording]
-            rest = diagnose_records(campaign, others, judges, options, budget=remaining, look_for_outlier=False)
-            budget.settle([remaining])
-            if rest.verdict == "unfinished":
-                budget.unanswered.append(f"whether the others agree without {outlier.name}")
-            elif rest.verdict != "unknown-cause" and not _wanders(rest.after):
-                return without_outlier(replace(rest, budget=budget), outlier)
+        if look_for_outlier and (wanders or not search.is_adequate) and (outlier := _outlier(criterion, search)):
+            rest = _diagnose_others(campaign, everything, judges, options, budget, outlier)
+            if rest is not None:
+                return rest
         if (change := search.change) is not None:
             closing.callback(search.criterion.close)
             warnings.append(change_sentence(change))
@@ -134,6 +127,27 @@ def diagnose_records(
         warnings=tuple(dict.fromkeys((*warnings, *result.warnings))),
         stages_s={**stages, **result.stages_s},
     )
+
+
+def _diagnose_others(
+    campaign: Campaign,
+    everything: Sequence[Record],
+    judges: Sequence[Record],
+    options: Options,
+    budget: Budget,
+    outlier: Outlier,
+) -> Diagnosis | None:
+    """Diagnose all recordings but the outlier; None if they do not agree with each other either."""
+    options.say(f"{outlier.name} contradicts the others: repeating without it")
+    (remaining,) = budget.shares(1)
+    others = [record for index, record in enumerate(everything) if index != outlier.recording]
+    rest = diagnose_records(campaign, others, judges, options, budget=remaining, look_for_outlier=False)
+    budget.settle([remaining])
+    if rest.verdict == "unfinished":
+        budget.unanswered.append(f"whether the others agree without {outlier.name}")
+        return None
+    agree = rest.verdict != "unknown-cause" and not _wanders(rest.after)
+    return without_outlier(replace(rest, budget=budget), outlier) if agree else None
 
 
 def _evidence(

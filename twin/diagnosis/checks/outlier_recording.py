@@ -50,26 +50,8 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
         base: the paper's model, fitted to all of them.
         floor: what sensor noise alone leaves.
     """
-    evidence = criterion.evidence
-    series, names = evidence.series, BASE[:4]
-    if len(np.unique(series.recording[series.flags & FLIES != 0])) < settings.OUTLIER_RECORDINGS:
-        return None
-    out, change = criterion.derivatives(base.theta, names)
-    best: tuple[float, int] = (settings.OUTLIER_GAIN, -1)
-    for number in range(len(evidence.records)):
-        in_recording = np.asarray(series.recording == number)
-        if np.count_nonzero(series.flags[in_recording] & FLIES) < settings.OUTLIER_SAMPLES:
-            continue
-        (piece,) = runs(in_recording)
-        each, fisher = np.empty((piece.stop - piece.start, len(names))), np.zeros((len(names), len(names)))
-        information(out[piece], np.ascontiguousarray(change[:, piece]), each, fisher)
-        score = each.sum(axis=0)
-        # The score of one recording at the common fit, in place of a fit without each: one set of derivatives serves
-        # all.
-        gain = 0.5 * float(score @ inverse(fisher) @ score)
-        best = max(best, (gain, number))
-    number = best[1]
-    if number < 0:
+    number, evidence = _most_different(criterion, base), criterion.evidence
+    if number is None:
         return None
     record = evidence.records[number]
     rest = [other for index, other in enumerate(evidence.records) if index != number]
@@ -104,3 +86,25 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
         (name, math.expm1(logarithm)) for name, logarithm in moves.items() if abs(logarithm) > settings.DRIFT[name]
     )
     return Outlier(recording=number, name=record.name, moves=large) if large else None
+
+
+def _most_different(criterion: Criterion, base: Fit) -> int | None:
+    """Return the recording that would gain most by parameters of its own; None if none would gain much."""
+    series, names = criterion.evidence.series, BASE[:4]
+    if len(np.unique(series.recording[series.flags & FLIES != 0])) < settings.OUTLIER_RECORDINGS:
+        return None
+    out, change = criterion.derivatives(base.theta, names)
+    best: tuple[float, int] = (settings.OUTLIER_GAIN, -1)
+    for number in range(len(criterion.evidence.records)):
+        in_recording = np.asarray(series.recording == number)
+        if np.count_nonzero(series.flags[in_recording] & FLIES) < settings.OUTLIER_SAMPLES:
+            continue
+        (piece,) = runs(in_recording)
+        each, fisher = np.empty((piece.stop - piece.start, len(names))), np.zeros((len(names), len(names)))
+        information(out[piece], np.ascontiguousarray(change[:, piece]), each, fisher)
+        score = each.sum(axis=0)
+        # The score of one recording at the common fit, in place of a fit without each: one set of derivatives serves
+        # all.
+        gain = 0.5 * float(score @ inverse(fisher) @ score)
+        best = max(best, (gain, number))
+    return best[1] if best[1] >= 0 else None

@@ -119,48 +119,31 @@ def diagnose_points(
     computed = computed_current(points)
     tested = ("balance",) if computed is None else ("balance", "amplifier")
     names = [cause.name for kind in tested for cause in CATALOGUE if cause.at_rest == kind]
-    explained, absorbed = [], []
-    for name in names:
-        say(f"trying {name}")
-        fit = fit_static(points, plant, name)
-        if base.rss_a2 - fit.rss_a2 < settings.STATIC_ABSORBED * base.rss_a2 and is_absorbed(points, plant, base, name):
-            absorbed.append(name)
-            continue
-        explained.append(_explanation(points, plant, base, fit))
-    explained.sort(key=lambda explanation: explanation.fit.rss_a2)
+    explained, absorbed = _explanations(points, plant, base, names, say)
     possible = [explanation for explanation in explained if not explanation.fit.at_bound]
     round_a = rounding_of(points, computed)
-    tests = max(len(explained), 1)
-    members, verdict, confidence = _verdict(possible, base, round_a, tests)
-    rejected = tuple(explanation for explanation in explained if explanation not in members)
+    members, verdict, confidence = _verdict(possible, base, round_a, max(len(explained), 1))
     warnings += _remarks(points, computed)
     judge_points = _judge_points(judges, plant, warnings)
     after = members[0].fit if members else base
-    judge = None
-    if judge_points is not None:
-        judge = (_off(base.theta, plant, judge_points), _off(after.theta, plant, judge_points))
-    slope = (
-        holding_currents(base.theta, plant, points.x_m + 1e-7) - holding_currents(base.theta, plant, points.x_m)
-    ) / 1e-7
-    reference_off_a = None if model is None else _off(theta_of(model, base.theta), plant, points)
+    judge = (_off(base.theta, plant, judge_points), _off(after.theta, plant, judge_points)) if judge_points else None
     better = bool(members) and _predicts_better(members[0], judge, points, plant, base)
     if members and not better:
         warnings.append(
             f"extended_model.json is (3) alone: {members[0].name} does not predict the left-out points better"
         )
-    extended, assumed = _extended(
-        campaign, after if better else base, members if better else (), points, model, computed, base
-    )
+    chosen, fit = (members, after) if better else ((), base)
+    extended, assumed = _extended(campaign, fit, chosen, points, model, computed, base)
     warnings += assumed
     return StaticDiagnosis(
         plant=plant,
         points=points,
         base=base,
         base_left_out_a=left_out(points, plant, base),
-        base_off_m=base.residual_a / slope,
-        reference_off_a=reference_off_a,
+        base_off_m=_as_heights(base, plant, points),
+        reference_off_a=None if model is None else _off(theta_of(model, base.theta), plant, points),
         members=tuple(members),
-        rejected=rejected,
+        rejected=tuple(explanation for explanation in explained if explanation not in members),
         absorbed=tuple(absorbed),
         verdict=verdict,
         confidence=confidence,
@@ -169,6 +152,27 @@ def diagnose_points(
         extended=extended,
         warnings=tuple(dict.fromkeys(warnings)),
     )
+
+
+def _explanations(
+    points: Points, plant: Plant, base: StaticFit, names: Sequence[str], say: Callable[[str], None]
+) -> tuple[list[Explanation], list[str]]:
+    """Return (what each of these causes explains, best first; those that K_c takes up)."""
+    explained, absorbed = [], []
+    for name in names:
+        say(f"trying {name}")
+        fit = fit_static(points, plant, name)
+        if base.rss_a2 - fit.rss_a2 < settings.STATIC_ABSORBED * base.rss_a2 and is_absorbed(points, plant, base, name):
+            absorbed.append(name)
+        else:
+            explained.append(_explanation(points, plant, base, fit))
+    return sorted(explained, key=lambda explanation: explanation.fit.rss_a2), absorbed
+
+
+def _as_heights(base: StaticFit, plant: Plant, points: Points) -> FloatArray:
+    """Return the residuals of the holding currents as heights, m, shape (n,)."""
+    above = holding_currents(base.theta, plant, points.x_m + 1e-7)
+    return base.residual_a / ((above - holding_currents(base.theta, plant, points.x_m)) / 1e-7)
 
 
 def is_static(campaign: Campaign) -> bool:
