@@ -117,10 +117,20 @@ class PtyPort:
         except OSError:  # EIO: no process has the slave open
             if self._present:
                 self._present = False
-                termios.tcflush(self._master, termios.TCOFLUSH)  # the next host must not read the remaining bytes
+                self._discard()
             return b""
         self._present = True
         return data
+
+    def _discard(self) -> None:
+        """Discard the bytes that the last host did not read: they are not for the next one."""
+        # The line keeps them while no host is there, and a flush of the master reaches only those on their way to it.
+        termios.tcflush(self._master, termios.TCOFLUSH)
+        slave = os.open(self._target, os.O_RDWR | os.O_NOCTTY)
+        try:
+            termios.tcflush(slave, termios.TCIFLUSH)
+        finally:
+            os.close(slave)
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
         """Write to the host; return the number of bytes accepted, 0 without a host."""

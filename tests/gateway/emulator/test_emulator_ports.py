@@ -21,7 +21,7 @@ from typing import Self
 import pytest
 
 import board51
-from gateway.emulator.ports import TcpPort
+from gateway.emulator.ports import PtyPort, TcpPort
 from gateway.emulator.serve import Emulator, Server, build_lines
 from protocol.errors import ServiceError, UsageError
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
@@ -143,6 +143,26 @@ def test_hosts_come_and_go_and_find_no_stale_bytes(emulator: Emulator) -> None:
         second.until(is_state)
 
     assert second.states()[0].sequence > left_at + 2000 // 15 - 10
+
+
+def test_what_one_host_left_unread_is_not_for_the_next(tmp_path: Path) -> None:
+    port = PtyPort(tmp_path / "board")
+    port.open()
+
+    def sent(data: bytes) -> int:
+        """A host that has `data` to read."""
+        host = os.open(port.url, os.O_RDWR | os.O_NOCTTY)
+        port.read(1)
+        assert port.write(data) == len(data)
+        assert select.select([host], [], [], HANG_S)[0]
+        return host
+
+    os.close(sent(b"old"))
+    assert port.read(1) == b""
+    host = sent(b"new")
+    assert os.read(host, 100) == b"new"
+    os.close(host)
+    port.close()
 
 
 def test_unplug_ends_the_connection_and_plug_brings_it_back(emulator: Emulator) -> None:
