@@ -58,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--budget",
         type=float,
         metavar="M",
-        help="most that is computed, in millions of filter steps: 12 to 17 take a second of processor time, and the"
+        help="most that is computed, in millions of filter steps: 5 to 12 take a second of processor time, and the"
         f" answer is the same on any machine ({QUICK / MILLION:.0f} with --quick, else {FULL / MILLION:.0f})",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
