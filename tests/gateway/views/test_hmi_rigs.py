@@ -71,7 +71,7 @@ def test_a_replay_beside_a_live_rig_is_no_rig_and_nothing_for_stop(rig: Rig, bus
         wait_for(lambda: len(bus.states("demo")) > 100, "the replay on the bus")
         with visitor.live("/live") as live:
             shown = [board["name"] for _ in range(5) for board in frame(live)["boards"]]
-        stop = visitor.post("/api/*/stop")
+    stop = visitor.post("/api/*/stop")  # what the replay left must not be asked either
     subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
 
     assert {bytes(mark) if mark is not None else b"" for mark in marks} == {b"", b"replayed"}

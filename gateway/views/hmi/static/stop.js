@@ -45,7 +45,7 @@ export class Stop {
     this.waiting.push(flight);
     while (this.waiting.length > UNANSWERED) this.waiting.shift().abort(new Error(textOf("stop.replaced")));
     const asked = server.post(`/api/${board}/stop`, {}, { signal: flight.signal }); // before anything that may fail
-    const press = { board, sessions: {}, at: performance.now(), replies: null, error: "", off: {}, on: null, goodAt: null };
+    const press = { board, sessions: {}, at: performance.now(), replies: null, error: "", off: {}, on: null, goodAt: null, took: NaN };
     this.newest = press;
     try {
       for (const [name, rig] of Object.entries(this.rigs())) press.sessions[name] = rig.session;
@@ -67,9 +67,10 @@ export class Stop {
     const press = this.newest, now = performance.now();
     if (!press) return;
     const [text, state] = this.words(press);
-    // What is good goes by itself, the rest stays until it is good or until the next press.
+    // What is good goes by itself; the rest stays until it is good, until the next press, or until an answered STOP is
+    // long superseded by a coil that somebody switched on again. Without an answer the last comparison is false.
     press.goodAt = state === "good" ? press.goodAt ?? now : null;
-    const over = (press.goodAt && now - press.goodAt > SHOWN_S * 1000) || (press.on && now - press.on > AGAIN_SHOWN_S * 1000);
+    const over = (press.goodAt && now - press.goodAt > SHOWN_S * 1000) || (press.on && now - Math.max(press.on, press.at + press.took) > AGAIN_SHOWN_S * 1000);
     if (over) this.newest = null;
     this.say(over ? "" : text, over ? "none" : state);
   }
