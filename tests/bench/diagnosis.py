@@ -25,7 +25,7 @@ from tests.harness.diagnose.trial import program_digest, run_trial
 WORKERS = 2
 DEFAULT_RUNS = 2  # per part: what a benchmark among others may take
 # --runs 0: each cause twice at each strength, each effect outside three times
-WHOLE = {"causes": 156, "nulls": 60, "composites": 30, "outside": 27, "gateway": 26, "forms": 54}
+WHOLE = {"causes": 156, "nulls": 60, "composites": 30, "outside": 27, "gateway": 26, "forms": 54, "knock-out": 52}
 
 
 def run(
@@ -41,7 +41,7 @@ def run(
     Args:
         runs: Trials per part; 0: the whole matrix; default 2.
         seed: Of the first trial; the next has the next number.
-        part: causes | nulls | composites | outside | gateway | forms; default all but `gateway`.
+        part: causes | nulls | composites | outside | gateway | forms | knock-out; default all but `gateway`.
         results: File of JSON lines, made or continued; default: not kept.
         quick: Short campaigns and `diagnose --quick`.
         show: Takes the page of results.

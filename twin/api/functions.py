@@ -6,7 +6,7 @@ Each takes files or objects read from them.  The computations are in the package
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -97,6 +97,7 @@ def diagnose(
     share: float = MIN_SHARE,
     experiments: bool | None = None,
     free_form: bool | None = None,
+    without: Sequence[str] = (),
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
@@ -113,6 +114,7 @@ def diagnose(
         share: smallest part of the deviance above the noise floor that a cause must explain, 0 to 1.
         experiments: whether to find the experiment that separates equivalent causes; None: if not `quick`.
         free_form: whether to model what is left by smooth curves; None: where more than noise is left, if not `quick`.
+        without: names of causes that the catalogue is to lack: does the answer then say that the cause is unknown?
         seed: of the random generator for the bootstrap.
         workers: threads; the result does not depend on it.
         budget: largest amount of computation, millions of filter steps; the answer is the same on any machine.
@@ -125,15 +127,18 @@ def diagnose(
         DataError: a file is missing, unreadable or implausible, there is too little data, or the model is of another
             plant.
         ConfigError: a key of the campaign is wrong.
-        UsageError: `share` or `budget` is out of range.
+        UsageError: `share` or `budget` is out of range, or a name of `without` is not in the catalogue.
     """
     from twin.diagnosis.options import Options
     from twin.inference.budget import MILLION
+    from twin.model.causes.catalogue import BY_NAME
 
     if not 0.0 < share <= 1.0:
         raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")
     if budget is not None and not 0.0 < budget < math.inf:
         raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
+    if unknown := [name for name in without if name not in BY_NAME]:
+        raise UsageError(f"--without {unknown[0]}: not a cause", remedy=f"Choose from {', '.join(sorted(BY_NAME))}")
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
     campaign = _campaign(campaign)
     options = Options(
@@ -142,6 +147,7 @@ def diagnose(
         share=share,
         experiments=experiments,
         free_form=free_form,
+        without=tuple(without),
         seed=seed,
         workers=workers,
         budget=None if budget is None else budget * MILLION,

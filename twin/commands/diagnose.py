@@ -55,6 +55,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="model the rest by smooth curves also with --quick, and if it looks like noise",
     )
     parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="CAUSE",
+        help="leave this cause out of the catalogue (again for more): is it missed, or is another named for it?",
+    )
+    parser.add_argument(
         "--budget",
         type=float,
         metavar="M",
@@ -87,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
         share=args.share,
         experiments=args.next_experiment or None,
         free_form=args.free_form or None,
+        without=args.without,
         seed=args.seed,
         workers=args.workers,
         budget=args.budget,

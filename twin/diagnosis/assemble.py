@@ -82,12 +82,15 @@ def timed(stages: dict[str, float], name: str) -> Iterator[None]:
     stages[name] = stages.get(name, 0.0) + time.perf_counter() - began
 
 
-def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
-    """The causes whose channels are in the recordings, without those that are not found by fitting."""
+def testable_causes(records: Sequence[Record], without: Sequence[str]) -> tuple[Cause, ...]:
+    """The causes whose channels are in the recordings, except those `without` and those not found by fitting."""
     return tuple(
         cause
         for cause in CATALOGUE
-        if not cause.not_testable and cause.detector != "gaps" and not missing_channels(cause, records)
+        if cause.name not in without
+        and not cause.not_testable
+        and cause.detector != "gaps"
+        and not missing_channels(cause, records)
     )
 
 
@@ -208,7 +211,7 @@ def _remainder(
     options.say("what is left, as a curve?")
     question = search.budget.question("what is left, as a curve")
     with suppress(Spent), question, search.criterion.charging(search.budget):
-        candidates = testable_causes(inputs.records)
+        candidates = testable_causes(inputs.records, options.without)
         paper = search.base if has_remainder else None
         return remainder_of(search.criterion, choice.fit, paper, judge, search.floor, candidates, seed=options.seed)
     return None

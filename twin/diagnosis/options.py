@@ -21,6 +21,7 @@ class Options:
     share: float = settings.MIN_SHARE
     experiments: bool | None = None
     free_form: bool | None = None
+    without: tuple[str, ...] = ()  # causes that the catalogue is to lack
     seed: int = 0
     workers: int = 2
     budget: float | None = None  # filter steps; None: QUICK or FULL

@@ -242,7 +242,7 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
     search = Search(
         criterion=criterion,
         floor=floor,
-        candidates=testable_causes(records),
+        candidates=testable_causes(records, options.without),
         max_candidates=3 if options.quick else 6,
         min_share=options.share,
         quick=options.quick,

@@ -77,7 +77,9 @@ def page(tab: Page, rig: Rig) -> Page:
     if tab.url != f"{rig.url}/rig/rig":
         tab.goto(f"{rig.url}/rig/rig")
     tab.wait_for_selector("body[data-live=yes]")
-    tab.keyboard.press("Escape")  # STOP; closes what hangs open, too
+    tab.keyboard.press("Escape")  # STOP
+    # Answered, not only idle: a STOP that is still on its way would end what the test does next.
+    expect(tab.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
     expect(tab.locator('[data-live="mode"]')).to_contain_text("idle")
     return tab
 

@@ -8,6 +8,7 @@ Rule 1: consecutive seeds of `causes` go through all causes before one comes aga
 Rule 2: sign, plant, noise and rig are drawn freely.
         `gateway` does so with the strong ones: its recordings take their time, because a real line carries them.
         `forms` goes through all formulas of `forms.py` before one comes again.
+        `knock-out` goes through all causes, medium and strong in turn; `diagnose` is not told about the hidden one.
 Rule 3: of effects that delay the loop a composite has one at most: two strong ones put the ball on the floor.
 """
 
@@ -25,7 +26,7 @@ from tests.harness.diagnose.forms import FORMS
 from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.harness.diagnose.outside import OUTSIDE
 
-Part = Literal["causes", "nulls", "composites", "outside", "gateway", "forms"]
+Part = Literal["causes", "nulls", "composites", "outside", "gateway", "forms", "knock-out"]
 Grade = Literal["weak", "medium", "strong"]
 PARTS: tuple[Part, ...] = get_args(Part)
 GRADES: tuple[Grade, ...] = get_args(Grade)
@@ -47,6 +48,7 @@ class Hidden:
     form: str = ""  # of `forms`: the formula by which the one effect is written
     outside: Mapping[str, float] = field(default_factory=dict)
     grade: str = ""  # of `causes`
+    without: tuple[str, ...] = ()  # of `knock-out`: what the catalogue lacks
 
 
 def draw_hidden(seed: int, part: Part | None = None) -> Hidden:
@@ -79,6 +81,11 @@ def draw_hidden(seed: int, part: Part | None = None) -> Hidden:
         effect = EFFECTS[names[seed % len(names)]]
         effects = {effect.name: _signed(effect, effect.strong, rng)}
         return Hidden(part=part, seed=seed, plant="gateway", effects=effects, grade="strong")
+    if part == "knock-out":
+        turn, place = divmod(seed, len(names))
+        effect, grade = EFFECTS[names[place]], GRADES[1 + (turn + place) % 2]
+        effects = {effect.name: _signed(effect, getattr(effect, grade), rng)}
+        return Hidden(part=part, seed=seed, plant=plant, effects=effects, grade=grade, without=(effect.name,))
     if part == "causes":
         turn, place = divmod(seed, len(names))
         effect, grade = EFFECTS[names[place]], GRADES[(turn + place) % len(GRADES)]

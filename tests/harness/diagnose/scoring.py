@@ -5,7 +5,9 @@ Rule 1: a single cause is right if it is named first, or is in the class (name a
 Rule 2: a composite is scored by the share of its truths that any named cause or its class (at most 3) contains.
 Rule 3: a null is right if the verdict is `model-adequate`; an effect outside the catalogue if it is `unknown-cause`,
         whatever was named besides (it may explain a part); named without that reserve it is a false name.
-Rule 4: a cause that the diagnosis lists as not testable is neither right nor wrong: it is counted by itself.  So is a
+Rule 4: where the catalogue lacks the hidden effect, every name that holds is false.  The curve, or the first candidate,
+        is at the right place if it is of the effect's family.
+Rule 5: a cause that the diagnosis lists as not testable is neither right nor wrong: it is counted by itself.  So is a
         limit that no recording reached, where the answer is `model-adequate`: it is in the rig and not in the data.
 """
 
@@ -16,7 +18,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.curve import CURVES
+
 CLASS_MOST = 3
+FAMILIES = {cause.name: cause.family for cause in (*CATALOGUE, *CURVES)}
 ADEQUATE, UNKNOWN, FOUND = "model-adequate", "unknown-cause", "causes-found"
 NOT_IN_THE_DATA = "not-in-the-data"
 
@@ -41,6 +47,8 @@ class Answer:
     baseline_rmse_m: float = math.nan
     extended_rmse_m: float = math.nan
     noise_floor_m: float = math.nan
+    family: str = ""  # of the curve for what is left, else of the first candidate; "": neither
+    remainder_rmse_m: float = math.nan  # of the model with that curve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +63,7 @@ class Judgement:
     false_names: int = 0  # named causes whose class holds no truth
     confidence: float | None = None  # of the first cause
     removed: float | None = None  # share of the error above the noise floor that the extension removes on judge data
+    place: bool | None = None  # of `knock-out`: what is left is sought in the right part of the loop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +113,13 @@ def read_answer(diagnosis: Mapping[str, Any]) -> Answer:
         value = judge.get(key)
         return float(value) if isinstance(value, int | float) else math.nan
 
+    remainder = diagnosis.get("remainder") or {}
+    curves = [curve["name"] for curve in remainder.get("curves", ()) if curve["in_model"]]
+    candidates = [cause["name"] for cause in (*remainder.get("proposed", ()), *diagnosis.get("candidates", ()))]
+    left = (remainder.get("judge") or {}).get("extended_rmse_m")
     return Answer(
+        family=next((FAMILIES[name] for name in (*curves, *candidates)), ""),
+        remainder_rmse_m=math.nan if left is None else float(left),
         verdict=str(diagnosis["verdict"]),
         causes=tuple(
             Named(
@@ -130,7 +145,7 @@ def judge(
     """Judge one answer.
 
     Args:
-        part: causes | nulls | composites | outside | gateway | forms.
+        part: causes | nulls | composites | outside | gateway | forms | knock-out.
         truths: Names of the hidden effects.
         answer: What the diagnosis said.
         may_be_adequate: Of an effect outside: leaving the damaged samples out is an honest answer, too.
@@ -146,6 +161,8 @@ def judge(
         right = answer.verdict == ADEQUATE and not answer.causes
     elif part == "outside":
         right = answer.verdict == UNKNOWN or (may_be_adequate and answer.verdict == ADEQUATE and not answer.causes)
+    elif part == "knock-out":
+        right = not answer.causes
     elif part == "composites":
         right = found == known
     else:
@@ -162,6 +179,7 @@ def judge(
         false_names=false_names,
         confidence=None if math.isnan(confidence) else confidence,
         removed=removed_share(answer),
+        place=answer.family == FAMILIES[truths[0]] if part == "knock-out" and answer.family else None,
     )
 
 
@@ -171,6 +189,8 @@ def removed_share(answer: Answer) -> float | None:
     None where the baseline is within 5 % of the floor: there is no excess to remove, only its statistical error.
     """
     base, extended, floor = answer.baseline_rmse_m, answer.extended_rmse_m, answer.noise_floor_m
+    if math.isfinite(answer.remainder_rmse_m):
+        extended = answer.remainder_rmse_m
     if not (math.isfinite(base) and math.isfinite(extended) and math.isfinite(floor)) or base < 1.05 * floor:
         return None
     return min((base - extended) / (base - floor), 1.0)

@@ -13,6 +13,7 @@ from tests.harness.diagnose.scoring import ADEQUATE, FOUND, NOT_IN_THE_DATA, UNK
 
 Z95 = 1.959964
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.9, 0.95, 0.99, 1.0)
+FOUR_FIFTHS = 0.8
 _TARGET = {"strong": 0.95, "medium": 0.85}
 
 
@@ -126,6 +127,30 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
         result += [
             Rate(name="another formula: right", hits=sum(j.right is True for _, j in forms), count=len(forms)),
             Rate(name="another formula: a false name", hits=wrong, count=len(forms), target=0.05),
+        ]
+    unknown = part("knock-out")
+    if unknown:
+        noticed = [(o, j) for o, j in unknown if o.verdict != ADEQUATE]
+        removed = [j.removed for _, j in noticed if j.removed is not None]
+        result += [
+            Rate(
+                name="not in the catalogue: a false name",
+                hits=sum(j.right is not True for _, j in unknown),
+                count=len(unknown),
+                target=0.02,
+            ),
+            Rate(
+                name="not in the catalogue: the right part of the loop",
+                hits=sum(j.place is True for _, j in noticed),
+                count=len(noticed),
+                target=0.9,
+                note=f"{len(unknown) - len(noticed)} not noticed, {sum(j.place is None for _, j in noticed)} without",
+            ),
+            Rate(
+                name="not in the catalogue: four fifths of the error above the noise removed",
+                hits=sum(share >= FOUR_FIFTHS for share in removed),
+                count=len(removed),
+            ),
         ]
     listed = [(o, name) for o, _ in part("composites") for name, _ in o.minor_effects]
     if listed:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.harness.diagnose.agreement import disagreements
@@ -30,11 +31,12 @@ def program_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def diagnose_command(campaign: Path, out: Path, *, quick: bool = False) -> list[str]:
+def diagnose_command(campaign: Path, out: Path, *, quick: bool = False, without: Sequence[str] = ()) -> list[str]:
     """What a user would type; one thread, because trials run side by side."""
     return [
         *(sys.executable, "-m", "board51", "diagnose", str(campaign), "--out", str(out), "--workers", "1"),
         *(["--quick"] if quick else []),
+        *(f"--without={name}" for name in without),
     ]
 
 
@@ -91,7 +93,7 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
     recorded = time.monotonic()
     try:
         done = subprocess.run(
-            diagnose_command(campaign, out, quick=quick),
+            diagnose_command(campaign, out, quick=quick, without=hidden.without),
             cwd=ROOT,
             env=clean_environment(),
             capture_output=True,

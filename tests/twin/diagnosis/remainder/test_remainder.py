@@ -54,7 +54,7 @@ def modelled(folder: Path, criterion: Criterion, fit: Fit, candidates: bool = Fa
     """The remainder of that fit."""
     campaign = load(folder)
     judge = gather(read_campaign(campaign, use="judge"), campaign.plant)
-    causes = assemble.testable_causes(criterion.evidence.records) if candidates else ()
+    causes = assemble.testable_causes(criterion.evidence.records, ()) if candidates else ()
     return remainder_of(criterion, fit, None, judge, floor_of(criterion, fit.theta), causes, seed=0)
 
 
