@@ -33,6 +33,7 @@ GRADES: tuple[Grade, ...] = get_args(Grade)
 DELAYING = frozenset({"actuation-delay", "eddy-current-lag", "position-sensor-lag", "sampling-delay"})
 # A gain of the current sensor is exactly a change of K_A and K_c (design.md): asked alone, to hear "not testable".
 INVISIBLE = frozenset({"current-sensor-gain"})
+COUNTED = frozenset({"lost-samples"})  # not a cause that a fit finds
 COUNTS = {"i_c": 5e-4, "x": 1.5e-6}  # of the converters: A, m
 _DRAW = 26
 
@@ -82,6 +83,7 @@ def draw_hidden(seed: int, part: Part | None = None) -> Hidden:
         effects = {effect.name: _signed(effect, effect.strong, rng)}
         return Hidden(part=part, seed=seed, plant="gateway", effects=effects, grade="strong")
     if part == "knock-out":
+        names = [name for name in names if name not in INVISIBLE | COUNTED]
         turn, place = divmod(seed, len(names))
         effect, grade = EFFECTS[names[place]], GRADES[1 + (turn + place) % 2]
         effects = {effect.name: _signed(effect, getattr(effect, grade), rng)}

@@ -48,6 +48,8 @@ RIPPLE_HZ = 100.0  # supply-ripple: twice the mains
 PATCH_M, PATCH_HALF_WIDTH_M = 2.4e-3, 0.15e-3  # friction-patch
 WIRE_FROM_M = 2.5e-3  # wire-spring: slack below
 DRIFT_TIME_S = 40.0  # sensor-warm-up
+SAG_TIME_S = 1.5  # supply-sag
+HUM_HZ = 50.0  # sensor-hum
 
 # 12-bit converters like the board's: (offset, one count)
 CURRENT_ADC = (0.0, 2.0 / 4096)
@@ -104,6 +106,9 @@ class Numbers(NamedTuple):
     ripple: float
     patch: float
     contact: float
+    spring: float
+    sag: float
+    hum: float
 
 
 def njit(function: Callable[P, R]) -> Callable[P, R]:
@@ -111,8 +116,8 @@ def njit(function: Callable[P, R]) -> Callable[P, R]:
 
 
 # What the rig remembers, in one array: i_c, field, x, v, warmth, sensor, hysteresis, position and speed of the lateral
-# mode, reading that is held, contact (1 good, 0 bad)
-COIL, F, X, V, W, S, H, Q, QV, HELD, CONTACT = range(11)
+# mode, reading that is held, contact (1 good, 0 bad), mean current of the supply
+COIL, F, X, V, W, S, H, Q, QV, HELD, CONTACT, LOAD = range(12)
 
 
 @njit
@@ -120,7 +125,8 @@ def reading(x: float, i: float, t: float, c: Numbers) -> float:
     """What the position sensor tends to, m."""
     bowed = x + c.bow * math.sin(math.pi * min(max(x / c.travel, 0.0), 1.0))
     warm = c.warm_up * (1.0 - math.exp(-t / DRIFT_TIME_S)) if c.warm_up != 0.0 else 0.0
-    return c.x_gain * bowed + c.x_offset + c.crosstalk * i + warm
+    hum = c.hum * math.sin(2.0 * math.pi * HUM_HZ * t) if c.hum != 0.0 else 0.0
+    return c.x_gain * bowed + c.x_offset + c.crosstalk * i + warm + hum
 
 
 @njit
@@ -157,6 +163,7 @@ def pass_time(
         gain = c.K_A / (1.0 + c.loss * y[W])
         if y[CONTACT] == 0.0:
             gain *= 1.0 - c.contact
+        gain *= 1.0 - c.sag * y[LOAD]
         goal = gain * max(drive - c.dead_zone, 0.0) + c.amplifier_offset
         goal = min(max(goal, 0.0), c.i_most)
         goal -= c.emf * i * v * (c.gap_mid / gap) ** 2
@@ -169,6 +176,7 @@ def pass_time(
         i_mean = 0.5 * (i + i_new)
         y[COIL] = i_new
         y[W] += h / c.heating_s * (i_mean * i_mean - y[W])
+        y[LOAD] += h / SAG_TIME_S * (i_mean - y[LOAD])
 
         # the field in the gap: play (hysteresis), then the lag of eddy currents
         if c.hysteresis > 0.0:
@@ -187,6 +195,7 @@ def pass_time(
             force += c.shake * math.sin(2.0 * math.pi * c.shake_hz * (t + 0.5 * h) + c.shake_phase)
         if c.wire != 0.0 and x_half > WIRE_FROM_M:
             force -= c.wire * (x_half - WIRE_FROM_M) ** 3
+        force -= c.spring * x_half
         drag = 0.5 * h * (c.b + c.drag2 * abs(v)) / c.m
         v_new = (v * (1.0 - drag) + h * force / c.m) / (1.0 + drag)
         dry = c.friction
@@ -356,7 +365,7 @@ class SecondBench:
         self.change(effects)
         self._k, self._u = 0, 0.0
         self._good = 1.0
-        self._y = np.zeros(11)
+        self._y = np.zeros(12)
         self._rings = (np.zeros(RING), np.zeros(RING), np.zeros(RING))
         self._law = np.array(
             [
@@ -495,6 +504,9 @@ def numbers(
         ripple=outside.get("supply-ripple", 0.0),
         patch=outside.get("friction-patch", 0.0),
         contact=outside.get("loose-contact", 0.0),
+        spring=outside.get("spring-of-a-cable", 0.0),
+        sag=outside.get("supply-sag", 0.0),
+        hum=outside.get("sensor-hum", 0.0),
     )
 
 
