@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
@@ -17,6 +17,7 @@ from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
 from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
+from twin.diagnosis.remainder.rivals import Rival, rivals_of
 from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model
 from twin.diagnosis.report.model_file import model_of
 from twin.diagnosis.report.other_causes import minor_effects_of, missing_channels, not_testable, ruled_out
@@ -28,6 +29,7 @@ from twin.diagnosis.report.sentences import (
     contradiction_sentence,
     finding_sentence,
     form_of,
+    rival_sentence,
 )
 from twin.diagnosis.result import Diagnosis, Finding, Member, Proposal, fit_parameters
 from twin.diagnosis.search.state import Selection
@@ -101,12 +103,14 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     criterion, selection, floor = search.criterion, search.selection, search.floor
     finished = not search.budget.unanswered  # questions left open from here on do not change the verdict
     search.budget.reopen()
+    with timed(stages, "rivals"):
+        rivals = _rivals(search, options)
     with timed(stages, "what is left"):
         under = floor.under(criterion, selection.fit.theta)
-        account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate)
+        account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals)
         where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
         spread = spreads(criterion, selection.fit)
-        warnings = _inconsistent(search)
+        warnings = _inconsistent(search) + [rival_sentence(cause, rival) for cause, rival in rivals.items()]
     with timed(stages, "next experiments"):
         proposals = _proposals(search, inputs.campaign, options)
     with timed(stages, "gain"):
@@ -124,7 +128,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         verdict, choice, whole = outcome.verdict, outcome.choice, outcome.whole
         warnings += [outcome.off] if outcome.off else []
     with timed(stages, "remainder"):
-        remainder = _remainder(inputs, search, whole, choice, options)
+        remainder = _remainder(inputs, search, whole, choice, options, rivals)
         if not _harmless(bench, outcome.before, choice, remainder):
             warnings.append("a curve for the rest was tried and refused: the judge recordings get worse with it")
             remainder = None
@@ -133,6 +137,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
         verdict = "unknown-cause"
     findings = _findings(selection, account, spread, proposals, verdict, lost, plant)
+    findings = [_with_rival(finding, selection, rivals) for finding in findings]
     if search.change is not None:
         findings = [_with_change(finding, search.change) for finding in findings]
     if search.is_adequate and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
@@ -201,20 +206,42 @@ def _remainder(
     whole: Gain | None,
     choice: Choice,
     options: Options,
+    rivals: Mapping[str, Rival],
 ) -> Remainder | None:
     """Model what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
     judge = inputs.judge
     has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
+    rival = max(rivals.values(), key=lambda rival: rival.lead, default=None)
     is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form
+    is_requested = is_requested or rival is not None
     if not is_requested or judge is None or whole is None or choice.fit is None or search.change is not None:
         return None
     options.say("what is left, as a curve?")
     question = search.budget.question("what is left, as a curve")
     with suppress(Spent), question, search.criterion.charging(search.budget):
         candidates = testable_causes(inputs.records, options.without)
-        paper = search.base if has_remainder else None
-        return remainder_of(search.criterion, choice.fit, paper, judge, search.floor, candidates, seed=options.seed)
+        return remainder_of(
+            search.criterion,
+            choice.fit,
+            search.base if has_remainder else None,
+            judge,
+            search.floor,
+            candidates,
+            rival=rival,
+            seed=options.seed,
+        )
     return None
+
+
+def _rivals(search: SearchResult, options: Options) -> Mapping[str, Rival]:
+    """Return the names that a curve would replace; none where a change point splits the recordings."""
+    if search.change is not None or not search.selection.causes:
+        return {}
+    options.say("does anything unknown explain more than the names?")
+    question = search.budget.question("whether something unknown explains more than the names")
+    with suppress(Spent), question, search.criterion.charging(search.budget):
+        return rivals_of(search.criterion, search.selection)
+    return {}
 
 
 def _bench(search: SearchResult, judge: Evidence | None, plant: Plant, options: Options) -> Bench | None:
@@ -287,6 +314,14 @@ def _findings(
 def _assumption_clause(cause: str, plant: Plant) -> str:
     """Name the assumed plant for which the size of a cause holds; empty if the size does not rest on one."""
     return f", {assumption(plant)}" if plant.assumed and rests_on_plant(BY_NAME[cause]) else ""
+
+
+def _with_rival(finding: Finding, selection: Selection, rivals: Mapping[str, Rival]) -> Finding:
+    """The finding with the curve that would replace it, and the confidence of a candidate."""
+    rival = rivals.get(finding.name)
+    if rival is None:
+        return finding
+    return replace(finding, rival=rival, confidence=confidence_of(selection, finding.name, "unknown-cause"))
 
 
 def _with_change(finding: Finding, change: Change) -> Finding:

@@ -11,6 +11,7 @@ from twin.diagnosis.judge.account import MAX_CONFIDENCE, Account, Verdict
 from twin.diagnosis.judge.choice import Choice
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.remainder.remainder import Remainder
+from twin.diagnosis.remainder.rivals import Rival
 from twin.diagnosis.search.state import Selection
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import colours_json
@@ -62,6 +63,7 @@ class Finding:
     begins_in: str = ""  # the recording with which it begins, where it is not there from the first
     ends_after: str = ""  # the last recording that has it
     form: str = ""  # of the literature that is nearest to its shape; "": the usual one
+    rival: Rival | None = None  # a curve of unknown origin that explains more in its place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,6 +121,8 @@ class Diagnosis:
 
     def holds(self, cause: Finding) -> bool:
         """Return whether a finding is a cause and not a candidate; with an unknown rest, only a counted one is."""
+        if cause.rival is not None:
+            return False
         if self.verdict == "partly-explained" and self.account.leads(cause.name):
             return True
         return self.verdict == "causes-found" or cause.confidence > MAX_CONFIDENCE[self.verdict]
@@ -186,6 +190,9 @@ def _finding(cause: Finding) -> dict[str, Any]:
         "share_of_excess_explained": cause.share_of_excess_explained,
         "log_likelihood_gain": cause.loglik_gain,
         "at_the_rig": {"confirm": BY_NAME[cause.name].confirm, "cure": BY_NAME[cause.name].cure},
+        "rival": None
+        if cause.rival is None
+        else {"name": cause.rival.curve.name, "log_likelihood_lead": cause.rival.lead},
         "begins_in": cause.begins_in or None,
         "ends_after": cause.ends_after or None,
         "next_experiment": None

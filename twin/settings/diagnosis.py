@@ -195,6 +195,13 @@ LIKE_SHARE = 0.5
 LIKE_GAIN = 0.3
 LIKE_ERROR = 1.05
 
+# Measured.  Factor on the evidence of a curve by the score test from which it may reach a name: fits had up to 2.7
+# times as much.
+RIVAL_SCORE = 4.0
+# Reasoned.  A name stays beside its own free form if it explains at least this share of what that does: the rest is
+# another formula for the same effect.
+FREE_FORM_SHARE = 0.9
+
 # --- Experiments and reference model ---
 
 # Reasoned.  Of an experiment's samples at a stop: with more, the loop does not hold the ball and nothing is proposed.

@@ -44,7 +44,9 @@ OUTSIDE: Mapping[str, Outside] = MappingProxyType(
             unit="",
             about="the ball swings sideways at 35 Hz, driven by its acceleration, and the sensor takes it for height",
         ),
-        "sensor-hum": Outside(strength=20e-6, unit="m", about="the reading of x swings by this much at 50 Hz, the mains"),
+        "sensor-hum": Outside(
+            strength=20e-6, unit="m", about="the reading of x swings by this much at 50 Hz, the mains"
+        ),
         "spring-of-a-cable": Outside(
             strength=5.0, unit="N/m", about="the cable of the rig hangs on the ball: a force down, in proportion to x"
         ),

@@ -23,7 +23,7 @@ Rule 6: names that hold in part need a leading cause.  Alone it explains at leas
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -58,19 +58,21 @@ class Account:
     cause_shares: Mapping[str, float]
     jointly: float
     unexplained: float
+    doubted: frozenset[str] = frozenset()  # names in whose place something unknown explains more
 
     def leads(self, cause: str) -> bool:
         """Tell whether a cause alone explains at least as much as is left and as several explain jointly."""
-        return self.cause_shares.get(cause, 0.0) >= self.unexplained + self.jointly
+        return cause not in self.doubted and self.cause_shares.get(cause, 0.0) >= self.unexplained + self.jointly
 
 
-def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account:
+def account_of(selection: Selection, lacks: float, is_adequate: bool, doubted: Collection[str] = ()) -> Account:
     """Account for the result of a search.
 
     Args:
         selection: its result.
         lacks: log-likelihood that its model lacks under its own floor.
         is_adequate: whether that is noise.
+        doubted: causes in whose place something unknown explains more.
     """
     explained = max(selection.fit.loglik - selection.base.loglik, 0.0) if selection.causes else 0.0
     left = 0.0 if is_adequate else max(lacks, 0.0)
@@ -88,6 +90,7 @@ def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account
         cause_shares={cause: gain * scale for cause, gain in gains.items()},
         jointly=max(explained - gain_sum, 0.0) / total,
         unexplained=unexplained,
+        doubted=frozenset(doubted),
     )
 
 

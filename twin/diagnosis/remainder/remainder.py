@@ -8,7 +8,9 @@ Rule 3: a cause of the catalogue with the curve's form takes its place if it pre
 Rule 4: named causes may only imitate an unknown cause if a rest is left.  So a curve is also tried with the paper's
         model alone.  That may predict as well, and be at least as likely as the names without a curve.  Then the names
         are left out of the extended model, and none of them holds.
-Rule 5: no other verdict and no confidence follows from it.
+Rule 5: where a curve has already taken the place of a name by the likelihood (`rivals.py`), it is the only one that is
+        tried.  With `--quick` nothing else is modelled.
+Rule 6: no other verdict and no confidence follows from it.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from twin.diagnosis.remainder.curve_fits import (
     visited,
     with_range,
 )
+from twin.diagnosis.remainder.rivals import Rival
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, refine, within_range
 from twin.diagnosis.search.score_test import screen
 from twin.estimation.pace import pace_of
@@ -186,6 +189,7 @@ def remainder_of(
     floor: Floor,
     candidates: Sequence[Cause],
     *,
+    rival: Rival | None,
     seed: int,
 ) -> Remainder | None:
     """Model what `named` leaves; None if the judges have too little flight to choose.
@@ -197,6 +201,7 @@ def remainder_of(
         judge: recordings that no fit saw.
         floor: sensor noise.
         candidates: causes that may have the form of a curve.
+        rival: a curve that took the place of a name, and its fit; None: there is none.
         seed: of the bootstrap.
 
     Raises:
@@ -209,14 +214,19 @@ def remainder_of(
         return None
     attempts: list[Attempt] = []
     best = _Extension(extends="causes", fit=named, squares=before)
-    best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
-    if paper is not None and named.theta.causes:
-        without_causes = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
-        without_causes = _extend(judging, without_causes, (), attempts, max_curves=1)
+    instead: _Extension | None = None
+    if rival is not None:
+        instead = _in_place(judging, rival, named, attempts)
+    else:
+        best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
+        if paper is not None and named.theta.causes:
+            bare = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
+            instead = _extend(judging, bare, (), attempts, max_curves=1)
+    if instead is not None:
         # One curve against all named causes: if it predicts and explains as well, nothing speaks for the names.
-        as_good = judging.choosing(without_causes.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
-        if as_good and without_causes.fit.loglik >= named.loglik:
-            best = without_causes
+        as_good = judging.choosing(instead.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
+        if as_good and instead.fit.loglik >= named.loglik:
+            best = instead
     values = visited(criterion.evidence)
     return Remainder(
         fit=best.fit,
@@ -227,6 +237,15 @@ def remainder_of(
         attempts=tuple(attempts),
         improvement=judging.improvement(before, best.squares, best.fit.theta, floor),
     )
+
+
+def _in_place(judging: _Judge, rival: Rival, named: Fit, attempts: list[Attempt]) -> _Extension:
+    """Return the model with a curve in the place of a name."""
+    squares = judging.squares(rival.fit.theta)
+    extends: Literal["causes", "paper"] = "paper" if rival.alone else "causes"
+    gain, error = rival.fit.loglik - named.loglik, judging.choosing(squares)
+    attempts.append(Attempt(name=rival.curve.name, extends=extends, loglik_gain=gain, rmse_m=error))
+    return _Extension(extends=extends, fit=rival.fit, squares=squares, curves=(rival.curve,))
 
 
 def _extend(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from twin.diagnosis.checks.consistency import Beginning, Contradiction
     from twin.diagnosis.checks.outlier_recording import Outlier
     from twin.diagnosis.judge.prediction_gain import Gain
+    from twin.diagnosis.remainder.rivals import Rival
     from twin.diagnosis.result import Diagnosis, Finding
 
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
@@ -189,11 +190,17 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
     gain = _gain_sentence(diagnosis)
     if diagnosis.verdict == "unfinished":
         return _unfinished(diagnosis) + gain
+    sure = [finding for finding in diagnosis.causes if diagnosis.holds(finding)]
+    unsure = [finding for finding in diagnosis.causes if not diagnosis.holds(finding)]
     if diagnosis.verdict == "causes-found":
-        return _causes_sentence(diagnosis.causes, whole=True) + _classes_sentence(diagnosis.causes) + gain
+        return (
+            _causes_sentence(sure, whole=not unsure)
+            + _classes_sentence(sure)
+            + gain
+            + (f" In addition, as candidates: {_causes_sentence(unsure, whole=False)}" if unsure else "")
+            + _rivals_sentence(unsure)
+        )
     if diagnosis.verdict == "partly-explained":
-        sure = [finding for finding in diagnosis.causes if diagnosis.holds(finding)]
-        unsure = [finding for finding in diagnosis.causes if not diagnosis.holds(finding)]
         where = diagnosis.unexplained_where
         if where.startswith(ON_JUDGES):
             rest = f" But not everything is explained {where}."
@@ -209,6 +216,7 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
             + rest
             + small
             + (_causes_sentence(unsure, whole=False) if unsure else "")
+            + _rivals_sentence(unsure)
         )
     where = diagnosis.unexplained_where.removeprefix("most ")
     rest = f" What is left is largest {where}." if where else ""
@@ -220,7 +228,8 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
     nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
     return (
         "The model is wrong, and the known causes do not explain all of it. The nearest candidates may only "
-        f"imitate an unknown cause: {nearest}{_classes_sentence(diagnosis.causes)}{rest}{gain}"
+        f"imitate an unknown cause: {nearest}{_classes_sentence(diagnosis.causes)}{_rivals_sentence(unsure)}"
+        f"{rest}{gain}"
     )
 
 
@@ -267,6 +276,19 @@ def _classes_sentence(causes: Sequence[Finding]) -> str:
             names = " or ".join(member.name for member in finding.indistinguishable_from)
             parts.append(f" These data cannot tell {finding.name} from {names}.")
     return "".join(parts)
+
+
+def _rivals_sentence(causes: Sequence[Finding]) -> str:
+    """Say which names something unknown would replace."""
+    return "".join(f" {capital(rival_sentence(one.name, one.rival))}." for one in causes if one.rival is not None)
+
+
+def rival_sentence(cause: str, rival: Rival) -> str:
+    """Say which curve takes the place of a name."""
+    return (
+        f"{rival.curve.title} explains more than {cause} in its place (log-likelihood +{rival.lead:.0f}, after the "
+        "price of its numbers)"
+    )
 
 
 def _gain_sentence(diagnosis: Diagnosis) -> str:

@@ -55,7 +55,7 @@ def modelled(folder: Path, criterion: Criterion, fit: Fit, candidates: bool = Fa
     campaign = load(folder)
     judge = gather(read_campaign(campaign, use="judge"), campaign.plant)
     causes = assemble.testable_causes(criterion.evidence.records, ()) if candidates else ()
-    return remainder_of(criterion, fit, None, judge, floor_of(criterion, fit.theta), causes, seed=0)
+    return remainder_of(criterion, fit, None, judge, floor_of(criterion, fit.theta), causes, rival=None, seed=0)
 
 
 @pytest.fixture(scope="module")
