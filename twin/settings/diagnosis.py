@@ -213,9 +213,11 @@ SAME_PLANT = 0.01
 # --- Verdict and confidence ---
 
 # Reasoned.  `partly-explained`: error of x over its noise floor, at most, and the least share of the mean square above
-# the floor that the causes remove.
+# the floor that the causes remove.  A share of LARGE_SHARE is enough whatever is left: with a quieter sensor the same
+# rest is a larger multiple of the floor, and the names are no less right.
 PARTLY_ERROR = 2.0**0.5
 PARTLY_SHARE = 0.5
+LARGE_SHARE = 0.85
 # Reasoned.  Lead of log-likelihood over which the doubt falls by e.
 CONFIDENCE_LEAD = 6.0
 

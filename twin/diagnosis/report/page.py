@@ -13,14 +13,15 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from twin.diagnosis.judge.account import Verdict
 from twin.diagnosis.report import figures
 from twin.diagnosis.report.page_causes import causes
 from twin.diagnosis.report.page_errors import errors
 from twin.diagnosis.report.page_remainder import remainder
-from twin.diagnosis.report.sentences import measured, quantity
+from twin.diagnosis.report.sentences import capital, measured, quantity, sizes
 from twin.diagnosis.residuals.regimes import Estimate
 from twin.diagnosis.residuals.summary import HORIZON_S, Ahead, Summary
-from twin.diagnosis.result import Diagnosis
+from twin.diagnosis.result import Diagnosis, Finding
 from twin.estimation.prepare import Usage
 from twin.evidence.noise_levels import colours_json, to_json
 from twin.inference.budget import millions
@@ -32,6 +33,13 @@ from twin.page.figures import Picture, inline
 from twin.page.render import render
 
 _MAX_NAMES = 3  # recordings by name
+_VERDICT: dict[Verdict, str] = {
+    "causes-found": "Causes found",
+    "partly-explained": "Partly explained",
+    "model-adequate": "The model is adequate",
+    "unknown-cause": "Unknown cause",
+    "unfinished": "Unfinished",
+}
 _COLOUR = {
     "causes-found": "found",
     "partly-explained": "warn",
@@ -58,6 +66,8 @@ def to_html(diagnosis: Diagnosis, summary: Summary, *, campaign: Path, out: Path
         title=f"What the simulation of {diagnosis.baseline.plant.name} gets wrong",
         answer=diagnosis.sentence,
         colour=_COLOUR[diagnosis.verdict],
+        verdict=_VERDICT[diagnosis.verdict],
+        names=[_row(diagnosis, cause) for cause in diagnosis.causes],
         diagnosis=diagnosis,
         unchanged=unchanged,
         banners=_banners(diagnosis, summary),
@@ -83,6 +93,13 @@ def to_html(diagnosis: Diagnosis, summary: Summary, *, campaign: Path, out: Path
     )
 
 
+def _row(diagnosis: Diagnosis, cause: Finding) -> list[str]:
+    """Return the row of a cause in the first box: name, size, confidence, cure."""
+    title = cause.name if diagnosis.holds(cause) else f"candidate: {cause.name}"
+    cure = BY_NAME[cause.name].cure or "\u2013"
+    return [title, sizes(cause.name, cause.parameters), f"{100 * cause.confidence:.0f} %", capital(cure)]
+
+
 def _banners(diagnosis: Diagnosis, summary: Summary) -> list[str]:
     lines = [assumption_warning(diagnosis.extended.plant)] if diagnosis.extended.plant.assumed else []
     if diagnosis.choice is not None and not diagnosis.choice.compared:
@@ -103,14 +120,10 @@ def _banners(diagnosis: Diagnosis, summary: Summary) -> list[str]:
 def _description(diagnosis: Diagnosis, campaign: Path) -> str:
     fit, judge = diagnosis.fit_evidence, diagnosis.judge_evidence
     names = ", ".join(judge.names()) if judge is not None else "none"
-    text = (
+    return (
         f"Campaign {campaign.name or campaign}: {len(fit.records)} recordings to fit and to choose causes on, "
         f"judged by {names}. Baseline: {diagnosis.baseline.provenance.get('about', 'the model that was given')}."
     )
-    if diagnosis.causes:
-        sure = ", ".join(f"{cause.name} {100 * cause.confidence:.0f} %" for cause in diagnosis.causes)
-        text += f" Confidence that the name, or one of its class, is right: {sure}."
-    return text
 
 
 def _pictures(summary: Summary) -> list[Picture]:
