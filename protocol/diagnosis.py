@@ -108,17 +108,22 @@ def read_diagnosis(table: Mapping[str, Any], *, where: str, remedy: str = _REMED
 def _cause(table: Mapping[str, Any]) -> Cause:
     proposal, rig = table.get("next_experiment") or {}, table.get("at_the_rig") or {}
     now = proposal.get("separation_z_now", {})
+    # No experiment separates a wrong stated value from a cause, so it is a measurement in `outside`.
+    stated = {entry["name"]: entry for entry in table.get("alternatives", ()) if entry.get("stated")}
     return Cause(
         name=str(table["name"]),
         sentence=str(table.get("sentence", table["name"])),
         confidence=float(table["confidence"]),
-        confounders={str(name): _z(now.get(name)) for name in table["indistinguishable_from"]},
+        confounders={str(name): _z(now.get(name)) for name in table["indistinguishable_from"] if name not in stated},
         experiments={
             str(entry["name"]): {str(name): _z(z) for name, z in entry["separation_z"].items()}
             for entry in proposal.get("experiments", ())
             if entry["name"] in EXPERIMENT_OF_NAME
         },
-        outside=tuple(map(str, proposal.get("not_separable_here", ()))),
+        outside=(
+            *map(str, proposal.get("not_separable_here", ())),
+            *(f"{entry['sentence']}? {entry['confirm']}" for entry in stated.values()),
+        ),
         confirm=str(rig.get("confirm", "")),
         cure=str(rig.get("cure", "")),
     )

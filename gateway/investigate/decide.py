@@ -197,8 +197,8 @@ def _perform(known: Known, menu: Mapping[str, Offer], names: Sequence[str], why:
 def _finish(known: Known, answer: Diagnosis, menu: Mapping[str, Offer]) -> Finish:
     if answer.verdict == "unknown-cause":
         return Finish(stands=False, why="no cause of the catalogue explains it, and all experiments were made")
+    outside = [text for suspect in answer.suspects for text in suspect.outside]
     if answer.is_open:
-        outside = [text for suspect in answer.suspects for text in suspect.outside]
         for name in sorted(
             {name for suspect in answer.suspects for name in suspect.experiments} & menu.keys() - known.recordings
         ):
@@ -210,4 +210,5 @@ def _finish(known: Known, answer: Diagnosis, menu: Mapping[str, Offer]) -> Finis
     if answer.verdict == "partly-explained":
         return Finish(stands=True, why="the named causes hold, more than noise is left, and all experiments were made")
     names = " and ".join(suspect.name for suspect in answer.suspects)
-    return Finish(stands=True, why=f"one cause is left for each effect: {names}")
+    measure = f". What only a measurement shows: {'; '.join(outside)}" if outside else ""
+    return Finish(stands=True, why=f"one cause is left for each effect: {names}{measure}")

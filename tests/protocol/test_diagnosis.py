@@ -32,6 +32,18 @@ def test_a_class_comes_with_its_separations_and_what_nothing_is_known_of_as_none
     assert suspect.outside == ("Measure the gap.",)
 
 
+def test_a_stated_value_is_no_confounder_but_something_to_measure() -> None:
+    clock = {"name": "stated-clock", "stated": True, "sentence": "the clock is 2 % slow", "confirm": "compare it"}
+    alternatives = [{"name": "force-exponent", "stated": False}, clock]
+    names = ["force-exponent", "stated-clock"]
+    cause = CAUSE | {"indistinguishable_from": names, "alternatives": alternatives}
+
+    (suspect,) = read_diagnosis(FOUND | {"causes": [cause]}, where="x").suspects
+
+    assert suspect.confounders == {"force-exponent": 1.5}
+    assert suspect.outside == ("Measure the gap.", "the clock is 2 % slow? compare it")
+
+
 def test_where_no_cause_holds_the_candidates_are_looked_at() -> None:
     answer = read_diagnosis(FOUND | {"verdict": "unknown-cause", "causes": [], "candidates": [CAUSE]}, where="x")
 

@@ -20,19 +20,28 @@ from twin.diagnosis.remainder.remainder import Remainder, remainder_of
 from twin.diagnosis.remainder.rivals import Rival, rivals_of
 from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model
 from twin.diagnosis.report.model_file import model_of
-from twin.diagnosis.report.other_causes import minor_effects_of, missing_channels, not_testable, ruled_out
+from twin.diagnosis.report.other_causes import (
+    absorbed_suspect,
+    minor_effects_of,
+    missing_channels,
+    not_testable,
+    ruled_out,
+)
 from twin.diagnosis.report.page_remainder import answer_with
 from twin.diagnosis.report.sentences import (
     answer_sentence,
     beginning_sentence,
     beyond_sentence,
+    cause_sentence,
     contradiction_sentence,
     finding_sentence,
     form_of,
     rival_sentence,
 )
 from twin.diagnosis.result import Diagnosis, Finding, Member, Proposal, fit_parameters
+from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.state import Selection
+from twin.diagnosis.search.stated_values import StatedValues, examine, with_members
 from twin.estimation.record import Record
 from twin.evidence import sample_loss
 from twin.evidence.gather import Evidence
@@ -42,7 +51,7 @@ from twin.inference.budget import Budget, Spent
 from twin.inference.fisher_scoring import Fit, spreads
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor
-from twin.inference.theta import Theta
+from twin.inference.theta import Theta, coordinates_of
 from twin.model.assumed import assumption, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
@@ -100,19 +109,23 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     """Assemble the diagnosis, with the warnings from here on and the stages from the search on."""
     records, judge, plant = inputs.records, inputs.judge, inputs.campaign.plant
     stages = dict(search.stages_s)
-    criterion, selection, floor = search.criterion, search.selection, search.floor
+    criterion, floor = search.criterion, search.floor
     finished = not search.budget.unanswered  # questions left open from here on do not change the verdict
     search.budget.reopen()
+    selection = search.selection
+    with timed(stages, "stated values"):
+        stated = _stated_values(search)
+        selection = with_members(selection, stated)
     with timed(stages, "rivals"):
         rivals = _rivals(search, options)
     with timed(stages, "what is left"):
         under = floor.under(criterion, selection.fit.theta)
         account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals)
         where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
-        spread = spreads(criterion, selection.fit)
+        spread = spreads(criterion, selection.fit, stated.slopes)
         warnings = _inconsistent(search) + [rival_sentence(cause, rival) for cause, rival in rivals.items()]
     with timed(stages, "next experiments"):
-        proposals = _proposals(search, inputs.campaign, options)
+        proposals = _proposals(search, inputs.campaign, options) | _measurements(search.selection, stated)
     with timed(stages, "gain"):
         lost = lost_samples([*records, *inputs.judges])
         bench = _bench(search, judge, plant, options)
@@ -155,7 +168,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         verdict=verdict,
         sentence="",
         causes=tuple(findings),
-        not_testable=tuple(not_testable(selection, records)),
+        not_testable=(*not_testable(selection, records), *map(absorbed_suspect, stated.absorbed)),
         minor_effects=minor_effects,
         ruled_out=tuple(ruled_out(selection, {*_names(findings), *(effect.name for effect in minor_effects)}))
         if finished
@@ -287,9 +300,7 @@ def _findings(
                     cause,
                     verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
                 ),
-                indistinguishable_from=tuple(
-                    Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, {})) for trial in members
-                ),
+                indistinguishable_from=tuple(_member(trial, selection.gains[cause], plant) for trial in members),
                 share_of_excess_explained=account.cause_shares[cause],
                 loglik_gain=account.gains[cause],
                 next_experiment=proposals.get(cause),
@@ -309,6 +320,19 @@ def _findings(
             )
         )
     return findings
+
+
+def _member(trial: Trial, gain: float, plant: Plant) -> Member:
+    """Return the member of the class of a cause with this gain."""
+    stated = BY_NAME[trial.cause].detector == "stated"
+    spread = {name: trial.fit.std(name, plant) for name in coordinates_of(trial.cause) if stated}
+    parameters = fit_parameters(trial.fit, trial.cause, spread)
+    return Member(
+        name=trial.cause,
+        parameters=parameters,
+        sentence=cause_sentence(trial.cause, parameters),
+        lead=trial.gain - gain,
+    )
 
 
 def _assumption_clause(cause: str, plant: Plant) -> str:
@@ -331,6 +355,23 @@ def _with_change(finding: Finding, change: Change) -> Finding:
     if change.begins:
         return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
     return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
+
+
+def _stated_values(search: SearchResult) -> StatedValues:
+    """Return the stated values that may be wrong; none if the budget does not suffice."""
+    question = search.budget.question("which values that the campaign states may be wrong")
+    with suppress(Spent), question, search.criterion.charging(search.budget):
+        return examine(search.criterion, search.selection)
+    return StatedValues(classes={}, absorbed=())
+
+
+def _measurements(selection: Selection, stated: StatedValues) -> dict[str, Proposal]:
+    """Return what to measure beside the board, for causes that share their class with stated values alone."""
+    return {
+        cause: Proposal(what="; ".join(BY_NAME[trial.cause].confirm for trial in trials), separation_z=0.0)
+        for cause, trials in stated.classes.items()
+        if trials and not selection.classes.get(cause)
+    }
 
 
 def _names(findings: Sequence[Finding]) -> set[str]:

@@ -31,6 +31,13 @@ class Member:
 
     name: str
     parameters: Mapping[str, Parameter]
+    sentence: str = ""  # with its size
+    lead: float = 0.0  # log-likelihood by which it explains more than the cause that is named
+
+    @property
+    def stated(self) -> bool:
+        """Return whether it is an error of a value that the campaign states."""
+        return BY_NAME[self.name].detector == "stated"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,7 +191,14 @@ def _finding(cause: Finding) -> dict[str, Any]:
         "confidence": round(cause.confidence, 3),
         "indistinguishable_from": [member.name for member in cause.indistinguishable_from],
         "alternatives": [
-            {"name": member.name, "parameters": parameters_json(member.parameters)}
+            {
+                "name": member.name,
+                "sentence": member.sentence,
+                "stated": member.stated,
+                "log_likelihood_lead": member.lead,
+                "parameters": parameters_json(member.parameters),
+                "confirm": BY_NAME[member.name].confirm,
+            }
             for member in cause.indistinguishable_from
         ],
         "share_of_excess_explained": cause.share_of_excess_explained,

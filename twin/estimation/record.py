@@ -49,6 +49,9 @@ class Record:
     instrument: str = ""  # the instrument, if the campaign file names it
     lsb: tuple[float, float] = (0.0, 0.0)  # one count of i_c in A and of x in m, if the log contains it
     notes: tuple[str, ...] = field(default=())
+    # e of true interval = (1 + e) interval of the board, by the times of arrival at the computer, and its standard
+    # error; None: unknown.
+    clock_error: tuple[float, float] | None = None
 
     def part(self, which: slice | BoolArray) -> Record:
         """The same with some of the samples; views for a slice."""

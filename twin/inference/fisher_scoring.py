@@ -46,9 +46,12 @@ class Fit:
         return spread * abs(shifted - value) / 1e-3
 
 
-def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
-    """Return the standard errors of all free parameters in their own units, from new derivatives."""
-    _, score, fisher = criterion.gradient(fit.theta, fit.free)
+def spreads(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray] | None = None) -> dict[str, float]:
+    """Return the standard errors of all free parameters in their own units.
+
+    They come from `slopes`, (score, Fisher information) in the free coordinates, or from new derivatives.
+    """
+    score, fisher = slopes or criterion.gradient(fit.theta, fit.free)[1:]
     active = active_of(_Surface(criterion), fit.theta, fit.free, score)
     at = replace(fit, covariance=covariance_of(fisher, active))
     return {name: at.std(name, criterion.plant) for name in fit.free}

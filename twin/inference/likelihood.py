@@ -167,8 +167,7 @@ class Criterion:
 
     def _fill(self, theta: Theta, part: slice, results: Results, known: Steps = NO_STEPS) -> None:
         """Run whole recordings and write to their part of the results."""
-        samples = self.evidence.samples
-        samples = samples._replace(t=theta.shifted(samples.t, self.evidence.series.recording))
+        samples = theta.samples(self.evidence.samples, self.evidence.series.recording)
         fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))
 
     def run(self, theta: Theta) -> Results:

@@ -12,7 +12,7 @@ from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
 from twin.evidence.starting.liftoff import LiftOff
 from twin.inference.theta import Theta, shape_residuals
-from twin.model.extended import magnetic_force
+from twin.model.extended import acceleration, current_of_reading, magnetic_force, position_of_reading
 from twin.settings import diagnosis as settings
 
 
@@ -52,10 +52,12 @@ class Outside:
 
     def _static(self, theta: Theta, point: LiftOff) -> float:
         p, c = theta.base(self.plant), theta.vector()
-        x = self.plant.x_max_m - point.gap_m
+        i = current_of_reading(c, point.i_c_a)
+        x = position_of_reading(p, c, self.plant.x_max_m - point.gap_m, i)
         # The error is one of K_c, which goes with the square of the current. The residual is a relative error of the
         # current: hence both halves.
         sigma = max(0.5 * point.relative_error, 0.003)
-        force = magnetic_force(p, c, point.i_c_a, x)
-        weight = self.plant.mass_kg * self.plant.gravity_m_s2
-        return 0.5 * math.log(max(force, 1e-12) / weight) / sigma
+        force = magnetic_force(p, c, i, x)
+        # What the magnet has to carry: the weight less every other force on a ball at rest.
+        load = force - p.mass_kg * acceleration(p, c, i, x, 0.0, 0.0)
+        return 0.5 * math.log(max(force, 1e-12) / max(load, 1e-12)) / sigma

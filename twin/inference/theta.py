@@ -19,9 +19,10 @@ from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import COLOURS as COLOURS
 from twin.estimation.structures import NOISES as NOISES
-from twin.estimation.structures import NoiseLevels, Stops, System
+from twin.estimation.structures import NoiseLevels, Samples, Stops, System
+from twin.model.causes import stated
 from twin.model.causes.catalogue import BY_NAME, neutral
-from twin.model.causes.cause import CauseParameter
+from twin.model.causes.cause import NO_PLACE, CauseParameter
 from twin.model.extended import Base
 
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
@@ -96,11 +97,14 @@ class Theta:
         """The vector c of the causes' parameters for the kernels."""
         c = neutral()
         for name, value in self.causes:
-            c[parameter_of(name).index] = value
+            if (place := parameter_of(name).index) != NO_PLACE:
+                c[place] = value
+        stated.rescale_sensor(c, dict(self.causes))
         return c
 
     def base(self, plant: Plant) -> Base:
-        """The paper's parameters for the kernels."""
+        """The paper's parameters for the kernels, with the errors of stated values."""
+        plant = stated.corrected(plant, dict(self.causes))
         return Base(
             K_A=self.K_A,
             T_A=self.T_A,
@@ -112,9 +116,13 @@ class Theta:
             travel_m=plant.travel_m,
         )
 
-    def shifted(self, t: FloatArray, recording: NDArray[np.int32]) -> FloatArray:
-        """The times t with the phase of the recording that each sample belongs to, both of shape (n,), s."""
-        return t + np.array(self.phases_s)[recording] if self.phases_s else t
+    def samples(self, samples: Samples, recording: NDArray[np.int32]) -> Samples:
+        """Return the samples on the time base of the model; `recording`: of each sample, shape (n,)."""
+        values = dict(self.causes)
+        clock, inputs = stated.factor(values, stated.CLOCK), stated.factor(values, stated.INPUT)
+        if clock != 1.0 or inputs != 1.0:
+            samples = samples._replace(t=samples.t * clock, step=samples.step * clock, u=samples.u * inputs)
+        return samples._replace(t=samples.t + np.array(self.phases_s)[recording]) if self.phases_s else samples
 
     def noise(self, tick_s: float) -> NoiseLevels:
         """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""

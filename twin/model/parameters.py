@@ -117,8 +117,9 @@ def _in_catalogue(cause: ModelCause) -> ModelCause:
     # Imported here because the catalogue loads compiled kernels, which most models do not need.
     from twin.model.causes.catalogue import BY_NAME
 
-    if cause.name not in BY_NAME:
-        raise RuleError(" is not in the catalogue", remedy=f"Use one of {', '.join(BY_NAME)}")
+    usable = [known.name for known in BY_NAME.values() if known.detector != "stated"]
+    if cause.name not in usable:
+        raise RuleError(" is not in the catalogue", remedy=f"Use one of {', '.join(usable)}")
     known = {
         parameter.name: (parameter.unit, parameter.low, parameter.high) for parameter in BY_NAME[cause.name].parameters
     }

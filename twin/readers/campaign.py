@@ -20,6 +20,7 @@ from protocol.errors import DataError
 from protocol.files import open_regular
 from protocol.table_file import LONGEST_LINE, REMEDY, read_csv_bytes, read_header, read_mat
 from twin.estimation.record import Capture, FloatArray, Record
+from twin.readers.host_clock import ClockError, clock_error, clock_note, combined
 
 if TYPE_CHECKING:
     from protocol.bus import board51_pb2 as pb
@@ -226,6 +227,7 @@ class _Rows:
     def __init__(self) -> None:
         self.rows: list[tuple[float, float, float, float, float]] = []
         self.ticks: list[tuple[int, int]] = []  # (session, tick) of each row
+        self.arrivals: dict[int, list[tuple[float, int]]] = {}  # by session: time of the board, s, and of arrival, ns
         self.lost = 0
         self._session: int | None = None
         self._offset_s = 0.0
@@ -242,6 +244,7 @@ class _Rows:
             self.ticks.append((-1, 0))
         self._session = state.session
         self.ticks.append((state.session, state.tick))
+        self.arrivals.setdefault(state.session, []).append((state.t_s, state.host_time_ns))
         self.lost += state.lost_before
         self.rows.append(
             (
@@ -252,6 +255,16 @@ class _Rows:
                 state.x_ref_m if state.HasField("x_ref_m") else nan,
             )
         )
+
+    def clock_error(self) -> ClockError | None:
+        """Return the error of the board's clock by the times of arrival; None if they do not show it."""
+        sessions = []
+        for arrivals in self.arrivals.values():
+            first_ns = arrivals[0][1]
+            # Differences of whole nanoseconds: a Unix time in ns has more digits than a double.
+            pairs = np.array([(t_s, 1e-9 * (host_ns - first_ns)) for t_s, host_ns in arrivals])
+            sessions.append(clock_error(pairs[:, 0], pairs[:, 1]))
+        return combined(sessions)
 
 
 def _read_log(path: Path, recording: Recording) -> Record:
@@ -299,6 +312,8 @@ def _read_log(path: Path, recording: Recording) -> Record:
     notes = [f"{recording.file}: {samples.lost} samples were lost on the way"] if samples.lost else []
     if not reader.finished:
         notes.append(f"{recording.file}: the log was not closed; it was read as far as possible")
+    clock = samples.clock_error()
+    notes += clock_note(recording.file, clock)
     return Record(
         name=recording.file,
         kind=recording.kind,
@@ -312,4 +327,5 @@ def _read_log(path: Path, recording: Recording) -> Record:
         instrument=recording.instrument,
         lsb=lsb,
         notes=tuple(notes),
+        clock_error=clock,
     )

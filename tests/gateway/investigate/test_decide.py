@@ -152,6 +152,7 @@ def test_one_name_is_judged_then_asked_thoroughly_then_stands() -> None:
     assert isinstance(third, Finish)
     assert third.stands
     assert "drag" in third.why
+    assert "Weigh it." in third.why  # what no experiment shows
 
 
 def test_a_class_that_opens_in_the_thorough_answer_is_split_after_all() -> None:

@@ -72,7 +72,9 @@ def flown() -> Criterion:
 
 
 def test_every_parameter_has_a_place_of_its_own() -> None:
-    places = [parameter.index for cause in BY_NAME.values() for parameter in cause.parameters]
+    """Only the errors of stated values have none: they change what the kernels are called with."""
+    kernels = [cause for cause in BY_NAME.values() if cause.detector != "stated"]
+    places = [parameter.index for cause in kernels for parameter in cause.parameters]
 
     assert sorted(places) == list(range(PLACES))
 

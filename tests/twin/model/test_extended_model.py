@@ -70,6 +70,10 @@ def renamed(data: Data) -> None:
     data["causes"][0]["name"] = "gremlins"
 
 
+def stated(data: Data) -> None:
+    data["causes"][0]["name"] = "stated-mass"
+
+
 def without(data: Data) -> None:
     del data["causes"][1]["parameters"]["tau_s"]
 
@@ -86,6 +90,7 @@ def twice(data: Data) -> None:
     ("change", "says"),
     [
         (renamed, "causes 1 (gremlins) is not in the catalogue"),
+        (stated, "causes 1 (stated-mass) is not in the catalogue"),
         (without, "causes 2 (amplifier-gain-drift).parameters.tau_s is missing"),
         (more, "causes 1 (air-gap-offset).parameters.e_m is not a parameter"),
         (twice, "causes 3 (air-gap-offset) appears twice"),

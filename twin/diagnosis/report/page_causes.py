@@ -55,7 +55,8 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         ("How to confirm it by hand", _sentence(cause.confirm)),
         ("What to do about it", _sentence(cause.cure)),
     ]
-    members = [_sized(member.name, member.parameters) for member in finding.indistinguishable_from]
+    rivals = finding.indistinguishable_from
+    members = [_sized(member.name, member.parameters) for member in rivals if not member.stated]
     return {
         "title": number + finding.name,
         "sentence": _sentence(finding.sentence),
@@ -64,6 +65,9 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         "sizes": sizes(finding.name, finding.parameters),
         "facts": [(term, text) for term, text in facts if text],
         "others": [_sized(finding.name, finding.parameters), *members] if members else [],
+        "stated": [
+            [_sentence(member.sentence), _sentence(BY_NAME[member.name].confirm)] for member in rivals if member.stated
+        ],
         **_experiment(finding.next_experiment),
     }
 

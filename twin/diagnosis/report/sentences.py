@@ -80,20 +80,28 @@ class _Size:
         return measured(abs(value), ends, self._known.unit)[0]
 
 
-def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
-    """The cause in plain words with its sizes, and the 95 % interval of its strength."""
+def cause_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """The cause in plain words with its sizes."""
     known = BY_NAME[cause]
     strength = parameters[known.strength.name]
     template = known.opposite if known.opposite and strength.value < known.strength.neutral else known.sentence
     if not template:
         return f"{known.title}: {sizes(cause, parameters)}"
-    text = template.format(
+    return template.format(
         **{
             parameter.name: _Size(parameter, parameters[parameter.name])
             for parameter in known.parameters
             if parameter.name in parameters
         }
     )
+
+
+def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """The cause in plain words with its sizes, and the 95 % interval of its strength."""
+    known, text = BY_NAME[cause], cause_sentence(cause, parameters)
+    if not known.sentence:
+        return text
+    strength = parameters[known.strength.name]
     _, interval = measured(strength.value, strength.ci95, known.strength.unit)
     form = form_of(known, parameters)
     size = f"{known.strength.symbol} = {interval}, 95 %" if interval else ""
@@ -269,12 +277,18 @@ def _causes_sentence(causes: Sequence[Finding], *, whole: bool) -> str:
 
 
 def _classes_sentence(causes: Sequence[Finding]) -> str:
-    """Say which causes these data cannot tell apart."""
+    """Say which causes these data cannot tell apart, and which stated value may be wrong instead."""
     parts = []
     for finding in causes:
-        if finding.indistinguishable_from:
-            names = " or ".join(member.name for member in finding.indistinguishable_from)
+        names = " or ".join(member.name for member in finding.indistinguishable_from if not member.stated)
+        stated = [member for member in finding.indistinguishable_from if member.stated]
+        if names:
             parts.append(f" These data cannot tell {finding.name} from {names}.")
+        if stated:
+            more = any(member.lead > settings.EQUIVALENT_GAIN for member in stated)
+            wrong = " or ".join(member.sentence for member in stated)
+            explains = "explain this, and better than" if more else "explain this instead of"
+            parts.append(f" A wrong value in the campaign would {explains} {finding.name}: {wrong}.")
     return "".join(parts)
 
 

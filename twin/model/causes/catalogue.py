@@ -40,6 +40,7 @@ from twin.model.causes import (
 )
 from twin.model.causes.cause import PLACES, Cause, Detector, Trait
 from twin.model.causes.curve import CURVES
+from twin.model.causes.stated import STATED
 
 CATALOGUE: tuple[Cause, ...] = (
     amplifier_gain_drift.CAUSE,
@@ -70,7 +71,7 @@ CATALOGUE: tuple[Cause, ...] = (
     sampling_delay.CAUSE,
     lost_samples.CAUSE,
 )
-BY_NAME = {cause.name: cause for cause in (*CATALOGUE, *CURVES)}
+BY_NAME = {cause.name: cause for cause in (*CATALOGUE, *CURVES, *STATED)}
 # (place of an offset, place of its wander) for each offset that may wander.
 OFFSETS = tuple((cause.strength.index, shape.index) for cause in CATALOGUE for shape in cause.shapes if shape.walks)
 

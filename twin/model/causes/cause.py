@@ -21,10 +21,12 @@ Trait = Literal[
     "of-the-gap",  # its equation has the distance of ball and coil in it
     "warms",  # comes and goes with the warmth of the coil
 ]
-# In innovations, in their spectrum, in the times of samples; a curve, which is not a cause, in what is left.
-Detector = Literal["score-test", "spectral-line", "gaps", "remainder"]
+# In innovations, in their spectrum, in the times of samples; no causes are a curve, found in what is left, and an error
+# of what the campaign states, which only competes with a named cause.
+Detector = Literal["score-test", "spectral-line", "gaps", "remainder", "stated"]
 AtRest = Literal["", "balance", "amplifier"]
 PLACES = 111
+NO_PLACE = -1  # of a parameter that acts before the kernels
 
 
 class Vector(Protocol):
@@ -40,7 +42,7 @@ class CauseParameter:
     name: str
     symbol: str
     unit: str = ""  # empty: a pure number
-    index: int  # in the vector c
+    index: int  # in the vector c, or NO_PLACE
     neutral: float = 0.0  # absent; inf for limits
     low: float  # of the physical range
     high: float

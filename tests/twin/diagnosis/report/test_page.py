@@ -19,10 +19,10 @@ from twin.diagnosis.report.figures import (
     short_label,
 )
 from twin.diagnosis.report.page import to_html
-from twin.diagnosis.report.sentences import finding_sentence, measured, quantity, summary_sentence
+from twin.diagnosis.report.sentences import cause_sentence, finding_sentence, measured, quantity, summary_sentence
 from twin.diagnosis.residuals.step_response import Steps
 from twin.diagnosis.residuals.summary import Summary, summarise
-from twin.diagnosis.result import Diagnosis, MinorEffect, Proposal
+from twin.diagnosis.result import Diagnosis, Member, MinorEffect, Proposal, to_json
 from twin.estimation.step_figures import together
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
@@ -130,6 +130,29 @@ def test_a_pair_that_no_experiment_separates_has_no_command() -> None:
 
     assert "a shim would" in text
     assert "Next experiment" not in text
+
+
+def test_a_stated_value_is_listed_with_its_size_and_how_to_check_it() -> None:
+    found = found_gap()
+    (cause,) = found.causes
+    error = {"error": Parameter(value=0.0199, unit="", ci95=(0.0185, 0.0213))}
+    sentence = cause_sentence("stated-clock", error)
+    clock = Member(name="stated-clock", parameters=error, sentence=sentence)
+    found = replace(found, causes=(replace(cause, indistinguishable_from=(clock,), next_experiment=None),))
+
+    text = text_of(quick_page(found)).replace("&#39;", "'")
+    (alternative,) = to_json(found)["causes"][0]["alternatives"]
+
+    assert sentence == "the board's clock is 1.99 % slow"
+    assert "would explain this instead of air-gap-offset: the board's clock is 1.99 % slow." in summary_sentence(found)
+    assert "The board's clock is 1.99 % slow. Compare ten minutes of the board's ticks" in text
+    assert "No other cause of the catalogue explains these recordings as well" in text
+    assert alternative["stated"]
+    assert alternative["sentence"] == sentence
+    assert alternative["confirm"] == BY_NAME["stated-clock"].confirm
+    better = replace(clock, lead=20.0)
+    found = replace(found, causes=(replace(cause, indistinguishable_from=(better,)),))
+    assert "would explain this, and better than air-gap-offset" in summary_sentence(found)
 
 
 def test_an_unknown_cause_says_how_much_is_left_and_where() -> None:
