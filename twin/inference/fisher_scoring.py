@@ -10,7 +10,7 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.estimation import optimiser
-from twin.estimation.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
+from twin.estimation.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, Summit, active_of, covariance_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 from twin.inference.likelihood import Criterion, mean_square
@@ -31,6 +31,8 @@ class Fit:
     covariance: FloatArray  # of the coordinates
     converged: bool
     ahead: float = 0.0  # log-likelihood that the slope here still promises, were it a parabola
+    passes: int = 0
+    decrement: float = math.inf  # of the last step, standard errors
 
     def std(self, name: str, plant: Plant) -> float:
         """Return the standard error in the unit of the parameter; inf if it was not free."""
@@ -72,14 +74,26 @@ def climb(
     top = optimiser.climb(
         surface, start, free, passes=passes, tolerance=SLOW_TOLERANCE if approximate else tolerance, patience=2
     )
-    return Fit(
-        theta=top.point,
+    return replace(
+        fit_of(top, free),
         loglik=top.loglik + narrowing(free, top.covariance),
-        free=tuple(free),
-        covariance=top.covariance,
         # Never converged by rough slopes: they give the direction of a step, but not the maximum.
         converged=top.converged and not approximate,
         ahead=max(top.ahead, _ROUGH) if approximate else top.ahead,
+    )
+
+
+def fit_of(top: Summit[Theta], free: Sequence[str]) -> Fit:
+    """Return the fit that ended at a summit; `free`: the coordinates that moved."""
+    return Fit(
+        theta=top.point,
+        loglik=top.loglik,
+        free=tuple(free),
+        covariance=top.covariance,
+        converged=top.converged,
+        ahead=top.ahead,
+        passes=top.passes,
+        decrement=top.decrement,
     )
 
 

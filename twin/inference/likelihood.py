@@ -81,8 +81,12 @@ class Criterion:
         """The likelihood of part of the samples, for the way to where a fit begins; itself, where there are too few."""
         if len(self.evidence.series) < settings.APPROACH_RATIO * settings.APPROACH_SAMPLES:
             return self
-        other, series = copy(self), self._thinned.series
-        other.evidence, other.pace, other.halves = self._thinned, pace_of(series), _halves(series)
+        return self.over(self._thinned)
+
+    def over(self, part: Evidence) -> Criterion:
+        """The likelihood of part of the samples, with the same threads and budget."""
+        other, series = copy(self), part.series
+        other.evidence, other.pace, other.halves = part, pace_of(series), _halves(series)
         other.share = len(series) / len(self.evidence.series)
         return other
 
