@@ -23,6 +23,7 @@ from twin.evidence.gather import Evidence
 from twin.inference.fisher_scoring import Fit, fit_of
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import Theta, max_step, moved
+from twin.settings import identification as settings
 
 TOLERANCE = 0.01  # Newton decrement of convergence, standard errors
 PASSES = 40
@@ -78,16 +79,12 @@ class Blocks:
             score, fisher = score + one, fisher + more
         return Slopes(score=score, fisher=fisher)
 
-    def sandwich(self, fitted: Fit, lags: int) -> Fit:
+    def sandwich(self, fitted: Fit) -> Fit:
         """The fit with the sandwich covariance, which holds for coloured residuals: F^-1 (sum of scores) F^-1.
 
-        Source: Newey and West, Econometrica 55(3), 1987.
-
-        Args:
-            fitted: the maximum.
-            lags: of the sum, samples; it is taken within blocks.
+        The sum is taken within blocks.  Source: Newey and West, Econometrica 55(3), 1987.
         """
-        count = len(fitted.free)
+        count, lags = len(fitted.free), max(round(settings.RESIDUAL_MEMORY_S / self.whole.tick_s), 1)
         fisher, middle = np.zeros((count, count)), np.zeros((count, count))
         for part in self._parts:
             base, change = part.derivatives(fitted.theta, fitted.free, part.run(fitted.theta))

@@ -99,9 +99,8 @@ def identify_records(
                 fitted = _possible_drag(likelihood, fitted, starts.ball, warnings)
             white = whiteness(likelihood.series, likelihood.white(fitted.theta))
             progress("covariance and intervals")
-            lags = max(round(settings.RESIDUAL_MEMORY_S / tick_s), 1)
             # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
-            robust = None if white.white else likelihood.sandwich(fitted, lags)
+            robust = None if white.white else likelihood.sandwich(fitted)
             intervals = quadratic_or_profile(likelihood, fitted, robust)
         warnings += _not_converged(fitted)
     warnings += _left_out(usages)
@@ -117,9 +116,8 @@ def identify_records(
         "b": verdicts.drag(intervals.get("b"), held, ball, plant, warnings, coloured=coloured),
     }
     provenance = provenance_of(campaign, fitted, white, usages, warnings, starts)
-    model = Model(
-        plant=plant, parameters=mark(parameters, plant), noise=noise_of(fitted, records), provenance=provenance
-    )
+    noise = noise_of(fitted, records)
+    model = Model(plant=plant, parameters=mark(parameters, plant), noise=noise, provenance=provenance)
     return Identification(
         model=model,
         converged=fitted is None or fitted.converged,

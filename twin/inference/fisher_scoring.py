@@ -160,7 +160,7 @@ class _Surface:
 
     def visit(self, point: Theta) -> tuple[float, Results]:
         run = self._criterion.run(point)
-        return self._criterion.loglik(run.innovations) + self._criterion.outside.loglik(point), run
+        return self._criterion.loglik(point, run.innovations), run
 
     def slopes(
         self, point: Theta, results: Results, free: Sequence[str], before: Slopes | None, decrement: float
