@@ -36,9 +36,8 @@ THETA = Theta(
 def repeated(record: Record, copies: int) -> Record:
     """The same flight again and again, each after a gap."""
     t = np.concatenate([record.t + n * (record.t[-1] + 0.5) for n in range(copies)])
-    return replace(
-        record, t=t, **{name: np.tile(getattr(record, name), copies) for name in ("u_c", "i_c", "x", "x_ref")}
-    )
+    u_c, i_c, x, x_ref = (np.tile(row, copies) for row in (record.u_c, record.i_c, record.x, record.x_ref))
+    return replace(record, t=t, u_c=u_c, i_c=i_c, x=x, x_ref=x_ref)
 
 
 @pytest.fixture(scope="module")
