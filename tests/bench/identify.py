@@ -25,8 +25,8 @@ from twin.estimation.record import Record
 from twin.identification.fit import Blocks, bare, fit
 from twin.identification.pipeline import identify_records
 from twin.identification.starts import find_starts
-from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import Fit
 from twin.inference.theta import BASE
 
 FloatArray = NDArray[np.float64]

@@ -16,13 +16,12 @@ from dataclasses import replace
 import numpy as np
 
 from twin.estimation.innovations import FOLLOWS, Series, information
-from twin.estimation.optimiser import Slopes, climb, inverse
 from twin.estimation.prepare import BLOCK_SAMPLES
 from twin.estimation.record import FloatArray
 from twin.evidence.gather import Evidence
-from twin.inference.fisher_scoring import Fit, fit_of
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import Theta, max_step, moved
+from twin.inference.optimiser import Fit, Slopes, climb, inverse
+from twin.inference.theta import Theta
 from twin.settings import identification as settings
 
 TOLERANCE = 0.01  # Newton decrement of convergence, standard errors
@@ -30,14 +29,14 @@ PASSES = 40
 
 
 class Blocks:
-    """The likelihood of a series as the sum over its blocks: a surface for `twin/estimation/optimiser.py`.
+    """The likelihood of a series as the sum over its blocks: a surface for `twin/inference/optimiser.py`.
 
     Args:
         whole: the likelihood of the series; its owner closes it.
     """
 
     def __init__(self, whole: Criterion) -> None:
-        self.whole, evidence = whole, whole.evidence
+        self.whole, self.plant, evidence = whole, whole.plant, whole.evidence
         self._parts = [
             whole.over(replace(evidence, series=evidence.series.part(block), t=evidence.t[block]))
             for block in _blocks(evidence.series)
@@ -51,14 +50,6 @@ class Blocks:
     def white(self, theta: Theta) -> FloatArray:
         """Return the whitened innovations, shape (n, 2), NaN where unused."""
         return np.concatenate([np.empty((0, 2)), *(part.white(theta)[1] for part in self._parts)])
-
-    def moved(self, point: Theta, name: str, step: float) -> Theta:
-        """The point with one coordinate moved, within its bounds."""
-        return moved(point, name, step, self.whole.plant)
-
-    def max_step(self, name: str) -> float:
-        """The largest move of a coordinate in one pass."""
-        return max_step(name)
 
     def visit(self, point: Theta) -> tuple[float, None]:
         """Return (log-likelihood, None): nothing is stored for the derivatives, to save memory."""
@@ -105,7 +96,7 @@ def bare(series: Series) -> Evidence:
 
 def fit(likelihood: Blocks, start: Theta, free: Sequence[str], *, passes: int = PASSES) -> Fit:
     """Maximise the likelihood from `start` over the coordinates `free`, with at most `passes` passes."""
-    return fit_of(climb(likelihood, start, free, passes=passes, tolerance=TOLERANCE, patience=3), free)
+    return climb(likelihood, start, free, passes=passes, tolerance=TOLERANCE, patience=3)
 
 
 def _newey_west(scores: FloatArray, lags: int) -> FloatArray:

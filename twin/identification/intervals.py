@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.identification.fit import Blocks, fit
-from twin.inference.fisher_scoring import Fit
+from twin.inference.optimiser import Fit
 from twin.inference.theta import FLOORS, PARAMETERS, moved
 from twin.settings import identification as settings
 
@@ -35,7 +35,7 @@ def quadratic_or_profile(likelihood: Blocks, fitted: Fit, robust: Fit | None) ->
         fitted: its maximum.
         robust: with the sandwich covariance, where the residuals are coloured.
     """
-    plant = likelihood.whole.plant
+    plant = likelihood.plant
     result = {}
     for name in PARAMETERS:
         if name not in fitted.free:
@@ -71,7 +71,7 @@ def quadratic_or_profile(likelihood: Blocks, fitted: Fit, robust: Fit | None) ->
 
 def _profile(likelihood: Blocks, fitted: Fit, name: str, side: int, target: float) -> float:
     """Return the value at which the signed root of the likelihood ratio reaches `target`; 0 or inf if it does not."""
-    plant = likelihood.whole.plant
+    plant = likelihood.plant
     std = fitted.std(name, plant)
     value = fitted.theta.value(name)
     distance = target * (std / plant.mass_kg if name == "b" else std / value) if np.isfinite(std) and std > 0 else 0.5

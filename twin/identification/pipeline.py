@@ -36,8 +36,8 @@ from twin.identification.input_delay import input_delay
 from twin.identification.intervals import Interval, quadratic_or_profile
 from twin.identification.result import Identification, noise_of, provenance_of
 from twin.identification.starts import find_starts
-from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import Fit
 from twin.inference.theta import BASE, FLOORS, Theta, max_drag
 from twin.model.assumed import assumption_warning, mark
 from twin.model.parameters import Model
@@ -185,7 +185,7 @@ def _not_converged(fitted: Fit) -> list[str]:
 
 def _possible_drag(likelihood: Blocks, fitted: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
     """The fit with b held at a possible value, for a likelihood whose maximum has an impossible drag."""
-    plant = likelihood.whole.plant
+    plant = likelihood.plant
     free = tuple(name for name in fitted.free if name != "b")
     possible = ball is not None and 0.0 <= ball.d * plant.mass_kg <= max_drag(plant)
     steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
@@ -273,7 +273,7 @@ def _parsimonious(likelihood: Blocks, fitted: Fit) -> Fit:
     """
     for name in NOISES[2:]:
         # A noise level that is known so well is present; a fit without it would take long and be rejected.
-        relative = fitted.std(name, likelihood.whole.plant) / fitted.theta.value(name)
+        relative = fitted.std(name, likelihood.plant) / fitted.theta.value(name)
         if name not in fitted.free or (fitted.converged and 0.0 < relative < settings.NOISE_KNOWN):
             continue
         free = tuple(other for other in fitted.free if other != name)

@@ -14,7 +14,7 @@ from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.identification.horizon import Horizon
 from twin.identification.starts import Starts
-from twin.inference.fisher_scoring import Fit
+from twin.inference.optimiser import Fit
 from twin.inference.theta import FLOORS
 from twin.model.parameters import NOISE, Model, Noise
 from twin.page.plain import plain
