@@ -32,7 +32,7 @@ class Blocks:
     """The likelihood of a series as the sum over its blocks: a surface for `twin/inference/optimiser.py`.
 
     Args:
-        whole: the likelihood of the series; its owner closes it.
+        whole: the likelihood of a `bare` series; its owner closes it.
     """
 
     def __init__(self, whole: Criterion) -> None:
@@ -63,11 +63,7 @@ class Blocks:
 
     def exact(self, point: Theta, outputs: None, free: Sequence[str]) -> Slopes:
         """Return the score and Fisher information at this point."""
-        score, fisher = np.zeros(len(free)), np.zeros((len(free), len(free)))
-        for part in self._parts:
-            run = part.run(point)
-            _, one, more = part.slopes(point, free, *part.derivatives(point, free, run))
-            score, fisher = score + one, fisher + more
+        score, fisher, _ = self._sums(point, free)
         return Slopes(score=score, fisher=fisher)
 
     def sandwich(self, fitted: Fit) -> Fit:
@@ -75,18 +71,27 @@ class Blocks:
 
         The sum is taken within blocks.  Source: Newey and West, Econometrica 55(3), 1987.
         """
-        count, lags = len(fitted.free), max(round(settings.RESIDUAL_MEMORY_S / self.whole.tick_s), 1)
-        fisher, middle = np.zeros((count, count)), np.zeros((count, count))
-        for part in self._parts:
-            base, change = part.derivatives(fitted.theta, fitted.free, part.run(fitted.theta))
-            scores = np.empty((len(base), count))
-            information(base, change, scores, fisher)
-            middle += _newey_west(scores, lags)
+        lags = max(round(settings.RESIDUAL_MEMORY_S / self.whole.tick_s), 1)
+        _, fisher, middle = self._sums(fitted.theta, fitted.free, lags)
         active = np.diag(fitted.covariance) > 0.0
         inner = inverse(fisher[np.ix_(active, active)])
         robust = np.zeros_like(fitted.covariance)
         robust[np.ix_(active, active)] = inner @ middle[np.ix_(active, active)] @ inner
         return replace(fitted, covariance=robust)
+
+    def _sums(self, theta: Theta, free: Sequence[str], lags: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return score, Fisher information and Newey-West sum of scores; `lags`: of that sum, 0 for none."""
+        count = len(free)
+        score, fisher, middle = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
+        for part in self._parts:
+            # Not `Criterion.slopes`: there is no evidence outside the series, and each sample's score is needed here.
+            base, change = part.derivatives(theta, free, part.run(theta))
+            scores = np.empty((len(base), count))
+            information(base, change, scores, fisher)
+            score += scores.sum(axis=0)
+            if lags:
+                middle += _newey_west(scores, lags)
+        return score, fisher, middle
 
 
 def bare(series: Series) -> Evidence:
