@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,12 @@ from scipy.optimize import least_squares
 from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.prepare import prepare
 from twin.estimation.record import Record
+from twin.identification.fit import Blocks, bare, fit
 from twin.identification.pipeline import identify_records
 from twin.identification.starts import find_starts
-from twin.inference.nominal_fit import NAMES, Fit, Likelihood, fit
+from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import Fit
+from twin.inference.theta import BASE
 
 FloatArray = NDArray[np.float64]
 TICKS = 10_000  # 20 s
@@ -56,12 +60,12 @@ def run() -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": f"identify: relative error of {name} on the same 1 s",
-                "value": abs(getattr(short_ours.point, name) / true - 1.0),
+                "value": abs(getattr(short_ours.theta, name) / true - 1.0),
                 "unit": "1",
                 "baseline": abs(float(fitted[n]) / true - 1.0),
                 "ratio": abs(float(fitted[n]) / true - 1.0)
-                / max(abs(getattr(short_ours.point, name) / true - 1.0), 1e-12),
-                "note": f"on 20 s ours is off by {abs(getattr(ours.point, name) / true - 1.0):.1e}",
+                / max(abs(getattr(short_ours.theta, name) / true - 1.0), 1e-12),
+                "note": f"on 20 s ours is off by {abs(getattr(ours.theta, name) / true - 1.0):.1e}",
             }
         )
     whole, whole_s, count = _campaign()
@@ -96,7 +100,8 @@ def _estimate(record: Record) -> Fit:
     starts = find_starts([record], plant)
     assert starts.amplifier is not None
     series, _ = prepare([record], plant)
-    return fit(Likelihood(series, plant, BALL.tick), starts.point(starts.amplifier, plant.mass_kg), NAMES)
+    with closing(Criterion(bare(series), plant, BALL.tick)) as criterion:
+        return fit(Blocks(criterion), starts.theta(starts.amplifier, plant.mass_kg), BASE)
 
 
 def _ours(record: Record) -> tuple[Fit, float]:

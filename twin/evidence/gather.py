@@ -44,14 +44,14 @@ POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: not used
 class Evidence:
     """The prepared recordings of one use (fit or judge) of a campaign."""
 
-    records: tuple[Record, ...]
     series: Series
     t: FloatArray  # s, of each sample of the series, shape (n,)
-    usages: tuple[Usage, ...]
-    statics: tuple[LiftOff, ...]  # points of force balance that are not in the series
-    low_m: float | None  # reading at the lower stop; None: unknown
-    high_m: float | None  # reading at the upper stop; None: unknown
-    notes: tuple[str, ...]
+    records: tuple[Record, ...] = ()
+    usages: tuple[Usage, ...] = ()
+    statics: tuple[LiftOff, ...] = ()  # points of force balance that are not in the series
+    low_m: float | None = None  # reading at the lower stop; None: unknown
+    high_m: float | None = None  # reading at the upper stop; None: unknown
+    notes: tuple[str, ...] = ()
     noise: Noise | None = None  # noise levels of the instruments, if they differ
     noise_ratio: FloatArray = field(default_factory=lambda: EQUAL_NOISE)  # as in `Samples`
 

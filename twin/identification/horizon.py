@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from protocol.campaign import Plant
+from twin.estimation.ekf.filter import filtered
 from twin.estimation.innovations import Series
 from twin.estimation.prepare import prepare
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.rollout import roll_out
 from twin.estimation.structures import System
-from twin.inference.nominal_fit import Likelihood, Point
+from twin.inference.theta import Theta
 
 HORIZONS_S = (2e-3, 10e-3, 20e-3, 40e-3)
 
@@ -31,20 +32,21 @@ class Horizon:
     count: int
 
 
-def error_at(horizon_s: float, records: list[Record], plant: Plant, point: Point, tick_s: float) -> Horizon | None:
+def error_at(horizon_s: float, records: list[Record], plant: Plant, theta: Theta, tick_s: float) -> Horizon | None:
     """Return the error over all flights of the records; None without a prediction.
 
     Args:
         horizon_s: how far ahead, s.
         records: in flight, with u_c.
         plant: of the campaign.
-        point: parameters and noise levels of the filter.
+        theta: parameters and noise levels of the filter.
         tick_s: interval of the process noise, s.
     """
     series, _ = prepare(records, plant)
-    state = Likelihood(series, plant, tick_s).states(point)
+    system = theta.system(plant, tick_s)
+    state = filtered(system, series.samples, state=True).state
     ahead = max(round(horizon_s / tick_s), 1)
-    error, constant = errors(point.system(plant, tick_s), series, state, ahead)
+    error, constant = errors(system, series, state, ahead)
     count = int(np.isfinite(error).sum())
     if not count:
         return None

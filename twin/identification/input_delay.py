@@ -6,6 +6,7 @@ Rule: each recording is tested by the likelihood of i_c alone, without a force m
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,9 @@ from twin.estimation.prepare import prepare
 from twin.estimation.record import Record
 from twin.evidence.dead_time import delayed
 from twin.evidence.starting.regression import amplifier_start
-from twin.inference.nominal_fit import Likelihood, Point, fit
+from twin.identification.fit import Blocks, bare, fit
+from twin.identification.starts import nominal
+from twin.inference.likelihood import Criterion
 from twin.settings import identification as settings
 
 _SAMPLES = 5_000  # more than enough for that margin
@@ -37,17 +40,8 @@ def input_delay(record: Record, plant: Plant) -> int:
         series, _ = prepare([shifted], plant)
         # By i_c alone: with x in the likelihood, a wrong law of the force could decide on the delay.
         current_series = replace(series, flags=series.flags & np.uint16(~(FLIES | USE_X) & 0xFFFF))
-        point = Point(
-            K_A=start.K_A,
-            T_A=start.T_A,
-            K_c=1.0,
-            b=0.0,
-            sigma_i_c_a=start.sigma_i_c_a,
-            sigma_x_m=1e-5,
-            process_i_c_a=0.3 * start.sigma_i_c_a,
-            process_a_m_s2=0.1,
-        )
-        values.append(fit(Likelihood(current_series, plant, record.interval_s), point, _FREE, passes=15).loglik)
+        with closing(Criterion(bare(current_series), plant, record.interval_s, workers=1)) as criterion:
+            values.append(fit(Blocks(criterion), nominal(start, 1.0, 0.0), _FREE, passes=15).loglik)
     best = int(np.argmax(values))
     # Not simply the likeliest: other errors of the model change the likelihood, too.
     return best if values[best] > values[0] + settings.DELAY_GAIN else 0

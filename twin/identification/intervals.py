@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from twin.inference.nominal_fit import FLOORS, PARAMETERS, Fit, Likelihood, Point, fit
+from twin.identification.fit import Blocks, fit
+from twin.inference.optimiser import Fit
+from twin.inference.theta import FLOORS, PARAMETERS, moved
 from twin.settings import identification as settings
 
 Z = 1.96
@@ -25,21 +27,21 @@ class Interval:
     method: str  # Fisher information | sandwich | profile likelihood
 
 
-def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -> dict[str, Interval]:
+def quadratic_or_profile(likelihood: Blocks, fitted: Fit, robust: Fit | None) -> dict[str, Interval]:
     """Return the intervals of the free parameters, by name.
 
     Args:
         likelihood: of the recordings.
         fitted: its maximum.
-        robust: whether the residuals are coloured, so that the sandwich covariance is used.
+        robust: with the sandwich covariance, where the residuals are coloured.
     """
-    mass = likelihood.plant.mass_kg
+    plant = likelihood.plant
     result = {}
     for name in PARAMETERS:
         if name not in fitted.free:
             continue
-        std = fitted.std(name, mass, robust=robust)
-        value = getattr(fitted.point, name)
+        std = (robust or fitted).std(name, plant)
+        value = fitted.theta.value(name)
         relative = std / value if name != "b" and value > 0 else 0.0
         floored = name == "T_A" and value <= FLOORS[name] * 1.001  # no standard error and no lower end
         # The parabola is taken where it holds, because a profile costs several fits for each end.
@@ -49,7 +51,6 @@ def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -
             or (name == "b" and abs(value) < settings.SMALL_DRAG * std)
             or not np.isfinite(std)
         )
-        # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
         if not crooked:
             low, high = (
                 (value - Z * std, value + Z * std)
@@ -59,7 +60,7 @@ def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -
             method = "sandwich covariance (residuals are coloured)" if robust else "Fisher information"
         else:
             # With coloured residuals the profile is too narrow by the ratio of the two standard errors.
-            inflate = max(std / max(fitted.std(name, mass), 1e-300), 1.0) if robust and np.isfinite(std) else 1.0
+            inflate = max(std / max(fitted.std(name, plant), 1e-300), 1.0) if robust and np.isfinite(std) else 1.0
             high = _profile(likelihood, fitted, name, 1, Z * inflate)
             low = 0.0 if floored else _profile(likelihood, fitted, name, -1, Z * inflate)
             std = float("inf") if floored else std
@@ -68,22 +69,21 @@ def quadratic_or_profile(likelihood: Likelihood, fitted: Fit, *, robust: bool) -
     return result
 
 
-def _profile(likelihood: Likelihood, fitted: Fit, name: str, side: int, target: float) -> float:
+def _profile(likelihood: Blocks, fitted: Fit, name: str, side: int, target: float) -> float:
     """Return the value at which the signed root of the likelihood ratio reaches `target`; 0 or inf if it does not."""
-    mass = likelihood.plant.mass_kg
-    std = fitted.std(name, mass)
-    value = getattr(fitted.point, name)
-    distance = target * (std / mass if name == "b" else std / value) if np.isfinite(std) and std > 0 else 0.5
+    plant = likelihood.plant
+    std = fitted.std(name, plant)
+    value = fitted.theta.value(name)
+    distance = target * (std / plant.mass_kg if name == "b" else std / value) if np.isfinite(std) and std > 0 else 0.5
     max_distance = 200.0 if name == "b" else settings.BOUND_FARTHEST
     distance = min(distance, max_distance)
     free = tuple(other for other in fitted.free if other != name)
     below, above = 0.0, np.inf
-    start: Point = fitted.point
+    start = fitted.theta
     for _ in range(_ROUNDS):
-        at = fitted.point.moved(name, side * distance, mass)
-        start = replace(at, **{other: getattr(start, other) for other in free})
-        refit = fit(likelihood, start, free, passes=_PASSES)
-        start = refit.point
+        at = moved(fitted.theta, name, side * distance, plant)
+        refit = fit(likelihood, start.having(name, at.value(name)), free, passes=_PASSES)
+        start = refit.theta
         root = float(np.sqrt(max(2.0 * (fitted.loglik - refit.loglik), 0.0)))
         if abs(root - target) < 0.03 * target:
             break
@@ -95,4 +95,4 @@ def _profile(likelihood: Likelihood, fitted: Fit, name: str, side: int, target: 
         if not below < guess < above:
             guess = 0.5 * (below + above) if np.isfinite(above) else distance * 2.0
         distance = min(guess, max_distance)
-    return float(getattr(fitted.point.moved(name, side * distance, mass), name))
+    return moved(fitted.theta, name, side * distance, plant).value(name)

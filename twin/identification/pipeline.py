@@ -11,6 +11,7 @@ Rule 2: each parameter has a verdict; one that cannot be estimated is marked as 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from protocol.errors import DataError
+from twin.estimation.gate import gate
 from twin.estimation.innovations import FLIES, USE_I, USE_X
 from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import Record
@@ -28,12 +30,15 @@ from twin.evidence.checks.plausibility import inspect
 from twin.evidence.dead_time import delayed
 from twin.evidence.starting.regression import BallStart
 from twin.identification import verdicts
+from twin.identification.fit import Blocks, bare, fit
 from twin.identification.horizon import Horizon, error_at
 from twin.identification.input_delay import input_delay
-from twin.identification.intervals import quadratic_or_profile
+from twin.identification.intervals import Interval, quadratic_or_profile
 from twin.identification.result import Identification, noise_of, provenance_of
 from twin.identification.starts import find_starts
-from twin.inference.nominal_fit import FLOORS, NAMES, Fit, Likelihood, Point, fit, gate, max_drag, sandwich
+from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import Fit
+from twin.inference.theta import BASE, FLOORS, Theta, max_drag
 from twin.model.assumed import assumption_warning, mark
 from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
@@ -84,24 +89,26 @@ def identify_records(
     tick_s = _tick(records)
     fitted: Fit | None = None
     white: Whiteness | None = None
-    likelihood = Likelihood(series, plant, tick_s)
+    intervals: dict[str, Interval] = {}
     flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
     if starts.amplifier is not None and starts.amplifier.K_A > 0 and (series.flags & USE_I).any():
-        free = NAMES if flying else _AT_REST
-        likelihood, fitted = _fitted(likelihood, starts.point(starts.amplifier, plant.mass_kg), free, usages, progress)
-        if flying and fitted.point.b >= 0.999 * max_drag(plant) * plant.mass_kg:
-            fitted = _possible_drag(likelihood, fitted, starts.ball, warnings)
-        white = whiteness(likelihood.series, likelihood.white(fitted.point))
-        fitted = sandwich(likelihood, fitted, max(round(settings.RESIDUAL_MEMORY_S / tick_s), 1))
-        progress("covariance and intervals")
+        free, start = BASE if flying else _AT_REST, starts.theta(starts.amplifier, plant.mass_kg)
+        with closing(Criterion(bare(series), plant, tick_s)) as criterion:
+            likelihood, fitted = _fitted(Blocks(criterion), start, free, usages, progress)
+            if flying and fitted.theta.b >= 0.999 * max_drag(plant):
+                fitted = _possible_drag(likelihood, fitted, starts.ball, warnings)
+            white = whiteness(likelihood.series, likelihood.white(fitted.theta))
+            progress("covariance and intervals")
+            # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
+            robust = None if white.white else likelihood.sandwich(fitted)
+            intervals = quadratic_or_profile(likelihood, fitted, robust)
         warnings += _not_converged(fitted)
     warnings += _left_out(usages)
 
     coloured = white is not None and not white.white
     ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
-    intervals = {} if fitted is None else quadratic_or_profile(likelihood, fitted, robust=coloured)
     levels, shape, force, ball = starts.levels, starts.shape, starts.force, starts.ball
-    held = fitted.point.b if flying and fitted is not None else None
+    held = fitted.theta.b if flying and fitted is not None else None
     parameters = {
         "K_A": verdicts.gain(intervals.get("K_A"), levels, shape, warnings),
         "T_A": verdicts.time_constant(intervals.get("T_A"), shape, tick_s, warnings),
@@ -109,9 +116,8 @@ def identify_records(
         "b": verdicts.drag(intervals.get("b"), held, ball, plant, warnings, coloured=coloured),
     }
     provenance = provenance_of(campaign, fitted, white, usages, warnings, starts)
-    model = Model(
-        plant=plant, parameters=mark(parameters, plant), noise=noise_of(fitted, records), provenance=provenance
-    )
+    noise = noise_of(fitted, records)
+    model = Model(plant=plant, parameters=mark(parameters, plant), noise=noise, provenance=provenance)
     return Identification(
         model=model,
         converged=fitted is None or fitted.converged,
@@ -150,21 +156,21 @@ def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> l
 
 
 def _fitted(
-    likelihood: Likelihood,
-    start: Point,
+    likelihood: Blocks,
+    start: Theta,
     free: tuple[str, ...],
     usages: Sequence[Usage],
     progress: Callable[[str], None],
-) -> tuple[Likelihood, Fit]:
+) -> tuple[Blocks, Fit]:
     """Return (the likelihood without outliers, its maximum); their number is added to `usages`."""
     fitted = fit(likelihood, start, free)
     progress(f"fit: {fitted.passes} passes over {len(likelihood.series)} samples")
-    gated, dropped = gate(likelihood.series, likelihood.white(fitted.point), len(usages))
+    gated, dropped = gate(likelihood.series, likelihood.white(fitted.theta), len(usages))
     if dropped.any():
         for usage, count in zip(usages, dropped, strict=True):
             usage.outliers += int(count)
-        likelihood = Likelihood(gated, likelihood.plant, likelihood.tick_s)
-        fitted = fit(likelihood, fitted.point, free)
+        likelihood = Blocks(likelihood.whole.over(bare(gated)))
+        fitted = fit(likelihood, fitted.theta, free)
     return likelihood, _parsimonious(likelihood, fitted)
 
 
@@ -177,20 +183,20 @@ def _not_converged(fitted: Fit) -> list[str]:
     ]
 
 
-def _possible_drag(likelihood: Likelihood, fitted: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
+def _possible_drag(likelihood: Blocks, fitted: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
     """The fit with b held at a possible value, for a likelihood whose maximum has an impossible drag."""
     plant = likelihood.plant
     free = tuple(name for name in fitted.free if name != "b")
-    possible = ball is not None and 0.0 <= ball.d <= max_drag(plant)
+    possible = ball is not None and 0.0 <= ball.d * plant.mass_kg <= max_drag(plant)
     steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
     warnings.append(
-        f"the best fit has more drag than b/m = {max_drag(plant):.0f} 1/s, the unstable pole: a ball "
+        f"the best fit has more drag than b/m = {max_drag(plant) / plant.mass_kg:.0f} 1/s, the unstable pole: a ball "
         "in air has far less, so it replaces an effect that (6) lacks. "
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
     # Not left at the bound, where b replaces another effect: other numbers would be those beside an impossible drag.
-    return fit(likelihood, replace(fitted.point, b=steady), free)
+    return fit(likelihood, replace(fitted.theta, b=steady), free)
 
 
 def _misfit(
@@ -217,7 +223,7 @@ def _ahead(records: list[Record], campaign: Campaign, fitted: Fit | None, tick_s
     flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
     if fitted is None or not flown or "K_c" not in fitted.free:
         return None
-    return error_at(settings.AHEAD_S, flown, campaign.plant, fitted.point, tick_s)
+    return error_at(settings.AHEAD_S, flown, campaign.plant, fitted.theta, tick_s)
 
 
 def grouped(messages: list[str], names: list[str]) -> list[str]:
@@ -259,7 +265,7 @@ def _tick(records: list[Record]) -> float:
     return float(np.median(chosen)) if chosen else _TICK_S
 
 
-def _parsimonious(likelihood: Likelihood, fitted: Fit) -> Fit:
+def _parsimonious(likelihood: Blocks, fitted: Fit) -> Fit:
     """The fit without process noises that do not improve the likelihood significantly.
 
     An unnecessary process noise widens the intervals.  If T_A is far below the sampling interval, a disturbance of the
@@ -267,13 +273,11 @@ def _parsimonious(likelihood: Likelihood, fitted: Fit) -> Fit:
     """
     for name in NOISES[2:]:
         # A noise level that is known so well is present; a fit without it would take long and be rejected.
-        if name not in fitted.free or (
-            fitted.converged and 0.0 < fitted.std(name, 1.0) < settings.NOISE_KNOWN * getattr(fitted.point, name)
-        ):
+        relative = fitted.std(name, likelihood.plant) / fitted.theta.value(name)
+        if name not in fitted.free or (fitted.converged and 0.0 < relative < settings.NOISE_KNOWN):
             continue
-        without = replace(fitted.point, **{name: FLOORS[name]})
         free = tuple(other for other in fitted.free if other != name)
-        smaller = fit(likelihood, without, free)
+        smaller = fit(likelihood, fitted.theta.having(name, FLOORS[name]), free)
         if smaller.loglik > fitted.loglik - settings.PROCESS_NOISE_GAIN:
             fitted = smaller
     return fitted

@@ -14,7 +14,8 @@ from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.identification.horizon import Horizon
 from twin.identification.starts import Starts
-from twin.inference.nominal_fit import FLOORS, Fit
+from twin.inference.optimiser import Fit
+from twin.inference.theta import FLOORS
 from twin.model.parameters import NOISE, Model, Noise
 from twin.page.plain import plain
 
@@ -48,7 +49,7 @@ def noise_of(fitted: Fit | None, records: list[Record]) -> Noise:
     """Return the noise of the fit without the converters' quantisation, which the twin adds from the scalings."""
     values = {name: getattr(_ASSUMED, name) for name in NOISE}
     if fitted is not None:
-        known = {name: getattr(fitted.point, name) for name in fitted.free if name in NOISE}
+        known = {name: fitted.theta.value(name) for name in fitted.free if name in NOISE}
         known |= {name: FLOORS[name] for name in ("process_i_c_a", "process_a_m_s2") if _dropped(fitted, name)}
         values |= known
         i_lsb, x_lsb = (max((record.lsb[n] for record in records), default=0.0) for n in (0, 1))

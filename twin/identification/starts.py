@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from protocol.campaign import Plant
 from twin.estimation.record import Record
 from twin.evidence.starting.levels import Levels, Shape, find_levels, find_shape
 from twin.evidence.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
 from twin.evidence.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
-from twin.inference.nominal_fit import Point
-
-# The process noise starts large.  From a small value an incomplete model converges to a far lower maximum, which
-# attributes all its error to the noise of the position sensor (250 um instead of 4).
-_NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 5.0}
+from twin.inference.initial_guess import first_theta
+from twin.inference.theta import Theta
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,21 +35,18 @@ class Starts:
             parts.append(f"K_c = {self.force.K_c:.4g} (8)")
         return "; ".join(parts) or "none"
 
-    def point(self, amplifier: AmplifierStart, mass_kg: float) -> Point:
-        """Return the point at which the fit begins; what is not known has a typical value."""
+    def theta(self, amplifier: AmplifierStart, mass_kg: float) -> Theta:
+        """Return the model at which the fit begins; what is not known has a typical value."""
         ball, force = self.ball, self.force
         k = ball.k if ball is not None and ball.k > 0 else force.K_c / mass_kg if force is not None else 1e-3
         d = min(max(ball.d, 0.0), 50.0) if ball is not None else 2.0
-        return Point(
-            K_A=amplifier.K_A,
-            T_A=amplifier.T_A,
-            K_c=k * mass_kg,
-            b=d * mass_kg,
-            sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-6),
-            sigma_x_m=_NOISE_START["sigma_x_m"],
-            process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-6),
-            process_a_m_s2=_NOISE_START["process_a_m_s2"],
-        )
+        return nominal(amplifier, k * mass_kg, d * mass_kg)
+
+
+def nominal(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
+    """The paper's model as this room fits it."""
+    # b may become negative: bounded at 0, its interval would be wrong where the data do not show the drag.
+    return replace(first_theta(amplifier, K_c, b), min_b=-math.inf, closed_form=True)
 
 
 def find_starts(records: list[Record], plant: Plant) -> Starts:

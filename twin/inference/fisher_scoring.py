@@ -1,49 +1,24 @@
-"""The maximum of the likelihood of the extended model, by `twin/estimation/optimiser.py`."""
+"""The maximum of the likelihood of the extended model, by `optimiser.py`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from protocol.campaign import Plant
-from twin.estimation import optimiser
-from twin.estimation.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
+from twin.inference import optimiser
 from twin.inference.likelihood import Criterion, mean_square
-from twin.inference.theta import Theta, max_step, moved, prior_spread
+from twin.inference.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
+from twin.inference.optimiser import Fit as Fit
+from twin.inference.theta import Theta, prior_spread
 from twin.settings import diagnosis as settings
 
 TOLERANCE = 0.02  # of a standard error
 _ROUGH = 0.5  # log-likelihood that cheaper slopes leave: 0.1 to 2 in trials
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
-    """A maximum of the likelihood, its covariance and its convergence."""
-
-    theta: Theta
-    loglik: float  # with the shapes of its causes integrated out
-    free: tuple[str, ...]
-    covariance: FloatArray  # of the coordinates
-    converged: bool
-    ahead: float = 0.0  # log-likelihood that the slope here still promises, were it a parabola
-
-    def std(self, name: str, plant: Plant) -> float:
-        """Return the standard error in the unit of the parameter; inf if it was not free."""
-        if name not in self.free:
-            return math.inf
-        index = self.free.index(name)
-        spread = math.sqrt(max(float(self.covariance[index, index]), 0.0))
-        value = self.theta.value(name)
-        shifted = moved(self.theta, name, 1e-3, plant).value(name)
-        # At an upper bound a step outwards moves nothing, so the unit comes from a step inwards.
-        if shifted == value:
-            shifted = moved(self.theta, name, -1e-3, plant).value(name)
-        return spread * abs(shifted - value) / 1e-3
 
 
 def spreads(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray] | None = None) -> dict[str, float]:
@@ -52,7 +27,7 @@ def spreads(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray
     They come from `slopes`, (score, Fisher information) in the free coordinates, or from new derivatives.
     """
     score, fisher = slopes or criterion.gradient(fit.theta, fit.free)[1:]
-    active = active_of(_Surface(criterion), fit.theta, fit.free, score)
+    active = active_of(criterion.plant, fit.theta, fit.free, score)
     at = replace(fit, covariance=covariance_of(fisher, active))
     return {name: at.std(name, criterion.plant) for name in fit.free}
 
@@ -75,11 +50,9 @@ def climb(
     top = optimiser.climb(
         surface, start, free, passes=passes, tolerance=SLOW_TOLERANCE if approximate else tolerance, patience=2
     )
-    return Fit(
-        theta=top.point,
+    return replace(
+        top,
         loglik=top.loglik + narrowing(free, top.covariance),
-        free=tuple(free),
-        covariance=top.covariance,
         # Never converged by rough slopes: they give the direction of a step, but not the maximum.
         converged=top.converged and not approximate,
         ahead=max(top.ahead, _ROUGH) if approximate else top.ahead,
@@ -139,17 +112,11 @@ class _Surface:
     """
 
     def __init__(self, criterion: Criterion, *, approximate: bool = False) -> None:
-        self._criterion, self._approximate = criterion, approximate
-
-    def moved(self, point: Theta, name: str, by: float) -> Theta:
-        return moved(point, name, by, self._criterion.plant)
-
-    def max_step(self, name: str) -> float:
-        return max_step(name)
+        self.plant, self._criterion, self._approximate = criterion.plant, criterion, approximate
 
     def visit(self, point: Theta) -> tuple[float, Results]:
         run = self._criterion.run(point)
-        return self._criterion.loglik(run.innovations) + self._criterion.outside.loglik(point), run
+        return self._criterion.loglik(point, run.innovations), run
 
     def slopes(
         self, point: Theta, results: Results, free: Sequence[str], before: Slopes | None, decrement: float

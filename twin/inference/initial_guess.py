@@ -31,7 +31,7 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
     if not any(record.has("x") for record in records):
         # No recording has x: only the amplifier can be estimated, and any K_c will do.
         weight, half = plant.mass_kg * plant.gravity_m_s2, plant.x_max_m - 0.5 * plant.travel_m
-        return _start(amplifier, weight * half**2 / 0.25, 0.0)
+        return first_theta(amplifier, weight * half**2 / 0.25, 0.0)
     # A regression, not multiple shooting: (6) is linear in K_c/m and b/m, so a regression has no local minima and needs
     # no guess.
     ball = ball_start(list(records), plant, amplifier)
@@ -40,10 +40,11 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
             "no recording shows the ball in flight for long enough",
             remedy="Record closed-loop flights or an open-loop prbs with x: without them only the amplifier is known",
         )
-    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * max_drag(plant)))
+    return first_theta(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * max_drag(plant)))
 
 
-def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
+def first_theta(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
+    """Return the starting values with those of the noise; its levels follow from that of i_c."""
     return Theta(
         K_A=amplifier.K_A,
         T_A=amplifier.T_A,
@@ -52,7 +53,8 @@ def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
         sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
         sigma_x_m=1e-5,
         process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
-        process_a_m_s2=3.0,  # with less at the start, the ball's errors would count as sensor noise for good
+        # With less at the start, an incomplete model ends at a far lower maximum: all its error counts as noise of x.
+        process_a_m_s2=3.0,
     )
 
 

@@ -81,8 +81,12 @@ class Criterion:
         """The likelihood of part of the samples, for the way to where a fit begins; itself, where there are too few."""
         if len(self.evidence.series) < settings.APPROACH_RATIO * settings.APPROACH_SAMPLES:
             return self
-        other, series = copy(self), self._thinned.series
-        other.evidence, other.pace, other.halves = self._thinned, pace_of(series), _halves(series)
+        return self.over(self._thinned)
+
+    def over(self, part: Evidence) -> Criterion:
+        """The likelihood of part of the samples, with the same threads and budget."""
+        other, series = copy(self), part.series
+        other.evidence, other.pace, other.halves = part, pace_of(series), _halves(series)
         other.share = len(series) / len(self.evidence.series)
         return other
 
@@ -206,12 +210,11 @@ class Criterion:
         return self._value(theta)
 
     def _value(self, theta: Theta) -> float:
-        return self.loglik(self._outputs(theta)) + self.outside.loglik(theta)
+        return self.loglik(theta, self._outputs(theta))
 
-    @staticmethod
-    def loglik(out: FloatArray) -> float:
-        """Return the log-likelihood of innovations, shape (n, 5)."""
-        return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
+    def loglik(self, theta: Theta, out: FloatArray) -> float:
+        """Return the log-likelihood of a model and its innovations, shape (n, 5), with the priors."""
+        return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2)))) + self.outside.loglik(theta)
 
     def values(self, thetas: Sequence[Theta]) -> list[float]:
         """Return `value` of each point, -inf if it is not finite."""
@@ -262,23 +265,11 @@ class Criterion:
         filtered = iter(outs)
         for index, name in enumerate(names):
             if name in STOPS:
-                self._stop_derivative(theta, name, base, change[index])
+                change[index] = _stop_derivative(self.evidence.series, self.plant, theta, name, base)
             else:
                 np.subtract(next(filtered), base, out=change[index])
                 change[index] /= steps[name]
         return base, change
-
-    def _stop_derivative(self, theta: Theta, name: str, base: FloatArray, change: FloatArray) -> None:
-        """The derivative by the position of a stop: it moves only the readings of a ball that rests there."""
-        flags, nominal_m = self.evidence.series.flags, self.plant.travel_m if name == "stop_high_m" else 0.0
-        low = flags & RESTS_LOW != 0
-        at_stop = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
-        p, c, stop = theta.base(self.plant), theta.vector(), nominal_m + theta.value(name)
-        reading_at_stop, reading_above = (
-            position_reading(p, c, position, 0.0) for position in (stop, stop + STOP_UNIT_M)
-        )
-        np.multiply(base, 0.0, out=change)  # NaN stays NaN
-        change[at_stop & (flags & FLIES == 0), 1] -= reading_above - reading_at_stop
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
         """Return (log-likelihood, score, Fisher information) in the coordinates `names`."""
@@ -291,12 +282,24 @@ class Criterion:
         """Compute `gradient` from outputs and derivatives; a nearby point's suffice for the last steps of a climb."""
         n, count = len(base), len(names)
         fisher, each = np.zeros((count, count)), np.empty((n, count))
-        total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside.loglik(theta)
+        total = self.loglik(theta, base)
         information(base, change, each, fisher)
         steps = [derivative_step(theta, name, self.plant) for name in names]
         models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
         score, curvature = self.outside.slopes(theta, models, steps)
         return total, each.sum(axis=0) + score, fisher + curvature
+
+
+def _stop_derivative(series: Series, plant: Plant, theta: Theta, name: str, base: FloatArray) -> FloatArray:
+    """The derivative by the position of a stop: it moves only the readings of a ball that rests there."""
+    flags, nominal_m = series.flags, plant.travel_m if name == "stop_high_m" else 0.0
+    low = flags & RESTS_LOW != 0
+    at_stop = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
+    p, c, stop = theta.base(plant), theta.vector(), nominal_m + theta.value(name)
+    reading_at_stop, reading_above = (position_reading(p, c, position, 0.0) for position in (stop, stop + STOP_UNIT_M))
+    change = 0.0 * base  # NaN stays NaN
+    change[at_stop & (flags & FLIES == 0), 1] -= reading_above - reading_at_stop
+    return change
 
 
 def mean_square(out: FloatArray) -> float:

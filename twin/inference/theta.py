@@ -2,7 +2,7 @@
 
 Rule 1: a coordinate moves in units in which 1 is a moderate change.  These are logarithms, b / m in 1/s, 10 um for
         stops, and the first probe of each cause.
-Rule 2: bounds are physical: b is not negative, a cause stays within its range.
+Rule 2: bounds are physical: a cause stays within its range, and b is not negative unless `min_b` allows it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from twin.model.extended import Base
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
 STOPS = ("stop_low_m", "stop_high_m")
 BASE = PARAMETERS + NOISES
-FLOORS = {"process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
+# T_A: faster than any coil; below, the likelihood is flat and a climb would not converge.
+FLOORS = {"T_A": 2e-6, "process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
 TAU_S = (2e-4, 0.1)  # correlation times of coloured noise; a slower one is an offset that wanders
 WHITE = (1e-3, 0.98)  # white share of the variance of coloured noise
 STOP_UNIT_M = 1e-5
@@ -56,6 +57,8 @@ class Theta:
     phases_s: tuple[float, ...] = ()
     min_sigma_i_c_a: float = 1e-6  # lower bound: a noise level at 0 could not recover
     min_sigma_x_m: float = 1e-8
+    min_b: float = 0.0  # lower bound; -inf where the interval of b must be right although it reaches 0
+    closed_form: bool = False  # as in `System`; only without causes
     # The colour of the noise, as `NoiseLevels` has it.
     tau_i_c_s: float = 0.0
     white_i_c: float = 1.0
@@ -138,7 +141,7 @@ class Theta:
     def system(self, plant: Plant, tick_s: float) -> System:
         """The model and its noise, as the filter takes them; `tick_s`: that process noise refers to, s."""
         stops = Stops(self.stop_low_m, self.stop_high_m)
-        return System(tuple(self.base(plant)), self.vector(), self.noise(tick_s), stops)
+        return System(tuple(self.base(plant)), self.vector(), self.noise(tick_s), stops, self.closed_form)
 
 
 def parameter_of(name: str) -> CauseParameter:
@@ -189,7 +192,7 @@ def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
         return theta.having(name, parameter.value(coordinate))
     if name == "b":
         # b moves linearly, as a logarithm could not reach 0. Beyond the unstable pole it would imitate another effect.
-        return replace(theta, b=min(max(value + step * plant.mass_kg, 0.0), max_drag(plant)))
+        return replace(theta, b=min(max(value + step * plant.mass_kg, theta.min_b), max_drag(plant)))
     if name in STOPS:
         return theta.having(name, value + step * STOP_UNIT_M)
     if name in COLOURS:

@@ -1,7 +1,7 @@
 """The thresholds of `identify`, each with its meaning and its origin.
 
 The origins are marked as in `twin/settings/diagnosis.py`: *level* follows from the stated error rate; *reasoned* is an
-engineer's judgement.  The optimiser's limits are in `twin/inference/nominal_fit.py`, those of
+engineer's judgement.  The bounds and largest steps are in `twin/inference/theta.py`, those of
 flights in `twin/estimation/prepare.py`.
 
 Rates are per question, two-sided normal tails unless said otherwise.

@@ -18,7 +18,7 @@ from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.estimation.rollout import SETTLE_S, window
 from twin.identification.horizon import HORIZONS_S
 from twin.identification.horizon import errors as error_ahead
-from twin.inference.nominal_fit import FLOORS
+from twin.inference.theta import FLOORS
 from twin.validation.source import Filtered
 
 WINDOW_S = 0.04

@@ -22,6 +22,7 @@ from protocol.files import open_regular
 from protocol.log.reader import LogReader
 from twin.control import LawNumbers, law_numbers
 from twin.estimation.ekf.filter import filtered as run_filter
+from twin.estimation.gate import gate
 from twin.estimation.innovations import FLIES, USE_I, USE_X, Series, whitened
 from twin.estimation.prepare import flights, prepare
 from twin.estimation.propagate import delay_s
@@ -33,7 +34,6 @@ from twin.evidence.checks.plausibility import inspect
 from twin.evidence.dead_time import delayed
 from twin.identification.input_delay import input_delay
 from twin.identification.pipeline import grouped
-from twin.inference.nominal_fit import gate
 from twin.model.parameters import Model
 from twin.readers.campaign import read_recording
 from twin.readers.log import entries, parse

@@ -16,7 +16,6 @@ from twin.estimation.record import FloatArray
 from twin.evidence.gather import gather
 from twin.inference.fisher_scoring import climb
 from twin.inference.likelihood import Criterion
-from twin.inference.nominal_fit import Likelihood, Point
 from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
 from twin.model.causes.cause import PLACES, Cause
@@ -126,26 +125,14 @@ def test_a_cause_with_strength_changes_the_tick_or_the_reading(cause: Cause) -> 
     assert changed
 
 
-def test_without_causes_the_filter_is_that_of_the_identification(flown: Criterion) -> None:
-    """Two filters, two integrations of (1) and (6).
+def test_the_closed_form_of_the_identification_agrees_with_the_integration(flown: Criterion) -> None:
+    """Two integrations of (1) and (6).
 
     They differ by 0.2 um a tick at most (test_simulate.py), 3 % of the 6 um of sensor noise, mostly far less; i_c is
     exact.
     """
-    point = Point(
-        K_A=TRUE.K_A,
-        T_A=TRUE.T_A,
-        K_c=TRUE.K_c,
-        b=TRUE.b,
-        sigma_i_c_a=TRUE.sigma_i_c_a,
-        sigma_x_m=TRUE.sigma_x_m,
-        process_i_c_a=TRUE.process_i_c_a,
-        process_a_m_s2=TRUE.process_a_m_s2,
-    )
-    other = Likelihood(flown.evidence.series, flown.plant, TICK_S)
-
     _, white = flown.white(TRUE)
-    expected = other.white(point)
+    _, expected = flown.white(replace(TRUE, closed_form=True))
 
     both = np.isfinite(white) & np.isfinite(expected)
     assert both.sum() > 0.99 * max(np.isfinite(white).sum(), np.isfinite(expected).sum())

@@ -23,7 +23,7 @@ from tests.harness.twin.emulated_campaign import TICK_S, Lab
 from tests.harness.twin.true_model import true_model
 from twin.estimation.record import Record
 from twin.identification.horizon import error_at
-from twin.inference.nominal_fit import Point
+from twin.inference.theta import Theta
 from twin.prediction import predict
 from twin.readers.log import TwinLog
 
@@ -112,10 +112,10 @@ def test_the_true_cause_brings_the_prediction_down_to_the_noise(name: str) -> No
 
 
 def test_without_causes_it_agrees_with_the_filter_of_the_identification() -> None:
-    """Another filter, another integration of the same (1) and (6): they differ by micrometres' tenths, not in sum."""
+    """Another integration of the same (1) and (6): they differ by micrometres' tenths, not in sum."""
     record, model = fly({}), true_model()
     n = model.noise
-    point = Point(
+    theta = Theta(
         K_A=model.K_A,
         T_A=model.T_A,
         K_c=model.K_c,
@@ -124,8 +124,9 @@ def test_without_causes_it_agrees_with_the_filter_of_the_identification() -> Non
         sigma_x_m=n.sigma_x_m,
         process_i_c_a=n.process_i_c_a,
         process_a_m_s2=n.process_a_m_s2,
+        closed_form=True,
     )
-    other = error_at(AHEAD * TICK_S, [record], model.plant, point, TICK_S)
+    other = error_at(AHEAD * TICK_S, [record], model.plant, theta, TICK_S)
 
     found = predict(model, record, AHEAD)
 

@@ -47,7 +47,7 @@ def _on_judges(campaign: Campaign, found: Identification) -> dict[str, Horizon]:
         if found.fit is None or record.kind not in ("closed-loop", "prbs", "free"):
             continue
         late = delayed(record, input_delay(record, campaign.plant))
-        error = error_at(2e-3, [late], campaign.plant, found.fit.point, found.tick_s)
+        error = error_at(2e-3, [late], campaign.plant, found.fit.theta, found.tick_s)
         assert error is not None
         rows[record.name] = error
     return rows

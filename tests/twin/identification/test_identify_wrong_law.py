@@ -94,7 +94,7 @@ def test_a_ball_that_turns_where_the_law_has_its_pole_does_not_outvote_the_fligh
     assert any("near to x_max" in warning for warning in found.warnings)
     # The throws cover other heights than the flight, where another K_c fits best: the current that holds the ball is
     # off by up to a fifth between them, but no more.
-    assert found.fit.point.K_c == pytest.approx(alone.fit.point.K_c, rel=0.2)
+    assert found.fit.theta.K_c == pytest.approx(alone.fit.theta.K_c, rel=0.2)
 
 
 def test_a_model_that_predicts_worse_than_none_is_said_to_and_its_ball_stays_between_the_stops() -> None:
@@ -107,7 +107,7 @@ def test_a_model_that_predicts_worse_than_none_is_said_to_and_its_ball_stays_bet
     assert any("it cannot be used for predictions" in warning for warning in found.warnings)
     assert found.fit is not None
 
-    far = error_at(0.1, records, CAMPAIGN.plant, found.fit.point, found.tick_s)
+    far = error_at(0.1, records, CAMPAIGN.plant, found.fit.theta, found.tick_s)
 
     assert far is not None
     assert far.rmse_m < CE152.travel_m  # without stops a wrong force law sends it metres away

@@ -24,13 +24,13 @@ from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
 from twin.estimation.innovations import information
-from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
 from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
 from twin.inference.adequacy import adequate
 from twin.inference.budget import Spent
 from twin.inference.fisher_scoring import climb
 from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import inverse
 from twin.inference.theta import Theta, derivative_step, moved
 from twin.model.causes.cause import Cause
 from twin.model.extended import STATES

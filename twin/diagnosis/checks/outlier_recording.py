@@ -18,7 +18,6 @@ import numpy as np
 
 from protocol.errors import DataError
 from twin.estimation.innovations import FLIES, information
-from twin.estimation.optimiser import inverse
 from twin.estimation.record import runs
 from twin.evidence.gather import gather
 from twin.evidence.instruments import with_noise
@@ -28,6 +27,7 @@ from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.initial_guess import start_theta, with_noise_bounds
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor, expected
+from twin.inference.optimiser import inverse
 from twin.inference.theta import BASE, FLOORS, coordinates_of, reinitialised
 from twin.model.causes.catalogue import CATALOGUE
 from twin.settings import diagnosis as settings

@@ -34,12 +34,12 @@ from twin.diagnosis.experiments.schedules import MENU, schedule_of, sentence
 from twin.diagnosis.experiments.virtual_recordings import input_limit, simulate
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, information
-from twin.estimation.optimiser import inverse
 from twin.estimation.record import FloatArray, Record
 from twin.evidence.gather import Evidence, gather
 from twin.inference.budget import Budget
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import inverse
 from twin.inference.theta import COLOURS, NOISES, PARAMETERS, STOPS, derivative_step, moved
 from twin.model.causes.catalogue import measurement_for, with_trait
 from twin.settings import diagnosis as settings

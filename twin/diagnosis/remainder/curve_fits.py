@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
-from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray
 from twin.evidence.gather import Evidence
 from twin.inference.fisher_scoring import Fit, approach, climb
 from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import inverse
 from twin.inference.theta import Theta, moved, parameter_of, prior_spread
 from twin.model.causes.cause import Cause
 from twin.model.causes.curve import COEFFICIENTS

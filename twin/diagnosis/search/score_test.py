@@ -21,10 +21,10 @@ import numpy as np
 
 from twin.diagnosis.search.probes import probes_of
 from twin.estimation.innovations import information
-from twin.estimation.optimiser import inverse
 from twin.estimation.pace import Reuse
 from twin.estimation.record import FloatArray
 from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import inverse
 from twin.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause

@@ -19,10 +19,10 @@ import numpy as np
 
 from twin.diagnosis.search.candidate_fits import Trial, within_range
 from twin.diagnosis.search.state import Selection
-from twin.estimation.optimiser import inverse
 from twin.estimation.record import FloatArray
 from twin.inference.fisher_scoring import Fit, climb, narrowing
 from twin.inference.likelihood import Criterion
+from twin.inference.optimiser import inverse
 from twin.inference.theta import Theta, coordinates_of, max_step, moved, parameter_of, unit_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause

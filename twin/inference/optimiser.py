@@ -10,15 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
-from twin.estimation.structures import COLOURS, NOISES
+from twin.inference.theta import COLOURS, NOISES, Theta, max_step, moved
 
-P = TypeVar("P")  # a point: all parameters of a model
 SLOW_TOLERANCE = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
 CLOSE = 3.0  # decrement, standard errors, below which exact derivatives are used
 _LITTLE = 0.05  # of log-likelihood
@@ -36,19 +36,17 @@ class Slopes:
     retained: Any = None  # data of the `Surface` for its next call
 
 
-class Surface(Protocol[P]):
-    """A log-likelihood over the points of a model."""
+class Surface(Protocol):
+    """A log-likelihood over the parameters of the model."""
 
-    def moved(self, point: P, name: str, step: float) -> P:
-        """The point with one coordinate moved, within its bounds."""
+    plant: Plant
 
-    def max_step(self, name: str) -> float:
-        """The largest move of a coordinate in one pass."""
-
-    def visit(self, point: P) -> tuple[float, Any]:
+    def visit(self, point: Theta) -> tuple[float, Any]:
         """Return (log-likelihood at the point, data for `slopes` and `exact`)."""
 
-    def slopes(self, point: P, outputs: Any, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
+    def slopes(
+        self, point: Theta, outputs: Any, free: Sequence[str], before: Slopes | None, decrement: float
+    ) -> Slopes:
         """Return the derivatives, approximate if that suffices.
 
         Args:
@@ -59,26 +57,38 @@ class Surface(Protocol[P]):
             decrement: of the step to this point, standard errors; inf at the start.
         """
 
-    def exact(self, point: P, outputs: Any, free: Sequence[str]) -> Slopes:
+    def exact(self, point: Theta, outputs: Any, free: Sequence[str]) -> Slopes:
         """Return the exact derivatives at this point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summit(Generic[P]):
-    """A maximum with its covariance and convergence."""
+class Fit:
+    """A maximum of the likelihood, its covariance and its convergence."""
 
-    point: P
-    loglik: float
-    covariance: FloatArray  # of the free coordinates; 0 for one at its bound
+    theta: Theta
+    loglik: float  # with the shapes of its causes integrated out
+    free: tuple[str, ...]
+    covariance: FloatArray  # of the coordinates; 0 for one at its bound
     converged: bool
-    passes: int
-    decrement: float  # of the last step, standard errors
-    ahead: float  # log-likelihood still to gain, by the quadratic approximation
+    ahead: float = 0.0  # log-likelihood that the slope here still promises, were it a parabola
+    passes: int = 0
+    decrement: float = math.inf  # of the last step, standard errors
+
+    def std(self, name: str, plant: Plant) -> float:
+        """Return the standard error in the unit of the parameter; inf if it was not free."""
+        if name not in self.free:
+            return math.inf
+        index = self.free.index(name)
+        spread = math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        value = self.theta.value(name)
+        shifted = moved(self.theta, name, 1e-3, plant).value(name)
+        # At an upper bound a step outwards moves nothing, so the unit comes from a step inwards.
+        if shifted == value:
+            shifted = moved(self.theta, name, -1e-3, plant).value(name)
+        return spread * abs(shifted - value) / 1e-3
 
 
-def climb(
-    surface: Surface[P], start: P, free: Sequence[str], *, passes: int, tolerance: float, patience: int
-) -> Summit[P]:
+def climb(surface: Surface, start: Theta, free: Sequence[str], *, passes: int, tolerance: float, patience: int) -> Fit:
     """Climb to the maximum from `start`.
 
     Args:
@@ -98,17 +108,17 @@ def climb(
     decrement, used, slow = math.inf, 0, 0
     for _ in range(passes):
         used += 1
-        step, decrement = newton(slopes, active_of(surface, point, free, slopes.score), damping.value)
+        step, decrement = newton(slopes, active_of(surface.plant, point, free, slopes.score), damping.value)
         # Approximate derivatives find the way, but only exact ones may decide that the way has ended.
         if decrement < CLOSE and not slopes.exact:
             slopes = surface.exact(point, outputs, free)
-            step, decrement = newton(slopes, active_of(surface, point, free, slopes.score), damping.value)
+            step, decrement = newton(slopes, active_of(surface.plant, point, free, slopes.score), damping.value)
         if decrement < tolerance or (slow >= patience and decrement < SLOW_TOLERANCE):
             converged = True
             break
         if slow >= 2 * patience:
             break
-        trial = _moved(surface, point, free, step)
+        trial = _moved(surface.plant, point, free, step)
         value, trial_outputs = surface.visit(trial)
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
@@ -121,11 +131,12 @@ def climb(
             slopes = surface.exact(point, outputs, free)
         elif not damping.rejected():
             break
-    active = active_of(surface, point, free, slopes.score)
+    active = active_of(surface.plant, point, free, slopes.score)
     _, left = newton(slopes, active, damping.value)
-    return Summit(
-        point=point,
+    return Fit(
+        theta=point,
         loglik=loglik,
+        free=tuple(free),
         covariance=covariance_of(slopes.fisher, active),
         converged=converged or decrement < SLOW_TOLERANCE,
         passes=used,
@@ -134,24 +145,24 @@ def climb(
     )
 
 
-def _moved(surface: Surface[P], point: P, free: Sequence[str], step: FloatArray) -> P:
+def _moved(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:
     """The point after a step, shortened to the largest that is allowed."""
     # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
     # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
-    max_step = np.array([surface.max_step(name) for name in free])
+    limits = np.array([max_step(name) for name in free])
     physics = np.array([name not in NOISES + COLOURS for name in free], np.bool_)
-    shorter = min([1.0, *(max_step / np.maximum(np.abs(step), 1e-300))[physics]])
-    for name, change in zip(free, np.where(physics, step * shorter, np.clip(step, -max_step, max_step)), strict=True):
-        point = surface.moved(point, name, float(change))
+    shorter = min([1.0, *(limits / np.maximum(np.abs(step), 1e-300))[physics]])
+    for name, change in zip(free, np.where(physics, step * shorter, np.clip(step, -limits, limits)), strict=True):
+        point = moved(point, name, float(change), plant)
     return point
 
 
-def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatArray) -> NDArray[np.bool_]:
+def active_of(plant: Plant, point: Theta, free: Sequence[str], score: FloatArray) -> NDArray[np.bool_]:
     """Return which coordinates may move, shape (count,): all but those at a bound whose score points outwards."""
     return np.array(
         [
             # The point itself knows its bounds, so a small move is tried in place of a second list of bounds.
-            surface.moved(point, name, _NUDGE if score[index] > 0.0 else -_NUDGE) != point
+            moved(point, name, _NUDGE if score[index] > 0.0 else -_NUDGE, plant) != point
             for index, name in enumerate(free)
         ],
         np.bool_,
