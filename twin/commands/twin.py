@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=Settings().diagnosis_after_s,
         metavar="S",
         help="live: alarms that last this long raise diagnosis-wanted (%(default)s; 0: never)",
+    )
+    parser.add_argument(
+        "--no-names", action="store_true", help="live: do not name causes in flight (saves 3 %% of a core per board)"
     )
 
 
@@ -165,6 +169,7 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
 
 
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:
+    from twin.live.naming.namer import Namer, one_thread
     from twin.mirror.bus.service import TwinService
     from twin.model.simulate import left_out
 
@@ -176,8 +181,15 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
     identity = find_identity(args.identity)
     if identity is not None:
         identity.check_valid(datetime.now(UTC))
+    namers = None if args.no_names else partial(Namer, executor=one_thread())
     with TwinService(
-        model, site=args.site, board=args.board, endpoints=endpoints, settings=settings, identity=identity
+        model,
+        site=args.site,
+        board=args.board,
+        endpoints=endpoints,
+        settings=settings,
+        identity=identity,
+        namers=namers,
     ) as service:
         log.info("twin of model %s on %s/%s via %s", model.plant.name, args.site, args.board or "*", endpoints[0])
         for line in left_out(model):
