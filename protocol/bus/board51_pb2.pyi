@@ -587,12 +587,12 @@ class TwinModel(_message.Message):
     def __init__(self, session: _Optional[int] = ..., since_tick: _Optional[int] = ..., name: _Optional[str] = ..., model_json: _Optional[str] = ..., sha256: _Optional[str] = ..., who: _Optional[str] = ..., command_id: _Optional[str] = ...) -> None: ...
 
 class TwinDiagnosis(_message.Message):
-    __slots__ = ("host_time_ns", "session", "tick", "cause", "strength", "unit", "probability", "others", "since_ns", "for_s", "sentence")
+    __slots__ = ("host_time_ns", "session", "tick", "cause", "value", "unit", "probability", "others", "since_ns", "for_s", "sentence")
     HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
     TICK_FIELD_NUMBER: _ClassVar[int]
     CAUSE_FIELD_NUMBER: _ClassVar[int]
-    STRENGTH_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
     PROBABILITY_FIELD_NUMBER: _ClassVar[int]
     OTHERS_FIELD_NUMBER: _ClassVar[int]
@@ -603,11 +603,11 @@ class TwinDiagnosis(_message.Message):
     session: int
     tick: int
     cause: str
-    strength: float
+    value: float
     unit: str
     probability: float
     others: _containers.RepeatedScalarFieldContainer[str]
     since_ns: int
     for_s: float
     sentence: str
-    def __init__(self, host_time_ns: _Optional[int] = ..., session: _Optional[int] = ..., tick: _Optional[int] = ..., cause: _Optional[str] = ..., strength: _Optional[float] = ..., unit: _Optional[str] = ..., probability: _Optional[float] = ..., others: _Optional[_Iterable[str]] = ..., since_ns: _Optional[int] = ..., for_s: _Optional[float] = ..., sentence: _Optional[str] = ...) -> None: ...
+    def __init__(self, host_time_ns: _Optional[int] = ..., session: _Optional[int] = ..., tick: _Optional[int] = ..., cause: _Optional[str] = ..., value: _Optional[float] = ..., unit: _Optional[str] = ..., probability: _Optional[float] = ..., others: _Optional[_Iterable[str]] = ..., since_ns: _Optional[int] = ..., for_s: _Optional[float] = ..., sentence: _Optional[str] = ...) -> None: ...

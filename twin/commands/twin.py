@@ -15,7 +15,6 @@ import sys
 import threading
 import time
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +168,7 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
 
 
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:
-    from twin.live.naming.namer import Namer, one_thread
+    from twin.live.naming.namer import namers
     from twin.mirror.bus.service import TwinService
     from twin.model.simulate import left_out
 
@@ -181,7 +180,6 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
     identity = find_identity(args.identity)
     if identity is not None:
         identity.check_valid(datetime.now(UTC))
-    namers = None if args.no_names else partial(Namer, executor=one_thread())
     with TwinService(
         model,
         site=args.site,
@@ -189,7 +187,7 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
         endpoints=endpoints,
         settings=settings,
         identity=identity,
-        namers=namers,
+        namers=None if args.no_names else namers(model),
     ) as service:
         log.info("twin of model %s on %s/%s via %s", model.plant.name, args.site, args.board or "*", endpoints[0])
         for line in left_out(model):

@@ -37,6 +37,7 @@ class NamedFlight:
     def __init__(self, *, seed: int = 3, model: Model | None = None) -> None:
         self.lab = Lab(CE152, seed=seed)
         self.messages: list[pb.TwinDiagnosis] = []
+        self.states: list[pb.State] = []
         self.model = model or true_model()
         self.namer = Namer(self.model, AtOnce())
         self.mirror = Mirror(self.model)
@@ -82,6 +83,7 @@ class NamedFlight:
 
     def take(self, state: pb.State) -> None:
         """Give one sample to the twin."""
+        self.states.append(state)
         output = self.mirror.handle(state)
         if output is not None:
             message = self.namer.take(state, output, self.mirror.regime)

@@ -11,7 +11,9 @@ import contextlib
 import logging
 import os
 import threading
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
@@ -20,19 +22,38 @@ from twin.diagnosis.report.sentences import finding_sentence
 from twin.inference.theta import Theta
 from twin.live.naming.decision import Decision, Proposal
 from twin.live.naming.evidence import WindowEvidence, evidence_of
-from twin.live.naming.windows import Windows
+from twin.live.naming.windows import Window, Windows
 from twin.mirror.output import Output
 from twin.mirror.regime import Regime
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, Parameter
 
 _NICE = 10  # the samples go first, where the system has priorities for threads
+_NOT_EVALUATED = (ValueError, ArithmeticError, np.linalg.LinAlgError)
 log = logging.getLogger(__name__)
 
 
-def one_thread() -> Executor:
-    """Return the thread that does the score tests of all boards, at a low priority."""
-    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="naming", initializer=_yield_to_samples)
+def namers(model: Model) -> Callable[[Model], Namer]:
+    """Return what names causes for each board under a model; one thread of low priority does their score tests.
+
+    A made-up window is evaluated first: compiling, or loading what is compiled, would hold up the samples of a flight.
+    """
+    wave = np.sin(0.1 * np.arange(100))
+    readings = np.stack([2.0 + 0.1 * wave, 0.6 + 0.03 * wave, model.plant.travel_m * (0.5 + 0.05 * wave)], axis=1)
+    window = Window(
+        session=0,
+        from_s=0.0,
+        to_s=0.2,
+        from_ns=0,
+        sample_time_s=2e-3,
+        i_lsb_a=0.0,
+        x_lsb_m=0.0,
+        readings=readings,
+    )
+    with contextlib.suppress(*_NOT_EVALUATED):
+        evidence_of(window, model)
+    work = ThreadPoolExecutor(max_workers=1, thread_name_prefix="naming", initializer=_yield_to_samples)
+    return partial(Namer, executor=work)
 
 
 def _yield_to_samples() -> None:
@@ -96,7 +117,7 @@ class Namer:
     def _add(self, work: Future[WindowEvidence]) -> None:
         try:
             evidence = work.result()
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        except _NOT_EVALUATED as error:
             log.warning("a window was not evaluated: %s", error)
             self._theta = None
             return
@@ -114,7 +135,7 @@ def message(proposal: Proposal | None, state: pb.State) -> pb.TwinDiagnosis:
         session=state.session,
         tick=state.tick,
         cause=proposal.cause,
-        strength=proposal.strength,
+        value=proposal.strength,
         unit=strength.unit,
         probability=proposal.probability,
         others=proposal.others,

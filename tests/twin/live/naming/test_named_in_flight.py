@@ -56,7 +56,7 @@ def test_the_size_is_that_of_the_effect() -> None:
     last = rig.run(WITHIN_S)[-1]
 
     assert (last.cause, last.unit) == ("coulomb-friction", "N")
-    assert last.strength == pytest.approx(0.002, rel=1.0 / 3.0)
+    assert last.value == pytest.approx(0.002, rel=1.0 / 3.0)
     assert "mN" in last.sentence
 
 
