@@ -276,11 +276,12 @@ def test_the_cause_that_the_twin_names_is_on_the_page_as_long_as_it_is_named(pag
         site.gateway.send("twin/diagnosis", sent)  # again and again, as the twin does
         return named.inner_text()
 
-    wait_for(lambda: sentence in shows(diagnosis), "name")
-    words = rf"For 40 s of flight {sentence} \(0\.9\), since \d\d:\d\d:\d\d\. A diagnosis decides\."
-    assert re.fullmatch(words, shows(diagnosis))
+    with site.live():
+        wait_for(lambda: sentence in shows(diagnosis), "name")
+        words = rf"For 40 s of flight {sentence} \(0\.9\), since \d\d:\d\d:\d\d\. A diagnosis decides\."
+        assert re.fullmatch(words, shows(diagnosis))
 
-    wait_for(lambda: shows(pb.TwinDiagnosis()) == "", "end of the name")
+        wait_for(lambda: shows(pb.TwinDiagnosis()) == "", "end of the name")
 
 
 def test_what_became_of_a_stop_is_told_for_each_rig(page: Page, site: Site) -> None:
