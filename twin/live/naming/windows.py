@@ -15,7 +15,7 @@ from twin.mirror.output import Output
 from twin.settings.naming import MAX_SAMPLES, WINDOW_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Window:
     """Samples of one flight, one tick apart."""
 
