@@ -14,6 +14,7 @@ Rule 1: under a right model twice a gain is chi-square with one degree for each 
 Rule 2: a gain is linear in the size, and wrong by up to a quarter for an effect of medium size.  So causes within
         SAME_SHARE of the best are one class, and none of them is certain.
 Rule 3: a name stays while it is in the class: what these samples do not tell apart would change with each window.
+        Within the class a cause of a possible size goes first.
 Rule 4: evidence has gone where the newest windows contradict the size by GONE of log-likelihood.
 """
 
@@ -130,13 +131,15 @@ class Decision:
             return None
         first = int(np.unravel_index(np.argmax(gains), gains.shape)[0])
         ranking = _ranking(signatures, gains[first])
-        named = next(iter(ranking))
-        top = float(gains[first, ranking[named]])
+        top = max(float(gains[first, probe]) for probe in ranking.values())
         same = [cause for cause, probe in ranking.items() if gains[first, probe] >= SAME_SHARE * top]
-        if self.proposal is not None and self.proposal.cause in same:
-            named = self.proposal.cause
+        sizes = slopes[first] / np.maximum(information[first], MIN_INFORMATION)
+        strengths = {cause: _strength(signatures[ranking[cause]], float(sizes[ranking[cause]])) for cause in same}
+        possible = [cause for cause in same if _is_possible(cause, strengths[cause])] or same
+        before = self.proposal.cause if self.proposal is not None else ""
+        named = before if before in possible else possible[0]
         probe = ranking[named]
-        size = float(slopes[first, probe] / information[first, probe])
+        size = float(sizes[probe])
         since = slice(first, None)
         contradiction = size * slopes[since, probe] - 0.5 * size**2 * information[since, probe]
         if contradiction.min() < -GONE:
@@ -145,10 +148,9 @@ class Decision:
         # Gains that are wrong by a share of the largest tell causes apart no better than that.
         scale = max(1.0, (1.0 - SAME_SHARE) * top / 3.0)
         weights = {cause: math.exp((float(gains[first, at]) - top) / scale) for cause, at in ranking.items()}
-        strength = BY_NAME[named].strength
         return Proposal(
             cause=named,
-            strength=strength.value(size * strength.coordinate(signatures[probe].probe)),
+            strength=strengths[named],
             probability=CONFIDENCE * weights[named] / sum(weights.values()),
             others=tuple(cause for cause in same if cause != named),
             gain=float(gains[first, probe]),
@@ -160,6 +162,17 @@ class Decision:
         """Forget all but the newest windows."""
         while len(self._windows) > count:
             self._windows.popleft()
+
+
+def _strength(signature: Signature, size: float) -> float:
+    strength = BY_NAME[signature.cause].strength
+    return strength.value(size * strength.coordinate(signature.probe))
+
+
+def _is_possible(cause: str, value: float) -> bool:
+    """Tell whether a strength is within the physical range: at its end, this cause would have to be larger still."""
+    strength = BY_NAME[cause].strength
+    return strength.low < value < strength.high
 
 
 def _ranking(signatures: Sequence[Signature], gains: FloatArray) -> dict[str, int]:

@@ -111,6 +111,15 @@ def test_causes_that_do_as_well_are_named_with_it_and_the_name_stays() -> None:
     assert named.cause == TRUE
 
 
+def test_a_cause_of_a_possible_size_goes_first() -> None:
+    """A constant force of 0.1 N would lift the ball of 0.08 N; dry friction of 0.049 N is within its range."""
+    _, named = decided([[400.0, 0.0, 390.0]] * 4)
+
+    assert named is not None
+    assert (named.cause, named.others) == (ONE_SIDED, (TRUE,))
+    assert named.strength == pytest.approx(390.0 / INFORMATION * 5e-4)
+
+
 def test_a_name_ends_when_the_newest_windows_contradict_it() -> None:
     decision, named = decided([STRONG] * 6)
     assert named is not None
