@@ -15,6 +15,7 @@ Rule 2: a gain is linear in the size, and wrong by up to a quarter for an effect
         SAME_SHARE of the best are one class, and none of them is certain.
 Rule 3: a name stays while it is in the class: what these samples do not tell apart would change with each window.
         Within the class a cause of a possible size goes first.
+        Its onset stays when the window of the onset leaves the memory.
 Rule 4: evidence has gone where the newest windows contradict the size by GONE of log-likelihood.
 """
 
@@ -154,7 +155,7 @@ class Decision:
             probability=CONFIDENCE * weights[named] / sum(weights.values()),
             others=tuple(cause for cause in same if cause != named),
             gain=float(gains[first, probe]),
-            since=self._windows[first].window,
+            since=self.proposal.since if self.proposal is not None and first == 0 else self._windows[first].window,
             until=self._windows[-1].window,
         )
 
