@@ -27,3 +27,5 @@ CONFIDENCE = 0.9
 MIN_INFORMATION = 1e-4
 # Reasoned.  Noise levels that stay those of the model: two seconds do not show the process noise of i_c.
 FIXED = ("process_i_c_a",)
+# Reasoned.  Standard deviation of x in a window, as a share of the travel, below which the ball rests.
+MOVES_SHARE = 0.01

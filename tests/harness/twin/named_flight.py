@@ -34,7 +34,7 @@ class AtOnce(Executor):
 class NamedFlight:
     """Steps of the reference once a second around the middle, and what the twin names."""
 
-    def __init__(self, *, seed: int = 3, model: Model | None = None) -> None:
+    def __init__(self, *, seed: int = 3, model: Model | None = None, step_m: float = 0.5e-3) -> None:
         self.lab = Lab(CE152, seed=seed)
         self.messages: list[pb.TwinDiagnosis] = []
         self.states: list[pb.State] = []
@@ -42,12 +42,14 @@ class NamedFlight:
         self.namer = Namer(self.model, AtOnce())
         self.mirror = Mirror(self.model)
         self.now_s = 0.0  # of the newest sample, on the board's clock
-        self.lift()
+        self.lift(step_m)
 
     def lift(self, step_m: float = 0.5e-3) -> None:
         """Put the ball into flight, and step the reference."""
         self.lab.fly(MIDDLE_M)
         self.lab.run(400)
+        if step_m == 0.0:
+            return
         self.lab.excite(
             Shape.RECTANGLE,
             on_reference=True,

@@ -2,7 +2,8 @@
 
 Rule 1: no sample waits for a score test.  While one is at work the next window is dropped and counted.
 Rule 2: the answer belongs to the model under which the window was cut; after a change of model it is dropped.
-Rule 3: a window that cannot be evaluated says nothing.
+Rule 3: a window that cannot be evaluated says nothing, and so does one in which the ball rests: T_A and b are unknown
+        there, and what is left of a signature without them is rounding and drift.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from twin.mirror.output import Output
 from twin.mirror.regime import Regime
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, Parameter
+from twin.settings.naming import MOVES_SHARE
 
 _NICE = 10  # the samples go first, where the system has priorities for threads
 _NOT_EVALUATED = (ValueError, ArithmeticError, np.linalg.LinAlgError)
@@ -107,7 +109,7 @@ class Namer:
             i_lsb_a=regime.i_lsb_a,
             x_lsb_m=regime.x_lsb_m,
         )
-        if window is None:
+        if window is None or float(np.std(window.readings[:, 2])) < MOVES_SHARE * self._model.plant.travel_m:
             return
         if self._work is not None:
             self.dropped += 1

@@ -23,6 +23,7 @@ from twin.mirror.output import Output
 from twin.mirror.regime import Regime
 from twin.model.parameters import Model
 from twin.settings.mirror import SILENT_S, Settings
+from twin.settings.naming import FORGOTTEN_S
 
 REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
 _TOPICS = ("twin/state", "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")
@@ -150,9 +151,10 @@ class Watched:
             self.silent = True
             for alarm in self.mirror.silence(f"no sample for {SILENT_S:g} s"):
                 self._alarm(alarm)
-            if self._namer is not None:
-                self._namer.forget()
-                self._diagnose(pb.TwinDiagnosis())
+        # Not with the alarms: evidence outlasts a pause of the bus, and the samples before and after it add up.
+        if self._namer is not None and self.diagnosis.cause and now_s - self._sampled_s > FORGOTTEN_S:
+            self._namer.forget()
+            self._diagnose(pb.TwinDiagnosis())
         if self._since is not None and now_s - self._repeated_s > REPEAT_S:
             self._repeat(now_s)
 

@@ -47,6 +47,14 @@ def test_a_medium_effect_is_named_within_ten_seconds_of_flight(cause: str) -> No
     assert "the rig behaves as if" in last.sentence
 
 
+def test_a_ball_at_rest_is_no_evidence() -> None:
+    rig = NamedFlight(step_m=0.0)
+
+    assert rig.run(BEFORE_S) == []
+
+    assert rig.namer._theta is None  # no window was evaluated
+
+
 def test_the_size_is_that_of_the_effect() -> None:
     """Within a third: a score test is linear in the size."""
     rig = NamedFlight()
