@@ -6,8 +6,8 @@ from __future__ import annotations
 WINDOW_S = 3.3
 # Reasoned.  Most samples of a window: they set the cost of a board that is faster than 500 Hz.
 MAX_SAMPLES = 1000
-# Reasoned.  Windows over which evidence is added up: 40 s of flight.  In two minutes what even a right model leaves out
-# (rounding, for a ball at rest) adds up to a name of a negligible size.
+# Reasoned.  Windows over which evidence is added up: 40 s of flight.  In two minutes small errors of the model, too,
+# add up to a name.
 WINDOWS = 12
 # Level.  False names a week of flight under a right model, all causes together.
 FALSE_NAMES_PER_WEEK = 1.0

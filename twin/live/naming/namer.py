@@ -2,8 +2,8 @@
 
 Rule 1: no sample waits for a score test.  While one is at work the next window is dropped and counted.
 Rule 2: the answer belongs to the model under which the window was cut; after a change of model it is dropped.
-Rule 3: a window that cannot be evaluated says nothing, and so does one in which the ball rests: T_A and b are unknown
-        there, and what is left of a signature without them is rounding and drift.
+Rule 3: a window that cannot be evaluated says nothing, and so does one in which the ball rests: it shows neither T_A
+        nor b, and such flights made a false name.
 """
 
 from __future__ import annotations
