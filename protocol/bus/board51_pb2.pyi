@@ -585,3 +585,29 @@ class TwinModel(_message.Message):
     who: str
     command_id: str
     def __init__(self, session: _Optional[int] = ..., since_tick: _Optional[int] = ..., name: _Optional[str] = ..., model_json: _Optional[str] = ..., sha256: _Optional[str] = ..., who: _Optional[str] = ..., command_id: _Optional[str] = ...) -> None: ...
+
+class TwinDiagnosis(_message.Message):
+    __slots__ = ("host_time_ns", "session", "tick", "cause", "value", "unit", "probability", "others", "since_ns", "for_s", "sentence")
+    HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    TICK_FIELD_NUMBER: _ClassVar[int]
+    CAUSE_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    OTHERS_FIELD_NUMBER: _ClassVar[int]
+    SINCE_NS_FIELD_NUMBER: _ClassVar[int]
+    FOR_S_FIELD_NUMBER: _ClassVar[int]
+    SENTENCE_FIELD_NUMBER: _ClassVar[int]
+    host_time_ns: int
+    session: int
+    tick: int
+    cause: str
+    value: float
+    unit: str
+    probability: float
+    others: _containers.RepeatedScalarFieldContainer[str]
+    since_ns: int
+    for_s: float
+    sentence: str
+    def __init__(self, host_time_ns: _Optional[int] = ..., session: _Optional[int] = ..., tick: _Optional[int] = ..., cause: _Optional[str] = ..., value: _Optional[float] = ..., unit: _Optional[str] = ..., probability: _Optional[float] = ..., others: _Optional[_Iterable[str]] = ..., since_ns: _Optional[int] = ..., for_s: _Optional[float] = ..., sentence: _Optional[str] = ...) -> None: ...

@@ -63,6 +63,8 @@ TOPICS: tuple[Topic, ...] = (
           description="all active alarms of the twin, for late subscribers"),
     Topic(name="twin/model", message=pb.TwinModel, source="twin", rate="on change, and every 5 s",
           description="the model the twin runs on, since when, from whom"),
+    Topic(name="twin/diagnosis", message=pb.TwinDiagnosis, source="twin", rate="on change, and every 5 s",
+          description="the cause by which a rig in flight may differ from the twin's model"),
     Topic(name="twin/command", message=pb.TwinCommand, source="client", rate="query", logged=False,
           description="queryable: one TwinCommand in, one CommandReply per board out"),
 )  # fmt: skip

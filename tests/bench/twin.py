@@ -18,7 +18,9 @@ if __name__ == "__main__":  # run as a file: the packages lie two levels up
     sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from protocol.bus import board51_pb2 as pb
+from tests.harness.twin.named_flight import AtOnce, NamedFlight
 from tests.harness.twin.rig import T_S, Rig
+from twin.live.naming.namer import Namer
 from twin.mirror.mirror import Mirror
 from twin.mirror.offline import run_log
 from twin.model.parameters import Model
@@ -27,6 +29,7 @@ from twin.readers.log import TwinLog
 SAMPLES = 60_000  # two minutes of a board
 BASELINE_TICKS = 300
 REPEATS = 5
+NAMED_S = 40.0  # of flight
 
 
 def run() -> list[dict[str, Any]]:
@@ -78,7 +81,32 @@ def run() -> list[dict[str, Any]]:
                 "note": "messages in memory; best of 5",
             }
         )
-    return rows
+    return [*rows, _naming()]
+
+
+def _naming() -> dict[str, Any]:
+    """The share of a core that naming causes takes beside the mirror, from processor time: others do not change it."""
+    flight = NamedFlight()
+    flight.run(NAMED_S)
+
+    def seconds(*, names: bool) -> float:
+        mirror, namer = Mirror(flight.model), Namer(flight.model, AtOnce())
+        started = time.process_time()
+        for state in flight.states:
+            output = mirror.handle(state)
+            if names and output is not None:
+                namer.take(state, output, mirror.regime)
+        return time.process_time() - started
+
+    with_names, alone = (min(seconds(names=names) for _ in range(2)) for names in (True, False))
+    return {
+        "name": "naming causes in flight",
+        "value": round(100.0 * (with_names - alone) / NAMED_S, 1),
+        "unit": "% of a core",
+        "baseline": round(100.0 * alone / NAMED_S, 1),
+        "ratio": with_names / alone,
+        "note": "baseline: Mirror.handle alone; target 3 %",
+    }
 
 
 def _handle(rig: Rig, states: list[pb.State]) -> None:

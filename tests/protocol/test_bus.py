@@ -37,7 +37,8 @@ def example(message: type[Message]) -> Message:
         if field.type == FieldDescriptor.TYPE_MESSAGE:
             continue
         if field.is_repeated:
-            getattr(filled, field.name).extend([0.5, number])
+            texts = field.type == FieldDescriptor.TYPE_STRING
+            getattr(filled, field.name).extend(["one", "two"] if texts else [0.5, number])
             continue
         value: object = number
         if field.type == FieldDescriptor.TYPE_DOUBLE:
@@ -165,7 +166,7 @@ def test_a_good_name_is_returned(name: str) -> None:
 def test_units_end_the_names_of_fields_with_a_dimension(topic: Topic) -> None:
     """A double without a unit at its end must be one that has none."""
     units = ("_a", "_v", "_m", "_s", "_ms", "_m_s", "_per_s")
-    plain = {"gains", "line_load", "nis", "nis_mean", "nis_on", "value", "threshold_on", "threshold_off"}
+    plain = {"gains", "line_load", "nis", "nis_mean", "nis_on", "value", "probability", "threshold_on", "threshold_off"}
 
     for field in fields_of(topic.message):
         if field.type == FieldDescriptor.TYPE_DOUBLE:

@@ -73,6 +73,11 @@ class Mirror:
         self._settling_ticks = 0
         self._alarm_active = False  # out-of-step
 
+    @property
+    def regime(self) -> Regime | None:
+        """Return the regime of the last sample; None where T_s is not known or not supported."""
+        return self._regime
+
     def parameters(self, parameters: pb.Parameters) -> None:
         """Take the parameters of the board; repetitions have no effect."""
         new = self._known.add(parameters)

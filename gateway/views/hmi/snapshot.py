@@ -14,7 +14,7 @@ from typing import Any
 from gateway.board.faults import COIL
 from gateway.board.reference import reference_range_mm
 from gateway.views.alarms import TWIN, Alarm
-from gateway.views.feed import BoardFeed
+from gateway.views.feed import TWIN_TIMEOUT_S, BoardFeed
 from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.model.numbers import SPOKEN, in_numbers
 from gateway.views.hmi.texts import text_of, texts_of
@@ -90,6 +90,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
     alarms = board.alarms()
     return {
         "wrong": _wrong(board, alarms),
+        "named": _named(board),
         "status": _status(board),
         "limits": _limits(board.latest(pb.Parameters)),
         "model": _model(board.latest(pb.TwinModel)),
@@ -125,6 +126,20 @@ def _wrong(board: BoardFeed, alarms: Sequence[Alarm]) -> str:
     since = {alarm.name: _clock(alarm.since_ns)[:5] for alarm in alarms if alarm.active}
     sentences = (in_numbers(name, since[name], divergence) for name in SPOKEN if name in since)
     return next(filter(None, sentences), "")
+
+
+def _named(board: BoardFeed) -> str:
+    """Return what the twin proposes as the cause of the error; empty where it names none."""
+    diagnosis = board.latest(pb.TwinDiagnosis)
+    if diagnosis is None or not diagnosis.cause or board.age_s(pb.TwinDiagnosis) > TWIN_TIMEOUT_S:
+        return ""
+    return text_of(
+        "rig.named",
+        seconds=f"{diagnosis.for_s:.0f}",
+        sentence=diagnosis.sentence,
+        probability=f"{diagnosis.probability:.1g}",
+        since=_clock(diagnosis.since_ns),
+    )
 
 
 def job(running: Job) -> dict[str, Any]:

@@ -263,6 +263,27 @@ def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site)
     ), "no chip is cut off"
 
 
+@pytest.mark.slow
+def test_the_cause_that_the_twin_names_is_on_the_page_as_long_as_it_is_named(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/rig/rig")
+    named = page.locator('[data-live="named"]')
+    sentence = "the rig behaves as if dry friction of 5 mN holds and brakes the ball"
+    diagnosis = pb.TwinDiagnosis(
+        cause="coulomb-friction", sentence=sentence, probability=0.9, for_s=40.2, since_ns=1_700_000_000_000_000_000
+    )
+
+    def shows(sent: pb.TwinDiagnosis) -> str:
+        site.gateway.send("twin/diagnosis", sent)  # again and again, as the twin does
+        return named.inner_text()
+
+    with site.live():
+        wait_for(lambda: sentence in shows(diagnosis), "name")
+        words = rf"For 40 s of flight {sentence} \(0\.9\), since \d\d:\d\d:\d\d\. A diagnosis decides\."
+        assert re.fullmatch(words, shows(diagnosis))
+
+        wait_for(lambda: shows(pb.TwinDiagnosis()) == "", "end of the name")
+
+
 def test_what_became_of_a_stop_is_told_for_each_rig(page: Page, site: Site) -> None:
     """The coil of `two` is off, as far as samples say, and nobody is sent to switch it off by hand."""
 

