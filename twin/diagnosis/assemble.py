@@ -110,7 +110,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals)
         where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
         spread = spreads(criterion, selection.fit)
-        warnings = _inconsistent(search) + [rival_sentence(cause, rival) for cause, rival in rivals.items()]
+        warnings = _inconsistent(search) + [rival_sentence(rival) for rival in rivals.values()]
     with timed(stages, "next experiments"):
         proposals = _proposals(search, inputs.campaign, options)
     with timed(stages, "gain"):
