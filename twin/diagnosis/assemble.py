@@ -11,8 +11,9 @@ from protocol.campaign import Campaign, Plant
 from twin.diagnosis.checks.change_point import Change
 from twin.diagnosis.checks.consistency import beginnings, contradictions
 from twin.diagnosis.experiments.design import propose
+from twin.diagnosis.findings import findings_of, with_change, with_rival
 from twin.diagnosis.judge import judgement
-from twin.diagnosis.judge.account import Account, Verdict, account_of, confidence_of, exceeds_floor
+from twin.diagnosis.judge.account import account_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
 from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.options import Options
@@ -32,30 +33,23 @@ from twin.diagnosis.report.sentences import (
     answer_sentence,
     beginning_sentence,
     beyond_sentence,
-    cause_sentence,
     contradiction_sentence,
-    finding_sentence,
-    form_of,
     rival_sentence,
 )
-from twin.diagnosis.result import Diagnosis, Finding, Member, Proposal, fit_parameters
-from twin.diagnosis.search.candidate_fits import Trial
+from twin.diagnosis.result import Diagnosis, Finding, Proposal
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stated_values import StatedValues, examine, with_members
 from twin.estimation.record import Record
-from twin.evidence import sample_loss
 from twin.evidence.gather import Evidence
-from twin.evidence.sample_loss import Lost, lost_samples
+from twin.evidence.sample_loss import lost_samples
 from twin.inference.adequacy import where_left
 from twin.inference.budget import Budget, Spent
 from twin.inference.fisher_scoring import Fit, spreads
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor
-from twin.inference.theta import Theta, coordinates_of
-from twin.model.assumed import assumption, rests_on_plant
+from twin.inference.theta import Theta
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
-from twin.model.parameters import Parameter
 from twin.settings import diagnosis as settings
 
 
@@ -123,7 +117,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals)
         where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
         spread = spreads(criterion, selection.fit, stated.slopes)
-        warnings = _inconsistent(search) + [rival_sentence(cause, rival) for cause, rival in rivals.items()]
+        warnings = _inconsistent(search) + [rival_sentence(rival) for rival in rivals.values()]
     with timed(stages, "next experiments"):
         proposals = _proposals(search, inputs.campaign, options) | _measurements(search.selection, stated)
     with timed(stages, "gain"):
@@ -149,10 +143,10 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     final_spread = spread if final is selection.fit else {} if final is None else spreads(criterion, final)
     if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
         verdict = "unknown-cause"
-    findings = _findings(selection, account, spread, proposals, verdict, lost, plant)
-    findings = [_with_rival(finding, selection, rivals) for finding in findings]
+    findings = findings_of(selection, account, spread, proposals, verdict, lost, plant)
+    findings = [with_rival(finding, selection, rivals) for finding in findings]
     if search.change is not None:
-        findings = [_with_change(finding, search.change) for finding in findings]
+        findings = [with_change(finding, search.change) for finding in findings]
     if search.is_adequate and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
         where = harm_sentence(choice.refused[0])
     elif search.is_adequate and whole is not None and exceeds_floor(whole):
@@ -274,87 +268,6 @@ def _bench(search: SearchResult, judge: Evidence | None, plant: Plant, options: 
 def _harmless(bench: Bench | None, before: Theta, choice: Choice, left: Remainder | None) -> bool:
     """Return whether the model with a curve for what is left is no worse than the reference on the judge recordings."""
     return left is None or bench is None or left.fit is choice.fit or not worse(bench.gains(before, left.fit.theta))
-
-
-def _findings(
-    selection: Selection,
-    account: Account,
-    spread: dict[str, float],
-    proposals: dict[str, Proposal],
-    verdict: Verdict,
-    lost: Lost | None,
-    plant: Plant,
-) -> list[Finding]:
-    findings = []
-    for cause in selection.causes:
-        members = selection.classes.get(cause, ())
-        parameters = fit_parameters(selection.fit, cause, spread)
-        findings.append(
-            Finding(
-                name=cause,
-                sentence=finding_sentence(cause, parameters) + _assumption_clause(cause, plant),
-                form=form_of(BY_NAME[cause], parameters),
-                parameters=parameters,
-                confidence=confidence_of(
-                    selection,
-                    cause,
-                    verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
-                ),
-                indistinguishable_from=tuple(_member(trial, selection.gains[cause], plant) for trial in members),
-                share_of_excess_explained=account.cause_shares[cause],
-                loglik_gain=account.gains[cause],
-                next_experiment=proposals.get(cause),
-            )
-        )
-    if lost is not None:
-        value = Parameter(value=lost.probability, unit="", ci95=lost.ci95, verdict="identified", method="gaps counted")
-        findings.append(
-            Finding(
-                name=sample_loss.CAUSE.name,
-                sentence=f"{100 * lost.probability:.2g} % of the samples are missing, most in {lost.worst}",
-                parameters={sample_loss.CAUSE.strength.name: value},
-                confidence=0.99,
-                indistinguishable_from=(),
-                share_of_excess_explained=0.0,
-                loglik_gain=0.0,
-            )
-        )
-    return findings
-
-
-def _member(trial: Trial, gain: float, plant: Plant) -> Member:
-    """Return the member of the class of a cause with this gain."""
-    stated = BY_NAME[trial.cause].detector == "stated"
-    spread = {name: trial.fit.std(name, plant) for name in coordinates_of(trial.cause) if stated}
-    parameters = fit_parameters(trial.fit, trial.cause, spread)
-    return Member(
-        name=trial.cause,
-        parameters=parameters,
-        sentence=cause_sentence(trial.cause, parameters),
-        lead=trial.gain - gain,
-    )
-
-
-def _assumption_clause(cause: str, plant: Plant) -> str:
-    """Name the assumed plant for which the size of a cause holds; empty if the size does not rest on one."""
-    return f", {assumption(plant)}" if plant.assumed and rests_on_plant(BY_NAME[cause]) else ""
-
-
-def _with_rival(finding: Finding, selection: Selection, rivals: Mapping[str, Rival]) -> Finding:
-    """The finding with the curve that would replace it, and the confidence of a candidate."""
-    rival = rivals.get(finding.name)
-    if rival is None:
-        return finding
-    return replace(finding, rival=rival, confidence=confidence_of(selection, finding.name, "unknown-cause"))
-
-
-def _with_change(finding: Finding, change: Change) -> Finding:
-    """The finding with the recording in which it begins or after which it ends."""
-    if finding.name not in change.selection.causes:
-        return finding
-    if change.begins:
-        return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
-    return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
 
 
 def _stated_values(search: SearchResult) -> StatedValues:

@@ -195,9 +195,9 @@ LIKE_SHARE = 0.5
 LIKE_GAIN = 0.3
 LIKE_ERROR = 1.05
 
-# Measured.  Factor on the evidence of a curve by the score test from which it may reach a name: fits had up to 2.7
+# Measured.  Factor on the evidence of a curve by the score test from which it may reach a name: fits had up to 6
 # times as much.
-RIVAL_SCORE = 4.0
+RIVAL_SCORE = 10.0
 # Reasoned.  A name stays beside its own free form if it explains at least this share of what that does: the rest is
 # another formula for the same effect.
 FREE_FORM_SHARE = 0.9

@@ -5,9 +5,11 @@ each name also competes with a curve at each place of the loop, fitted instead o
 
 Rule 1: the evidence of a curve is its gain of log-likelihood with its coefficients integrated out by Laplace's method
         (S 12).  Eight numbers have their price, so a curve that merely follows a right name loses by 10 to 35.
-Rule 2: a name falls if a curve has more evidence than the name gains.
-Rule 3: a curve may be the free form of the name itself: with it nothing could be learnt about the name.  Then the name
-        stays if it explains nearly all that the curve does.  It is the right effect by another formula.
+Rule 2: a name falls if a curve has more evidence than the name gains.  Several names may imitate one unknown effect.
+        Each of them gains a lot beside the others.  So a curve also competes with pairs of names, and with all of them.
+        Each further name costs what a name must gain.
+Rule 3: a curve may be the free form of a name: with it nothing could be learnt about the name.  Then the name stays if
+        it alone explains nearly all that the curve does.  It is the right effect by another formula.
 
 The comparison is that of D. J. C. MacKay, Bayesian interpolation, Neural Computation 4(3), 1992.
 """
@@ -16,11 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-
-import numpy as np
+from itertools import combinations
 
 from twin.diagnosis.remainder.curve_fits import (
-    CurveScore,
     coefficients,
     fully_fitted,
     roughly_fitted,
@@ -30,9 +30,9 @@ from twin.diagnosis.remainder.curve_fits import (
 )
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection, fit_without
-from twin.inference.fisher_scoring import Fit
+from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import prior_spread
+from twin.inference.theta import reinitialised
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.model.causes.curve import CURVES
@@ -41,10 +41,11 @@ from twin.settings import diagnosis as settings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rival:
-    """A curve that explains the recordings better than a name in its place."""
+    """A curve that explains the recordings better than names in their place."""
 
     curve: Cause
-    lead: float  # evidence of the curve above the gain of the name, log-likelihood
+    names: tuple[str, ...]  # that it replaces
+    lead: float  # evidence of the curve above that of the names, log-likelihood
     fit: Fit  # of the curve beside all other causes
     alone: bool  # whether there are no other causes
 
@@ -55,32 +56,68 @@ def rivals_of(criterion: Criterion, selection: Selection) -> Mapping[str, Rival]
     Raises:
         Spent: the budget does not pay for it.
     """
-    found = {cause: _rival(criterion, selection, cause) for cause in selection.causes}
-    return {cause: rival for cause, rival in found.items() if rival is not None}
+    rivals: dict[str, Rival] = {}
+    for names in _groups(selection.causes):
+        if set(names) <= set(rivals):
+            continue
+        rival = _rival(criterion, selection, names)
+        if rival is not None:
+            rivals |= {name: rival for name in rival.names if name not in rivals}
+    return rivals
 
 
-def _rival(criterion: Criterion, selection: Selection, cause: str) -> Rival | None:
-    without = fit_without(criterion, selection, cause)
+def _groups(causes: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Return the single names, the pairs, and all names together."""
+    # All subsets of four names would be fifteen fits and more; triples beside a right name are rare.
+    sizes = sorted({1, min(2, len(causes)), len(causes)})
+    return [names for size in sizes for names in combinations(causes, size)]
+
+
+def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -> Rival | None:
+    without = _fit_without(criterion, selection, names)
     gain = selection.fit.loglik - without.loglik
-    # A score is the gain of a parabola, which fits exceeded by a factor of up to 2.7.  Far behind is out.
+    evidence_of_names = gain - (len(names) - 1) * settings.MIN_GAIN
+    # A score is the gain of a parabola, which fits exceeded by a factor of up to 6.  Far behind is out.
     close = [score for score in scores(criterion, without, CURVES) if settings.RIVAL_SCORE * score.evidence > gain]
     for score in close[: settings.CURVES_FITTED]:
-        fit = fully_fitted(criterion, roughly_fitted(criterion, without, score))
+        fit = roughly_fitted(criterion, without, score)
+        # Of those fits none was more than a tenth short of its maximum.
+        if fit.loglik - without.loglik < settings.FREE_FORM_SHARE * gain:
+            continue
+        fit = fully_fitted(criterion, fit)
         advantage = fit.loglik - without.loglik
-        lead = advantage - _price(fit, score) - gain
-        free_form = gain >= settings.FREE_FORM_SHARE * advantage and _absorbs(criterion, without, score.curve, cause)
-        if lead > 0.0 and not free_form:
-            return Rival(curve=score.curve, lead=lead, fit=fit, alone=len(selection.causes) == 1)
+        lead = advantage - score.price - evidence_of_names
+        if lead <= 0.0:
+            continue
+        fallen = tuple(
+            name
+            for name in names
+            if _alone(criterion, selection, names, name) - without.loglik < settings.FREE_FORM_SHARE * advantage
+            or not _absorbs(criterion, without, score.curve, name)
+        )
+        if fallen:
+            alone = len(names) == len(selection.causes)
+            return Rival(curve=score.curve, names=fallen, lead=lead, fit=fit, alone=alone)
     return None
 
 
-def _price(fit: Fit, score: CurveScore) -> float:
-    """Return what the coefficients of a curve cost: half the logarithm of prior over posterior volume."""
-    names = coefficients(score.curve)
-    index = [fit.free.index(name) for name in names]
-    widths = np.array([prior_spread(name) for name in names])
-    _, logarithm = np.linalg.slogdet(fit.covariance[np.ix_(index, index)] / np.outer(widths, widths))
-    return -0.5 * float(logarithm)
+def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -> Fit:
+    """Return the fit without these causes."""
+    if len(names) == len(selection.causes):
+        return selection.base
+    if len(names) == 1:
+        return fit_without(criterion, selection, names[0])
+    free = tuple(name for name in selection.fit.free if name.partition(".")[0] not in names)
+    theta = selection.fit.theta
+    for name in names:
+        theta = theta.without(name)
+    return selection.recall(free) or climb(criterion, reinitialised(theta), free)
+
+
+def _alone(criterion: Criterion, selection: Selection, names: tuple[str, ...], name: str) -> float:
+    """Return the log-likelihood with one of these causes and without the others."""
+    others = tuple(other for other in names if other != name)
+    return _fit_without(criterion, selection, others).loglik if others else selection.fit.loglik
 
 
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:

@@ -294,14 +294,16 @@ def _classes_sentence(causes: Sequence[Finding]) -> str:
 
 def _rivals_sentence(causes: Sequence[Finding]) -> str:
     """Say which names something unknown would replace."""
-    return "".join(f" {capital(rival_sentence(one.name, one.rival))}." for one in causes if one.rival is not None)
+    rivals = dict.fromkeys(rival_sentence(one.rival) for one in causes if one.rival is not None)
+    return "".join(f" {capital(sentence)}." for sentence in rivals)
 
 
-def rival_sentence(cause: str, rival: Rival) -> str:
-    """Say which curve takes the place of a name."""
+def rival_sentence(rival: Rival) -> str:
+    """Say which curve takes the place of names."""
+    place = "its place" if len(rival.names) == 1 else "their place"
     return (
-        f"{rival.curve.title} explains more than {cause} in its place (log-likelihood +{rival.lead:.0f}, after the "
-        "price of its numbers)"
+        f"{rival.curve.title} explains more than {' and '.join(rival.names)} in {place} (log-likelihood "
+        f"+{rival.lead:.0f}, after the price of its numbers)"
     )
 
 
