@@ -198,6 +198,8 @@ LIKE_ERROR = 1.05
 # Measured.  Factor on the evidence of a curve by the score test from which it may reach a name: fits had up to 6
 # times as much.
 RIVAL_SCORE = 10.0
+# Effort.  Curves that are fitted in the place of a name, the best by the score test.
+RIVALS_FITTED = 2
 # Reasoned.  A name stays beside its own free form if it explains at least this share of what that does: the rest is
 # another formula for the same effect.
 FREE_FORM_SHARE = 0.9

@@ -169,5 +169,7 @@ def test_an_effect_outside_the_catalogue_shows_and_the_ball_flies(name: str, pla
     shown = closed_loops({name: OUTSIDE[name].strength})
 
     assert contact_share(flown, DRAWN) < 0.01
-    # i_c or x differ by more than the largest noise that a rig is drawn with (4 mA, 12 um)
-    assert distance(shown[:, 2], plain[:, 2]) > 4e-3 or distance(shown[:, 3], plain[:, 3]) > 12e-6
+    # i_c or x differ by more than the largest noise that a rig is drawn with (4 mA, 12 um), or the law has to give
+    # another u_c, which has no noise
+    seen = [distance(shown[:, column], plain[:, column]) for column in (1, 2, 3)]
+    assert seen[0] > 50e-3 or seen[1] > 4e-3 or seen[2] > 12e-6

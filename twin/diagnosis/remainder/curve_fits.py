@@ -29,7 +29,6 @@ class CurveScore:
 
     curve: Cause
     evidence: float  # gain of log-likelihood with the coefficients integrated out, by Laplace's method
-    price: float  # by which that is smaller than the gain at the best coefficients
     start: Theta  # a part of the linear step
 
 
@@ -99,12 +98,7 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         for name, change in zip(coefficients(curve), (_OVERSHOOT * step).tolist(), strict=True):
             start = moved(start, name, change, criterion.plant)
         results.append(
-            CurveScore(
-                curve=curve,
-                evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm),
-                price=0.5 * float(logarithm),
-                start=start,
-            )
+            CurveScore(curve=curve, evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm), start=start)
         )
     return sorted(results, key=lambda curve_: -curve_.evidence)
 

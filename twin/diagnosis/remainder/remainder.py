@@ -216,7 +216,7 @@ def remainder_of(
     best = _Extension(extends="causes", fit=named, squares=before)
     instead: _Extension | None = None
     if rival is not None:
-        instead = _in_place(judging, rival, named, attempts)
+        instead = _substituted(judging, rival, named, attempts)
     else:
         best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
         if paper is not None and named.theta.causes:
@@ -239,10 +239,10 @@ def remainder_of(
     )
 
 
-def _in_place(judging: _Judge, rival: Rival, named: Fit, attempts: list[Attempt]) -> _Extension:
+def _substituted(judging: _Judge, rival: Rival, named: Fit, attempts: list[Attempt]) -> _Extension:
     """Return the model with a curve in the place of a name."""
     squares = judging.squares(rival.fit.theta)
-    extends: Literal["causes", "paper"] = "paper" if rival.alone else "causes"
+    extends: Literal["causes", "paper"] = "paper" if rival.is_sole else "causes"
     gain, error = rival.fit.loglik - named.loglik, judging.choosing(squares)
     attempts.append(Attempt(name=rival.curve.name, extends=extends, loglik_gain=gain, rmse_m=error))
     return _Extension(extends=extends, fit=rival.fit, squares=squares, curves=(rival.curve,))

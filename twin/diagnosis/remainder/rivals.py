@@ -3,11 +3,11 @@
 A selected cause has been compared with the catalogue alone.  What the catalogue lacks may have taken its name.  So
 each name also competes with a curve at each place of the loop, fitted instead of it beside all other causes.
 
-Rule 1: the evidence of a curve is its gain of log-likelihood with its coefficients integrated out by Laplace's method
-        (S 12).  Eight numbers have their price, so a curve that merely follows a right name loses by 10 to 35.
-Rule 2: a name falls if a curve has more evidence than the name gains.  Several names may imitate one unknown effect.
-        Each of them gains a lot beside the others.  So a curve also competes with pairs of names, and with all of them.
-        Each further name costs what a name must gain.
+Rule 1: the likelihood of a fit has the coefficients of a curve integrated out (S 12), as it has the shapes of causes.
+        Eight numbers have their price, so a curve that merely follows a right name loses by 10 to 35.
+Rule 2: a name falls if a curve in its place is likelier.  Several names may imitate one unknown effect, and then each
+        gains a lot beside the others.  So a curve also competes with all of them together.  Each further name costs
+        what a name must gain.
 Rule 3: a curve may be the free form of a name: with it nothing could be learnt about the name.  Then the name stays if
         it alone explains nearly all that the curve does.  It is the right effect by another formula.
 
@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 
 from twin.diagnosis.remainder.curve_fits import (
     coefficients,
@@ -45,9 +44,9 @@ class Rival:
 
     curve: Cause
     names: tuple[str, ...]  # that it replaces
-    lead: float  # evidence of the curve above that of the names, log-likelihood
+    lead: float  # log-likelihood of the model with the curve above that with the names
     fit: Fit  # of the curve beside all other causes
-    alone: bool  # whether there are no other causes
+    is_sole: bool  # whether there are no other causes
 
 
 def rivals_of(criterion: Criterion, selection: Selection) -> Mapping[str, Rival]:
@@ -57,7 +56,9 @@ def rivals_of(criterion: Criterion, selection: Selection) -> Mapping[str, Rival]
         Spent: the budget does not pay for it.
     """
     rivals: dict[str, Rival] = {}
-    for names in _groups(selection.causes):
+    # All names first: where they fall together, the single ones need no fits.  Pairs beside a right name are not tried,
+    # as three names would then cost seven times two fits.
+    for names in dict.fromkeys((selection.causes, *((cause,) for cause in selection.causes))):
         if set(names) <= set(rivals):
             continue
         rival = _rival(criterion, selection, names)
@@ -66,38 +67,30 @@ def rivals_of(criterion: Criterion, selection: Selection) -> Mapping[str, Rival]
     return rivals
 
 
-def _groups(causes: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return the single names, the pairs, and all names together."""
-    # All subsets of four names would be fifteen fits and more; triples beside a right name are rare.
-    sizes = sorted({1, min(2, len(causes)), len(causes)})
-    return [names for size in sizes for names in combinations(causes, size)]
-
-
 def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -> Rival | None:
     without = _fit_without(criterion, selection, names)
     gain = selection.fit.loglik - without.loglik
-    evidence_of_names = gain - (len(names) - 1) * settings.MIN_GAIN
     # A score is the gain of a parabola, which fits exceeded by a factor of up to 6.  Far behind is out.
     close = [score for score in scores(criterion, without, CURVES) if settings.RIVAL_SCORE * score.evidence > gain]
-    for score in close[: settings.CURVES_FITTED]:
+    for score in close[: settings.RIVALS_FITTED]:
         fit = roughly_fitted(criterion, without, score)
         # Of those fits none was more than a tenth short of its maximum.
         if fit.loglik - without.loglik < settings.FREE_FORM_SHARE * gain:
             continue
         fit = fully_fitted(criterion, fit)
         advantage = fit.loglik - without.loglik
-        lead = advantage - score.price - evidence_of_names
+        lead = advantage - gain + (len(names) - 1) * settings.MIN_GAIN
         if lead <= 0.0:
             continue
         fallen = tuple(
             name
             for name in names
-            if _alone(criterion, selection, names, name) - without.loglik < settings.FREE_FORM_SHARE * advantage
+            if _loglik_with(criterion, selection, names, name) - without.loglik < settings.FREE_FORM_SHARE * advantage
             or not _absorbs(criterion, without, score.curve, name)
         )
         if fallen:
-            alone = len(names) == len(selection.causes)
-            return Rival(curve=score.curve, names=fallen, lead=lead, fit=fit, alone=alone)
+            is_sole = len(names) == len(selection.causes)
+            return Rival(curve=score.curve, names=fallen, lead=lead, fit=fit, is_sole=is_sole)
     return None
 
 
@@ -114,10 +107,10 @@ def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, .
     return selection.recall(free) or climb(criterion, reinitialised(theta), free)
 
 
-def _alone(criterion: Criterion, selection: Selection, names: tuple[str, ...], name: str) -> float:
+def _loglik_with(criterion: Criterion, selection: Selection, names: tuple[str, ...], name: str) -> float:
     """Return the log-likelihood with one of these causes and without the others."""
-    others = tuple(other for other in names if other != name)
-    return _fit_without(criterion, selection, others).loglik if others else selection.fit.loglik
+    removed = tuple(cause for cause in names if cause != name)
+    return _fit_without(criterion, selection, removed).loglik if removed else selection.fit.loglik
 
 
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:

@@ -303,7 +303,7 @@ def rival_sentence(rival: Rival) -> str:
     place = "its place" if len(rival.names) == 1 else "their place"
     return (
         f"{rival.curve.title} explains more than {' and '.join(rival.names)} in {place} (log-likelihood "
-        f"+{rival.lead:.0f}, after the price of its numbers)"
+        f"+{rival.lead:.0f})"
     )
 
 
