@@ -63,7 +63,7 @@ def rivals_of(criterion: Criterion, selection: Selection) -> Mapping[str, Rival]
             continue
         rival = _rival(criterion, selection, names)
         if rival is not None:
-            rivals |= {name: rival for name in rival.names if name not in rivals}
+            rivals |= dict.fromkeys(rival.names, rival)
     return rivals
 
 
@@ -78,19 +78,13 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
         if fit.loglik - without.loglik < settings.FREE_FORM_SHARE * gain:
             continue
         fit = fully_fitted(criterion, fit)
-        advantage = fit.loglik - without.loglik
-        lead = advantage - gain + (len(names) - 1) * settings.MIN_GAIN
+        lead = fit.loglik - selection.fit.loglik + (len(names) - 1) * settings.MIN_GAIN
         if lead <= 0.0:
             continue
-        fallen = tuple(
-            name
-            for name in names
-            if _loglik_with(criterion, selection, names, name) - without.loglik < settings.FREE_FORM_SHARE * advantage
-            or not _absorbs(criterion, without, score.curve, name)
-        )
-        if fallen:
+        # Several names fall together or not at all: where one is right by another formula, the others are asked alone.
+        if not any(_is_free_form(criterion, selection, names, name, score.curve, fit) for name in names):
             is_sole = len(names) == len(selection.causes)
-            return Rival(curve=score.curve, names=fallen, lead=lead, fit=fit, is_sole=is_sole)
+            return Rival(curve=score.curve, names=names, lead=lead, fit=fit, is_sole=is_sole)
     return None
 
 
@@ -107,10 +101,15 @@ def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, .
     return selection.recall(free) or climb(criterion, reinitialised(theta), free)
 
 
-def _loglik_with(criterion: Criterion, selection: Selection, names: tuple[str, ...], name: str) -> float:
-    """Return the log-likelihood with one of these causes and without the others."""
+def _is_free_form(
+    criterion: Criterion, selection: Selection, names: tuple[str, ...], name: str, curve: Cause, fit: Fit
+) -> bool:
+    """Return whether a curve in the place of `names` is only the free form of one of them."""
+    without = _fit_without(criterion, selection, names)
     removed = tuple(cause for cause in names if cause != name)
-    return _fit_without(criterion, selection, removed).loglik if removed else selection.fit.loglik
+    with_name = _fit_without(criterion, selection, removed) if removed else selection.fit
+    share = (with_name.loglik - without.loglik) / (fit.loglik - without.loglik)
+    return share >= settings.FREE_FORM_SHARE and _absorbs(criterion, without, curve, name)
 
 
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:
