@@ -132,7 +132,8 @@ def test_a_class_that_the_logged_flight_cannot_tell_apart_is_split(
     assert answer["name"] == "air-gap-offset"
     # No flight tells a gap from an x_max that the campaign states wrongly: that is left to a calliper.
     assert answer["indistinguishable_from"] == ["stated-x-max"]
-    assert recorded(table)[-2:] == ["wide-steps-judge", "multisine-judge"]
+    # What the judges show may ask for a further recording: they need not be the last.
+    assert {"wide-steps-judge", "multisine-judge"} <= set(recorded(table))
 
 
 def test_a_budget_that_pays_for_nothing_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
