@@ -57,7 +57,11 @@ def main() -> int:
         os.nice(NICER)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _beat()
-    return board51.main(words)
+    try:
+        return board51.main(words)
+    finally:
+        # Python takes its signal handlers away at its end: a beat after that would kill it, and hide its exit code.
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import pytest
 
 from gateway.config import BoardConfig, GatewayConfig, HmiConfig, OpcuaConfig, SecurityConfig, ZenohConfig
 from gateway.processes import supervisor
-from gateway.processes.child import NICER
+from gateway.processes.child import BEAT_VARIABLE, NICER
 from gateway.processes.supervisor import Service, running
 from gateway.views.launch import views_for
 from protocol.errors import ConfigError
@@ -121,6 +121,27 @@ def test_a_view_with_a_wrong_option_is_not_started_again(
 
     errors = [line for line in capfd.readouterr().err.splitlines() if line]
     assert errors == ["board51 foxglove: --listen 'nowhere' is not an address. Write HOST:PORT, e.g. 127.0.0.1:4840."]
+
+
+def test_a_child_that_takes_long_to_end_keeps_its_exit_code() -> None:
+    """A beat that comes while Python ends finds no handler any more."""
+    code = (
+        "import sys, time\nfrom gateway.processes import child\n"
+        "class Slow:\n    def __del__(self, sleep=time.sleep): sleep(20 * 0.01)\n"
+        "slow = Slow()\nchild.BEAT_S = 0.01\n"
+        "sys.argv[1:] = ['foxglove', '--listen', 'nowhere']\nsys.exit(child.main())"
+    )
+    beats, beat = os.pipe()
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        pass_fds=(beat,), env={**os.environ, BEAT_VARIABLE: str(beat)},
+    ) as child:  # fmt: skip
+        assert child.stderr is not None
+        errors = child.stderr.read()
+    os.close(beats)
+    os.close(beat)
+
+    assert (child.returncode, "is not an address" in errors) == (2, True), errors
 
 
 def test_no_view_outlives_a_gateway_that_is_killed() -> None:
