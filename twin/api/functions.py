@@ -131,14 +131,17 @@ def diagnose(
     """
     from twin.diagnosis.options import Options
     from twin.inference.budget import MILLION
-    from twin.model.causes.catalogue import BY_NAME
+    from twin.model.causes.catalogue import SEARCHED
 
     if not 0.0 < share <= 1.0:
         raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")
     if budget is not None and not 0.0 < budget < math.inf:
         raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
-    if unknown := [name for name in without if name not in BY_NAME]:
-        raise UsageError(f"--without {unknown[0]}: not a cause", remedy=f"Choose from {', '.join(sorted(BY_NAME))}")
+    searched = sorted(cause.name for cause in SEARCHED)
+    if unknown := [name for name in without if name not in searched]:
+        raise UsageError(
+            f"--without {unknown[0]}: not a cause that diagnose selects", remedy=f"Choose from {', '.join(searched)}"
+        )
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
     campaign = _campaign(campaign)
     options = Options(

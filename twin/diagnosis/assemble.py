@@ -13,8 +13,9 @@ from twin.diagnosis.checks.consistency import beginnings, contradictions
 from twin.diagnosis.experiments.design import propose
 from twin.diagnosis.findings import findings_of, with_change, with_rival
 from twin.diagnosis.judge import judgement
-from twin.diagnosis.judge.account import account_of, exceeds_floor
+from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
+from twin.diagnosis.judge.judgement import Judgement
 from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
@@ -48,8 +49,9 @@ from twin.inference.fisher_scoring import Fit, spreads
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta
-from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.catalogue import BY_NAME, SEARCHED
 from twin.model.causes.cause import Cause
+from twin.model.parameters import Model
 from twin.settings import diagnosis as settings
 
 
@@ -88,112 +90,147 @@ def timed(stages: dict[str, float], name: str) -> Iterator[None]:
 
 
 def testable_causes(records: Sequence[Record], without: Sequence[str]) -> tuple[Cause, ...]:
-    """The causes whose channels are in the recordings, except those `without` and those not found by fitting."""
-    return tuple(
-        cause
-        for cause in CATALOGUE
-        if cause.name not in without
-        and not cause.not_testable
-        and cause.detector != "gaps"
-        and not missing_channels(cause, records)
-    )
+    """The causes whose channels are in the recordings, except those `without`."""
+    return tuple(cause for cause in SEARCHED if cause.name not in without and not missing_channels(cause, records))
 
 
 def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosis:
     """Assemble the diagnosis, with the warnings from here on and the stages from the search on."""
     records, judge, plant = inputs.records, inputs.judge, inputs.campaign.plant
     stages = dict(search.stages_s)
-    criterion, floor = search.criterion, search.floor
     finished = not search.budget.unanswered  # questions left open from here on do not change the verdict
     search.budget.reopen()
-    selection = search.selection
+    names = _examined(search, options, stages)
+    selection, account = names.selection, names.account
+    with timed(stages, "next experiments"):
+        proposals = _proposals(search, inputs.campaign, options) | _measurements(search.selection, names.stated)
+    with timed(stages, "gain"):
+        lost = lost_samples([*records, *inputs.judges])
+        bench = _bench(search, judge, plant, options)
+        state = {"is_adequate": search.is_adequate, "finished": finished, "counted": lost is not None}
+        outcome = judgement.judge(selection, options.model, bench, account, **state)
+    choice = outcome.choice
+    with timed(stages, "remainder"):
+        remainder = _remainder(inputs, search, outcome.whole, choice, options, names.rivals)
+    harms = not _harmless(bench, outcome.before, choice, remainder)
+    remainder = None if harms else remainder
+    verdict = outcome.verdict
+    if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
+        verdict = "unknown-cause"
+    findings = findings_of(selection, account, names.spread, proposals, verdict, lost, plant)
+    findings = [_qualified(finding, search, names) for finding in findings]
+    where = _where(search, names, outcome, verdict)
+    is_whole = search.is_adequate and search.change is None
+    minor_effects = tuple(minor_effects_of(search.criterion, selection)) if is_whole else ()
+    shown = {*_names(findings), *(effect.name for effect in minor_effects)}
+    baseline, extended = _models(inputs, search, options, names, choice, remainder)
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentence="",
+        causes=tuple(findings),
+        not_testable=(*not_testable(selection, records), *map(absorbed_suspect, names.stated.absorbed)),
+        minor_effects=minor_effects,
+        ruled_out=tuple(ruled_out(selection, shown)) if finished else (),
+        account=account,
+        unexplained_where=where,
+        gains=choice.gains,
+        gain=at_20_ms(choice.gains),
+        baseline=baseline,
+        extended=extended,
+        choice=choice,
+        warnings=tuple(_warnings(search, names, outcome, where, harms=harms)),
+        quick=options.quick or options.share < settings.MIN_SHARE,
+        stages_s=stages,
+        selection=selection,
+        floor=search.floor,
+        fit_evidence=inputs.evidence,
+        judge_evidence=judge,
+        before=outcome.before,
+        after=outcome.before if choice.fit is None else choice.fit.theta,
+        tick_s=search.criterion.tick_s,
+        remainder=remainder,
+        budget=search.budget,
+    )
+    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
+    return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Names:
+    """The selected names, with what else would explain the recordings and what is left."""
+
+    selection: Selection  # with the stated values in its classes
+    stated: StatedValues
+    rivals: Mapping[str, Rival]
+    under: Floor  # of the final model
+    account: Account
+    where: str  # most is left; "" if nothing is
+    spread: dict[str, float]  # standard errors of the parameters
+
+
+def _examined(search: SearchResult, options: Options, stages: dict[str, float]) -> _Names:
+    """Compare the selected names with stated values and unknown curves, and account for what is left."""
+    criterion, selection = search.criterion, search.selection
     with timed(stages, "stated values"):
         stated = _stated_values(search)
         selection = with_members(selection, stated)
     with timed(stages, "rivals"):
         rivals = _rivals(search, options)
     with timed(stages, "what is left"):
-        under = floor.under(criterion, selection.fit.theta)
-        account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals)
-        where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
-        spread = spreads(criterion, selection.fit, stated.slopes)
-        warnings = _inconsistent(search) + [rival_sentence(rival) for rival in rivals.values()]
-    with timed(stages, "next experiments"):
-        proposals = _proposals(search, inputs.campaign, options) | _measurements(search.selection, stated)
-    with timed(stages, "gain"):
-        lost = lost_samples([*records, *inputs.judges])
-        bench = _bench(search, judge, plant, options)
-        outcome = judgement.judge(
-            selection,
-            options.model,
-            bench,
-            account,
-            is_adequate=search.is_adequate,
-            finished=finished,
-            counted=lost is not None,
+        under = search.floor.under(criterion, selection.fit.theta)
+        return _Names(
+            selection=selection,
+            stated=stated,
+            rivals=rivals,
+            under=under,
+            account=account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals),
+            where="" if search.is_adequate else where_left(criterion, selection.fit, under),
+            spread=spreads(criterion, selection.fit, stated.slopes),
         )
-        verdict, choice, whole = outcome.verdict, outcome.choice, outcome.whole
-        warnings += [outcome.off] if outcome.off else []
-    with timed(stages, "remainder"):
-        remainder = _remainder(inputs, search, whole, choice, options, rivals)
-        if not _harmless(bench, outcome.before, choice, remainder):
-            warnings.append("a curve for the rest was tried and refused: the judge recordings get worse with it")
-            remainder = None
-    final = choice.fit if remainder is None else remainder.fit
-    final_spread = spread if final is selection.fit else {} if final is None else spreads(criterion, final)
-    if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
-        verdict = "unknown-cause"
-    findings = findings_of(selection, account, spread, proposals, verdict, lost, plant)
-    findings = [with_rival(finding, selection, rivals) for finding in findings]
-    if search.change is not None:
-        findings = [with_change(finding, search.change) for finding in findings]
-    if search.is_adequate and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
-        where = harm_sentence(choice.refused[0])
-    elif search.is_adequate and whole is not None and exceeds_floor(whole):
-        where = beyond_sentence(whole)
-    warnings += [f"not everything is explained {where}"] * bool(where) if search.is_adequate else [search.why_not]
-    minor_effects = (
-        tuple(minor_effects_of(criterion, selection)) if search.is_adequate and search.change is None else ()
+
+
+def _qualified(finding: Finding, search: SearchResult, names: _Names) -> Finding:
+    """Return the finding with the curve that would replace it and the recording in which it begins or ends."""
+    finding = with_rival(finding, names.selection, names.rivals)
+    return finding if search.change is None else with_change(finding, search.change)
+
+
+def _where(search: SearchResult, names: _Names, outcome: Judgement, verdict: Verdict) -> str:
+    """Say where most is left; "" if nothing is."""
+    refused = outcome.choice.refused
+    if search.is_adequate and verdict == "unknown-cause" and refused and refused[0].worse:
+        return harm_sentence(refused[0])
+    if search.is_adequate and outcome.whole is not None and exceeds_floor(outcome.whole):
+        return beyond_sentence(outcome.whole)
+    return names.where
+
+
+def _warnings(search: SearchResult, names: _Names, outcome: Judgement, where: str, *, harms: bool) -> list[str]:
+    """Return the warnings; `harms`: whether a curve for the rest was refused."""
+    warnings = _inconsistent(search) + [rival_sentence(rival) for rival in names.rivals.values()]
+    warnings += [outcome.off] if outcome.off else []
+    if harms:
+        warnings.append("a curve for the rest was tried and refused: the judge recordings get worse with it")
+    if search.is_adequate:
+        return [*warnings, f"not everything is explained {where}"] if where else warnings
+    return [*warnings, search.why_not]
+
+
+def _models(
+    inputs: Inputs, search: SearchResult, options: Options, names: _Names, choice: Choice, remainder: Remainder | None
+) -> tuple[Model, Model]:
+    """Return (the reference model, the extended model)."""
+    campaign, records, under = inputs.campaign, inputs.records, names.under
+    paper = model_of(
+        campaign, search.base, {}, records, under.excess(search.base.loglik), "the paper's model at its best"
     )
-    lacked = under.excess(search.base.loglik)
-    paper = model_of(inputs.campaign, search.base, {}, records, lacked, "the paper's model at its best")
     baseline = options.model or paper
-    diagnosis = Diagnosis(
-        verdict=verdict,
-        sentence="",
-        causes=tuple(findings),
-        not_testable=(*not_testable(selection, records), *map(absorbed_suspect, stated.absorbed)),
-        minor_effects=minor_effects,
-        ruled_out=tuple(ruled_out(selection, {*_names(findings), *(effect.name for effect in minor_effects)}))
-        if finished
-        else (),
-        account=account,
-        unexplained_where=where,
-        gains=choice.gains,
-        gain=at_20_ms(choice.gains),
-        baseline=baseline,
-        extended=written_model(
-            choice,
-            baseline
-            if final is None
-            else model_of(inputs.campaign, final, final_spread, records, under.excess(final.loglik), ""),
-        ),
-        choice=choice,
-        warnings=tuple(warnings),
-        quick=options.quick or options.share < settings.MIN_SHARE,
-        stages_s=stages,
-        selection=selection,
-        floor=floor,
-        fit_evidence=inputs.evidence,
-        judge_evidence=judge,
-        before=outcome.before,
-        after=outcome.before if choice.fit is None else choice.fit.theta,
-        tick_s=criterion.tick_s,
-        remainder=remainder,
-        budget=search.budget,
-    )
-    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
-    return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
+    final = choice.fit if remainder is None else remainder.fit
+    if final is None:
+        return baseline, written_model(choice, baseline)
+    spread = names.spread if final is names.selection.fit else spreads(search.criterion, final)
+    extended = model_of(campaign, final, spread, records, under.excess(final.loglik), "")
+    return baseline, written_model(choice, extended)
 
 
 def _inconsistent(search: SearchResult) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from twin.diagnosis.judge.account import Account
 from twin.diagnosis.report import figures
-from twin.diagnosis.report.sentences import LACKED, capital, percent, round_sentence, sizes
+from twin.diagnosis.report.sentences import LACKED, capital, percent, rival_sentence, round_sentence, sizes
 from twin.diagnosis.result import Diagnosis, Finding, Proposal
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
@@ -55,8 +55,8 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         ("How to confirm it by hand", _sentence(cause.confirm)),
         ("What to do about it", _sentence(cause.cure)),
     ]
-    rivals = finding.indistinguishable_from
-    members = [_sized(member.name, member.parameters) for member in rivals if not member.stated]
+    alike = finding.indistinguishable_from
+    members = [_sized(member.name, member.parameters) for member in alike if not member.stated]
     return {
         "title": number + finding.name,
         "sentence": _sentence(finding.sentence),
@@ -66,8 +66,9 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         "facts": [(term, text) for term, text in facts if text],
         "others": [_sized(finding.name, finding.parameters), *members] if members else [],
         "stated": [
-            [_sentence(member.sentence), _sentence(BY_NAME[member.name].confirm)] for member in rivals if member.stated
+            [_sentence(member.sentence), _sentence(BY_NAME[member.name].confirm)] for member in alike if member.stated
         ],
+        "rival": _sentence(rival_sentence(finding.rival)) if finding.rival is not None else "",
         **_experiment(finding.next_experiment),
     }
 

@@ -71,6 +71,8 @@ CATALOGUE: tuple[Cause, ...] = (
     sampling_delay.CAUSE,
     lost_samples.CAUSE,
 )
+# That a search may select: samples that were lost are counted, and some causes no recording shows.
+SEARCHED = tuple(cause for cause in CATALOGUE if cause.detector != "gaps" and not cause.not_testable)
 BY_NAME = {cause.name: cause for cause in (*CATALOGUE, *CURVES, *STATED)}
 # (place of an offset, place of its wander) for each offset that may wander.
 OFFSETS = tuple((cause.strength.index, shape.index) for cause in CATALOGUE for shape in cause.shapes if shape.walks)
