@@ -22,7 +22,7 @@ import numpy as np
 from protocol.campaign import Plant
 from twin.estimation.ekf.filter import fill
 from twin.estimation.ekf.memory import states_in
-from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, Series, information, whiten
+from twin.estimation.innovations import Series, information, whiten
 from twin.estimation.pace import Reuse, pace_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
@@ -34,14 +34,12 @@ from twin.inference.outside import Outside
 from twin.inference.theta import (
     COLOURS,
     NOISES,
-    STOP_UNIT_M,
     STOPS,
     Theta,
     derivative_step,
     moved,
 )
 from twin.model.causes.catalogue import with_trait
-from twin.model.extended import position_reading
 from twin.settings import diagnosis as settings
 
 T = TypeVar("T")
@@ -248,27 +246,24 @@ class Criterion:
         """
         # Differences of the filter, not analytic sensitivities. These would be a second set of equations, and each new
         # cause would extend it. The differences include the effect on the Kalman gains.
-        steps = {name: derivative_step(theta, name, self.plant) for name in names if name not in STOPS}
+        steps = {name: derivative_step(theta, name, self.plant) for name in names}
         models = [moved(theta, name, step, self.plant) for name, step in steps.items()]
         if at is None:
             base, *outs = self.several([theta, *models])
         else:
             # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
-            is_reused = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
-            # Only the noise levels may take over steps: they change the weight of a reading, but not the motion between
-            # two of them.
-            reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
+            # Noise levels change the weight of a reading, and stops what a ball at rest reads, but neither the motion
+            # between two readings: they take over its steps.
+            still = NOISES + COLOURS + STOPS
+            is_reused = [rough or name in STOPS or (smooth and name in still) for name in steps]
+            reuse = [Reuse.STEPS if name in still else Reuse.SLOPES for name in steps]
             reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
             base, outs = at.innovations, self.outputs_reusing(models, at, reuse)
         change = np.empty((len(names), *base.shape))
-        filtered = iter(outs)
-        for index, name in enumerate(names):
-            if name in STOPS:
-                change[index] = _stop_derivative(self.evidence.series, self.plant, theta, name, base)
-            else:
-                np.subtract(next(filtered), base, out=change[index])
-                change[index] /= steps[name]
+        for index, (name, filtered) in enumerate(zip(names, outs, strict=True)):
+            np.subtract(filtered, base, out=change[index])
+            change[index] /= steps[name]
         return base, change
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
@@ -288,18 +283,6 @@ class Criterion:
         models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
         score, curvature = self.outside.slopes(theta, models, steps)
         return total, each.sum(axis=0) + score, fisher + curvature
-
-
-def _stop_derivative(series: Series, plant: Plant, theta: Theta, name: str, base: FloatArray) -> FloatArray:
-    """The derivative by the position of a stop: it moves only the readings of a ball that rests there."""
-    flags, nominal_m = series.flags, plant.travel_m if name == "stop_high_m" else 0.0
-    low = flags & RESTS_LOW != 0
-    at_stop = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
-    p, c, stop = theta.base(plant), theta.vector(), nominal_m + theta.value(name)
-    reading_at_stop, reading_above = (position_reading(p, c, position, 0.0) for position in (stop, stop + STOP_UNIT_M))
-    change = 0.0 * base  # NaN stays NaN
-    change[at_stop & (flags & FLIES == 0), 1] -= reading_above - reading_at_stop
-    return change
 
 
 def mean_square(out: FloatArray) -> float:

@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, rig_of, strong
 from tests.twin.evidence.test_lost_rows import drawn, less
+from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.search.score_test import screen
 from twin.estimation.pace import Reuse
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 from twin.evidence.gather import gather
 from twin.inference.likelihood import Criterion, mean_square
-from twin.inference.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
+from twin.inference.theta import BASE, NOISES, STOP_UNIT_M, STOPS, Theta, coordinates_of, moved
 from twin.settings import diagnosis as settings
 
 CASES = [
@@ -69,6 +70,22 @@ def test_the_noise_along_a_run_has_the_derivatives_of_the_filter(theta: Theta, s
     others = [place for place in range(len(names)) if place not in noise]
     assert along[others] == pytest.approx(exact[others], rel=1e-9, abs=1e-9)
     criterion.close()
+
+
+@pytest.mark.parametrize("theta", [THETA, replace(THETA, tau_x_s=8e-3, white_x=0.1)])
+def test_the_derivative_by_a_stop_is_that_of_the_filter_whatever_the_colour_of_the_noise(theta: Theta) -> None:
+    """Coloured noise takes up most of a shift that stays: a reading soon counts less than it does in white noise."""
+    k = np.arange(600)
+    ramp = Schedule(name="ramp", kind="sawtooth", command=3.0 * (k % 300) / 300, closed_loop=False)
+    criterion = criterion_of([*narrow(theta, seconds=1.0), *simulate(rig_of(theta), ramp, seed=3)])
+    run = criterion.run(theta)
+
+    _, change = criterion.derivatives(theta, STOPS, run)
+    exact = [criterion.outputs(moved(theta, name, 1.0, PLANT)) - criterion.outputs(theta) for name in STOPS]
+    criterion.close()
+
+    assert np.nanmin(exact[0][:, 1]) == pytest.approx(-STOP_UNIT_M, rel=1e-3)
+    np.testing.assert_allclose(change, exact, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("theta", CASES)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Kind, Plant
 from twin.control import LawNumbers, law
-from twin.diagnosis.experiments.closed_loop import TICK_S, Course, Rig, converters_of, run, twelve_bits
+from twin.diagnosis.experiments.closed_loop import Course, Rig, converters_of, run, twelve_bits
 from twin.diagnosis.experiments.designed_law import law_of
 from twin.estimation.record import Capture, FloatArray, Record, intervals
 from twin.evidence import sample_loss
@@ -178,7 +178,7 @@ def _capture(
     y[I_C] = y[FIELD] = steady_current(rig.theta.base(rig.plant), rig.theta.vector(), u_from)
     y[WARMTH] = y[I_C] ** 2
     course = Course(t=sample_s * n, command=np.where(n < pre, u_from, u_to), clamped=True, captured=True)
-    out = run(replace(rig, tick_s=TICK_S), course, y, rng)
+    out = run(rig, course, y, rng)
     return Capture(sample_time_s=sample_s, u_from_v=u_from, u_to_v=u_to, step_index=pre, i_c_a=out[:, 1])
 
 

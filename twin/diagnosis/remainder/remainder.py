@@ -113,6 +113,7 @@ class Remainder:
     proposed: tuple[str, ...]  # causes that took the place of a curve
     replaced: tuple[Shape, ...]  # those curves
     attempts: tuple[Attempt, ...]
+    refused: Cause | None  # the curve of a rival that predicts worse than the names
     improvement: Improvement
 
 
@@ -222,11 +223,15 @@ def remainder_of(
         if paper is not None and named.theta.causes:
             bare = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
             instead = _extend(judging, bare, (), attempts, max_curves=1)
+    refused: Cause | None = None
     if instead is not None:
         # One curve against all named causes: if it predicts and explains as well, nothing speaks for the names.
         as_good = judging.choosing(instead.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
-        if as_good and instead.fit.loglik >= named.loglik:
+        # A rival explains more by the price of its names, which is not in the likelihoods.
+        if as_good and (rival is not None or instead.fit.loglik >= named.loglik):
             best = instead
+        elif rival is not None:
+            refused = rival.curve
     values = visited(criterion.evidence)
     return Remainder(
         fit=best.fit,
@@ -235,6 +240,7 @@ def remainder_of(
         proposed=best.proposed,
         replaced=tuple(_shape(fit, curve, values) for curve, fit in best.replaced),
         attempts=tuple(attempts),
+        refused=refused,
         improvement=judging.improvement(before, best.squares, best.fit.theta, floor),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnosis.remainder.remainder import Improvement, Remainder, Shape
 from twin.diagnosis.report import figures
-from twin.diagnosis.report.sentences import finding_sentence, micrometres, quantity
+from twin.diagnosis.report.sentences import capital, finding_sentence, micrometres, quantity
 from twin.diagnosis.result import Diagnosis
 from twin.model.parameters import Parameter
 from twin.page.figures import inline
@@ -35,6 +35,8 @@ def remainder_sentence(remainder: Remainder, parameters: Mapping[str, Mapping[st
         for name in remainder.proposed
     ]
     parts += [f"what is left is best described by {_curve(shape)}" for shape in remainder.shapes]
+    if remainder.refused is not None:
+        return f"{capital(remainder.refused.title)} predicts x worse than the names, so it is not in the model."
     if not parts:
         return NO_CURVE + _regression_sentence(remainder.improvement)
     text = "; ".join(parts)

@@ -242,6 +242,17 @@ def test_a_capture_rises_to_its_level_in_its_time() -> None:
     assert abs(one.i_c_a[after] - THETA.K_A * (1.5 - math.exp(-1.0))) < error
 
 
+def test_a_capture_has_the_process_noise_of_the_rig_whatever_its_sampling_interval() -> None:
+    """The level refers to T_s: over half of it, a noise of the same density is smaller by the root of two."""
+    schedule = Schedule(name="bursts", kind="amplifier-step", command=np.empty(0), bursts=((0.3, 1.5),))
+    slow = rig_of(replace(THETA, process_i_c_a=1e-2))
+    fast = replace(rig_of(replace(THETA, process_i_c_a=1e-2 / math.sqrt(2.0))), tick_s=0.5 * slow.tick_s)
+
+    ((one,), (other,)) = (simulate(rig, schedule, seed=3)[0].captures for rig in (slow, fast))
+
+    assert np.allclose(other.i_c_a, one.i_c_a, rtol=0.0, atol=1e-12)
+
+
 def test_equilibria_are_repeated_from_the_force_balance() -> None:
     x = np.linspace(0.0, 5e-3, 40)
     empty = np.full(40, np.nan)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from protocol.campaign import load
-from tests.harness.diagnose.hidden_campaign import draw_rig, make_campaign
+from tests.harness.diagnose.hidden_campaign import PlantName, draw_rig, make_campaign
 from tests.harness.diagnose.second_plant import WIRE_FROM_M
 from twin.diagnosis import assemble
 from twin.diagnosis.judge.flexible import flexible_errors
@@ -36,9 +36,16 @@ SEED = 11
 
 
 @contextmanager
-def paper_model(folder: Path, outside: Mapping[str, float]) -> Iterator[tuple[Criterion, Fit]]:
-    """The paper's model at its best on a campaign with these effects outside the catalogue."""
-    make_campaign(folder, effects={}, outside=outside, seed=SEED, plant="independent", quick=True)
+def paper_model(
+    folder: Path,
+    outside: Mapping[str, float],
+    *,
+    effects: Mapping[str, float] | None = None,
+    seed: int = SEED,
+    plant: PlantName = "independent",
+) -> Iterator[tuple[Criterion, Fit]]:
+    """The paper's model at its best on a campaign with these effects, of the catalogue and outside it."""
+    make_campaign(folder, effects=effects or {}, outside=outside, seed=seed, plant=plant, quick=True)
     campaign = load(folder)
     records = read_campaign(campaign)
     evidence = gather(records, campaign.plant)

@@ -9,16 +9,16 @@ import pytest
 
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
+from tests.twin.diagnosis.remainder.test_remainder import paper_model
+from twin.diagnosis.options import Options
+from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.remainder.rivals import Rival, rivals_of
 from twin.diagnosis.search.state import Selection
-from twin.evidence.gather import gather
-from twin.inference.budget import Budget
 from twin.inference.fisher_scoring import climb
-from twin.inference.initial_guess import start_theta, with_noise_bounds
-from twin.inference.likelihood import Criterion
-from twin.inference.theta import BASE, STOPS, coordinates_of
+from twin.inference.theta import coordinates_of
 from twin.model.causes.catalogue import BY_NAME
-from twin.readers.campaign import read_campaign
+
+SEED = 23
 
 
 def rivals(
@@ -30,21 +30,12 @@ def rivals(
     outside: Mapping[str, float] | None = None,
 ) -> Mapping[str, Rival]:
     """The rivals of a cause that is fitted to a campaign with this effect."""
-    make_campaign(folder, effects=effects or {}, outside=outside or {}, seed=23, plant=plant, quick=True)
-    campaign = load(folder)
-    records = read_campaign(campaign)
-    evidence = gather(records, campaign.plant)
-    criterion = Criterion(evidence, campaign.plant, 2e-3, budget=Budget())
-    try:
-        start = with_noise_bounds(start_theta(records, campaign.plant), evidence)
-        base = climb(criterion, start, (*BASE, *STOPS))
+    with paper_model(folder, outside or {}, effects=effects, seed=SEED, plant=plant) as (criterion, base):
         strength = BY_NAME[cause].strength
         begin = base.theta.having(f"{cause}.{strength.name}", strength.probes[0])
         fit = climb(criterion, begin, (*base.free, *coordinates_of(cause)))
         assert fit.loglik > base.loglik + 10.0, "the cause explains something"
         return rivals_of(criterion, Selection(base=base, fit=fit, causes=(cause,)))
-    finally:
-        criterion.close()
 
 
 def test_a_sensor_error_for_a_spring_falls(tmp_path: Path) -> None:
@@ -65,3 +56,18 @@ def test_a_right_name_stays(tmp_path: Path) -> None:
 def test_a_right_effect_by_another_formula_stays(tmp_path: Path) -> None:
     """A polynomial of the gap below i^2: its free form explains a little more than an exponent."""
     assert rivals(tmp_path, "force-exponent", plant="textbook", effects={"gap-polynomial": 0.6}) == {}
+
+
+@pytest.mark.slow
+def test_a_curve_takes_the_place_of_the_names_that_it_replaces_also_in_the_model(tmp_path: Path) -> None:
+    make_campaign(tmp_path, effects={}, outside={"spring-of-a-cable": 4.0}, seed=SEED, plant="independent", quick=True)
+
+    result = diagnose(load(tmp_path), Options(quick=True, workers=1))
+
+    assert result.verdict == "unknown-cause"
+    assert result.causes
+    assert all(finding.rival is not None for finding in result.causes)
+    assert [cause.name for cause in result.extended.causes] == ["force-over-height"]
+    assert result.remainder is not None
+    assert result.remainder.improvement.extended_rmse_m < 1.05 * result.remainder.improvement.floor_m
+    assert "a force that depends on the height alone" in result.sentence
