@@ -16,6 +16,7 @@ from twin.diagnosis.judge import judgement
 from twin.diagnosis.judge.account import account_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
 from twin.diagnosis.judge.prediction_gain import Bench, Gain
+from twin.diagnosis.lines import lines_of, with_sizes
 from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
 from twin.diagnosis.remainder.rivals import Rival, rivals_of
@@ -110,13 +111,15 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     with timed(stages, "stated values"):
         stated = _stated_values(search)
         selection = with_members(selection, stated)
+        fit, line_errors = with_sizes(criterion, selection.fit)
+        selection = replace(selection, fit=fit)
     with timed(stages, "rivals"):
         rivals = _rivals(search, options)
     with timed(stages, "what is left"):
         under = floor.under(criterion, selection.fit.theta)
         account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals)
         where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
-        spread = spreads(criterion, selection.fit, stated.slopes)
+        spread = spreads(criterion, selection.fit, stated.slopes) | line_errors
         warnings = _inconsistent(search) + [rival_sentence(rival) for rival in rivals.values()]
     with timed(stages, "next experiments"):
         proposals = _proposals(search, inputs.campaign, options) | _measurements(search.selection, stated)
@@ -145,6 +148,8 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         verdict = "unknown-cause"
     findings = findings_of(selection, account, spread, proposals, verdict, lost, plant)
     findings = [with_rival(finding, selection, rivals) for finding in findings]
+    lines = lines_of(findings, criterion, selection.fit.theta)
+    warnings += [line.sentence for line in lines if not line.cause]
     if search.change is not None:
         findings = [with_change(finding, search.change) for finding in findings]
     if search.is_adequate and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
@@ -191,6 +196,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         tick_s=criterion.tick_s,
         remainder=remainder,
         budget=search.budget,
+        lines=lines,
     )
     sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
     return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
@@ -200,7 +206,7 @@ def _inconsistent(search: SearchResult) -> list[str]:
     """Return the warnings about effects that are not the same in all recordings, or begin in the middle of one."""
     criterion, fit = search.criterion, search.selection.fit
     always = [
-        name for name in search.selection.causes if BY_NAME[name].detector != "spectral-line" and search.change is None
+        name for name in search.selection.causes if "line" not in BY_NAME[name].detector and search.change is None
     ]
     return [contradiction_sentence(contradiction) for contradiction in contradictions(criterion, fit)] + [
         beginning_sentence(beginning) for beginning in beginnings(criterion, fit, always)
