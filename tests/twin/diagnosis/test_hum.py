@@ -1,4 +1,4 @@
-"""Mains in the position sensor of a rig that shares no equation with the twin, from the recordings to the prediction."""
+"""Mains in the position sensor of a rig that shares no equation with the twin: recorded, diagnosed, predicted."""
 
 from __future__ import annotations
 
