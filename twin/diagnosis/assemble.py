@@ -124,7 +124,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     where = _where(search, names, outcome, verdict)
     is_whole = search.is_adequate and search.change is None
     minor_effects = tuple(minor_effects_of(search.criterion, selection)) if is_whole else ()
-    shown = {*_names(findings), *(effect.name for effect in minor_effects)}
+    listed = {*_names(findings), *(effect.name for effect in minor_effects)}
     baseline, extended = _models(inputs, search, options, names, choice, remainder)
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -132,7 +132,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         causes=tuple(findings),
         not_testable=(*not_testable(selection, records), *map(absorbed_suspect, names.stated.absorbed)),
         minor_effects=minor_effects,
-        ruled_out=tuple(ruled_out(selection, shown)) if finished else (),
+        ruled_out=tuple(ruled_out(selection, listed)) if finished else (),
         account=account,
         unexplained_where=where,
         gains=choice.gains,

@@ -255,9 +255,9 @@ class Criterion:
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             # Noise levels change the weight of a reading, and stops what a ball at rest reads, but neither the motion
             # between two readings: they take over its steps.
-            still = NOISES + COLOURS + STOPS
-            is_reused = [rough or name in STOPS or (smooth and name in still) for name in steps]
-            reuse = [Reuse.STEPS if name in still else Reuse.SLOPES for name in steps]
+            steady = NOISES + COLOURS + STOPS
+            is_reused = [rough or name in STOPS or (smooth and name in steady) for name in steps]
+            reuse = [Reuse.STEPS if name in steady else Reuse.SLOPES for name in steps]
             reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
             base, outs = at.innovations, self.outputs_reusing(models, at, reuse)
         change = np.empty((len(names), *base.shape))

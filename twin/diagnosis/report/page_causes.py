@@ -55,8 +55,8 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         ("How to confirm it by hand", _sentence(cause.confirm)),
         ("What to do about it", _sentence(cause.cure)),
     ]
-    alike = finding.indistinguishable_from
-    members = [_sized(member.name, member.parameters) for member in alike if not member.stated]
+    equivalent = finding.indistinguishable_from
+    members = [_sized(member.name, member.parameters) for member in equivalent if not member.stated]
     return {
         "title": number + finding.name,
         "sentence": _sentence(finding.sentence),
@@ -66,7 +66,7 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         "facts": [(term, text) for term, text in facts if text],
         "others": [_sized(finding.name, finding.parameters), *members] if members else [],
         "stated": [
-            [_sentence(member.sentence), _sentence(BY_NAME[member.name].confirm)] for member in alike if member.stated
+            [_sentence(member.sentence), _sentence(BY_NAME[member.name].confirm)] for member in equivalent if member.stated
         ],
         "rival": _sentence(rival_sentence(finding.rival)) if finding.rival is not None else "",
         **_experiment(finding.next_experiment),
