@@ -55,8 +55,8 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         ("How to confirm it by hand", _sentence(cause.confirm)),
         ("What to do about it", _sentence(cause.cure)),
     ]
-    equivalent = finding.indistinguishable_from
-    members = [_sized(member.name, member.parameters) for member in equivalent if not member.stated]
+    members = finding.indistinguishable_from
+    causes = [_sized(member.name, member.parameters) for member in members if not member.stated]
     return {
         "title": number + finding.name,
         "sentence": _sentence(finding.sentence),
@@ -64,9 +64,9 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         "confidence": f"{100 * finding.confidence:.0f} %",
         "sizes": sizes(finding.name, finding.parameters),
         "facts": [(term, text) for term, text in facts if text],
-        "others": [_sized(finding.name, finding.parameters), *members] if members else [],
+        "others": [_sized(finding.name, finding.parameters), *causes] if causes else [],
         "stated": [
-            [_sentence(member.sentence), _sentence(BY_NAME[member.name].confirm)] for member in equivalent if member.stated
+            [_sentence(member.sentence), _sentence(BY_NAME[member.name].confirm)] for member in members if member.stated
         ],
         "rival": _sentence(rival_sentence(finding.rival)) if finding.rival is not None else "",
         **_experiment(finding.next_experiment),
