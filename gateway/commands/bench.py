@@ -29,7 +29,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 bench decoder twin\n"
         "  board51 bench diagnosis --part nulls --runs 60 --results nulls.jsonl\n"
-        "  board51 bench diagnosis --runs 0 --results matrix.jsonl     # the whole matrix; hours"
+        "  board51 bench diagnosis --runs 0 --results matrix.jsonl     # the whole matrix; hours\n"
+        "  board51 bench truth --runs 16 --quick --out cases --entry 'mine=python mine.py' --entry diagnose"
     )
     parser.add_argument(
         "names", nargs="*", metavar="NAME", help=f"of {', '.join(names()) or 'none here'} (default: all)"
@@ -43,6 +44,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     some.add_argument("--results", type=Path, metavar="FILE", help="file of JSON lines; trials in it are not run again")
     some.add_argument("--quick", action="store_true", default=None, help="short trials, uncalibrated")
+    truth = parser.add_argument_group("options of truth, which also takes --runs, --seed, --part and --quick")
+    truth.add_argument("--out", type=Path, metavar="DIR", help="set of cases with its answers; drawn if it is empty")
+    truth.add_argument("--draw", action="store_true", default=None, help="draw the set, and no more")
+    truth.add_argument("--entry", action="append", metavar="NAME[=COMMAND]", help="who answers (default: ours)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 def _options(name: str, benchmark: Callable[..., list[Row]], args: argparse.Namespace) -> dict[str, Any]:
     """The options that were given, as the benchmark takes them; `show` is how it prints more than rows."""
     parameters = inspect.signature(benchmark).parameters
-    supplied = {key: getattr(args, key) for key in ("runs", "seed", "part", "results", "quick")}
+    supplied = {key: getattr(args, key) for key in ("runs", "seed", "part", "results", "quick", "out", "draw", "entry")}
     supplied = {key: value for key, value in supplied.items() if value is not None}
     superfluous = [f"--{key}" for key in supplied if key not in parameters]
     if superfluous:

@@ -127,15 +127,16 @@ def record_hidden(folder: Path, hidden: Hidden, *, quick: bool = False) -> None:
     )
 
 
-def in_the_data(hidden: Hidden, folder: Path) -> bool:
+def in_the_data(hidden: Hidden, folder: Path, *, quick: bool = False) -> bool:
     """Whether the recordings would be others without the effect: same rig, noise and excitation, more than 3 counts.
 
     Args:
         hidden: One effect.
         folder: Receives the campaign twice.
+        quick: Short campaigns.
     """
-    record_hidden(folder / "with", hidden)
-    record_hidden(folder / "without", replace(hidden, effects={}))
+    record_hidden(folder / "with", hidden, quick=quick)
+    record_hidden(folder / "without", replace(hidden, effects={}), quick=quick)
     return any(_differ(path, folder / "without" / path.name) for path in sorted((folder / "with").glob("*.csv.gz")))
 
 
