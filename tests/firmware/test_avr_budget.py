@@ -11,7 +11,7 @@ from functools import partial
 
 import pytest
 
-from firmware.sim.avr.board import CYCLES_PER_TICK
+from firmware.sim.avr.board import CYCLES_PER_TICK, AvrBoard
 from protocol.wire.messages import EventCode
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr
 from tests.harness.gateway.board_host import Bench
@@ -26,7 +26,7 @@ RAM = 2048
 def played() -> tuple[AvrHost, dict[str, int]]:
     """A chip that has done everything, and the most cycles of a tick of each thing."""
     skip_without_avr()
-    host = AvrHost(Bench(i_a=0.6365))
+    host = AvrHost(AvrBoard(Bench(i_a=0.6365)))
     host.run(5)
     host.hello()
     host.run(20)

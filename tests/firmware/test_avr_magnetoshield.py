@@ -35,7 +35,7 @@ def test_the_image_alone_flies_the_magnet_within_its_ticks() -> None:
     board = AvrBoard(plant, profile=PROFILE)
     board.store(b"\xff" * 80)  # a new chip: every number is that of the program
     board.reset(EventCode.RESET_POWER_ON)
-    host = AvrHost(plant, board=board)
+    host = AvrHost(board)
     host.run(5)
     host.send("HELLO", session=1, version_min=1, version_max=1)
     host.send("SET_HOST_LOSS", policy=int(HostLoss.KEEP), timeout=1000)

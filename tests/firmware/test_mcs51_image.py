@@ -17,6 +17,7 @@ from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.messages import Message, Value
+from tests.harness.firmware.chip_host import ChipHost
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.board_host import Bench, frame
 from tests.harness.protocol.port import take_output
@@ -60,34 +61,20 @@ def _installed() -> None:
     skip_without_sdcc()
 
 
-class Bus:
-    """A host that gives the chip time for each answer."""
-
-    def __init__(self, board: Mcs51Board) -> None:
-        self.board = board
-        self.messages: list[Message] = []
-        self._decoder = StreamDecoder()
-        self._id = 0
-
-    def run(self, ticks: int) -> None:
-        for _ in range(ticks):
-            self.board.tick()
-            self.messages += [e for e in self._decoder.feed(take_output(self.board)) if isinstance(e, Message)]
-
-    def ask(self, name: str, *, ticks: int = 12, **fields: Value) -> None:
-        self._id = self._id % 255 + 1
-        self.board.feed(frame(name, id=self._id, **fields))
-        self.run(ticks)
+def play(bus: ChipHost[Mcs51Board], name: str, *, ticks: int = 12, **fields: Value) -> None:
+    """Send a command and give the chip time for its answer."""
+    bus.send(name, **fields)
+    bus.run(ticks)
 
 
-def flying(plant: EmulatedPlant | None = None, *, slow: bool = False) -> Bus:
+def flying(plant: EmulatedPlant | None = None, *, slow: bool = False) -> ChipHost[Mcs51Board]:
     """A board in closed loop; slow: cycles are those of the 12T family."""
     board = Mcs51Board(plant or EmulatedPlant(seed=1))
     board.chip.cpu.slow = slow
-    bus = Bus(board)
+    bus = ChipHost(board)
     bus.run(40)
-    bus.ask("HELLO", session=1, version_min=1, version_max=1)
-    bus.ask("SET_MODE", mode=2, ticks=100)
+    bus.hello()
+    play(bus, "SET_MODE", mode=2, ticks=100)
     return bus
 
 
@@ -100,7 +87,7 @@ def test_a_tick_with_any_command_is_over_before_the_next() -> None:
     assert 5_000 < chip.longest_turn < 0.4 * TICK_CYCLES
     for name, fields in COMMANDS:
         chip.longest_turn = 0
-        bus.ask(name, ticks=30 if name == "CAPTURE" else 12, **fields)
+        play(bus, name, ticks=30 if name == "CAPTURE" else 12, **fields)
         longest[name, fields.get("shape")] = chip.longest_turn
 
     assert max(longest.values()) < TICK_CYCLES, longest
@@ -133,12 +120,12 @@ def test_from_the_position_to_the_input_it_takes_as_long_with_a_signal_as_withou
     bus = flying(plant)
     latest: dict[int | str, float] = {}
     for shape in range(7):
-        bus.ask("EXCITE", shape=shape, ticks=20, **{**SIGNAL, "duration": 0})
+        play(bus, "EXCITE", shape=shape, ticks=20, **{**SIGNAL, "duration": 0})
         plant.after_conversion.clear()
         bus.run(80)
         latest[shape] = max(plant.after_conversion)
         assert len(plant.after_conversion) >= 79
-    bus.ask("SET_MODE", mode=1, ticks=5)
+    play(bus, "SET_MODE", mode=1, ticks=5)
     plant.after_conversion.clear()
     bus.run(40)
     latest["open loop"] = max(plant.after_conversion)
@@ -173,11 +160,11 @@ IDLE_TURN = {False: 185.0, True: 112.0}  # cycles of a turn in which nothing is 
 def test_it_fits_the_part_and_leaves_stack() -> None:
     bus = flying()
     for name, fields in COMMANDS:
-        bus.ask(name, ticks=30 if name == "CAPTURE" else 12, **fields)
-    bus.ask("SET_MODE", mode=1)
+        play(bus, name, ticks=30 if name == "CAPTURE" else 12, **fields)
+    play(bus, "SET_MODE", mode=1)
     for shape in (5, 6):  # samples of a capture while a signal makes its divisions
-        bus.ask("EXCITE", shape=shape, **{**SIGNAL, "target": 0}, ticks=0)
-        bus.ask("CAPTURE", u_from=300, u_to=1700, pre=40, count=240, ticks=40)
+        play(bus, "EXCITE", shape=shape, **{**SIGNAL, "target": 0}, ticks=0)
+        play(bus, "CAPTURE", u_from=300, u_to=1700, pre=40, count=240, ticks=40)
     sizes = json.loads(image().read_text(encoding="utf-8"))["sizes"]
     deepest = bus.board.chip.cpu.deepest
 
@@ -220,9 +207,9 @@ def test_without_its_data_memory_it_is_the_emulated_board_and_with_a_bit_changed
     broken[50] ^= 4
     answers = []
     for eeprom in (None, b"", bytes(broken)):
-        bus = Bus(Mcs51Board(Bench(), board_id=51, eeprom=eeprom))
+        bus = ChipHost(Mcs51Board(Bench(), board_id=51, eeprom=eeprom))
         bus.run(20)
-        bus.ask("HELLO", session=1, version_min=1, version_max=1)
+        bus.hello()
         bus.ask("GET_PARAMETERS")
         identity, parameters = (m for m in bus.messages if m.name in ("IDENTITY", "PARAMETERS"))
         assert identity.int("board_id") == (51 if eeprom is None else 0)
@@ -238,9 +225,9 @@ def test_the_emulated_board_in_program_memory_is_that_of_the_emulator() -> None:
     here.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("GET_PARAMETERS", id=2))
     here.tick()
     expected = [e for e in StreamDecoder().feed(take_output(here)) if isinstance(e, Message)]
-    bus = Bus(Mcs51Board(Bench(), eeprom=b""))
+    bus = ChipHost(Mcs51Board(Bench(), eeprom=b""))
     bus.run(20)
-    bus.ask("HELLO", session=1, version_min=1, version_max=1)
+    bus.hello()
     bus.ask("GET_PARAMETERS")
 
     assert [m for m in bus.messages if m.name == "PARAMETERS"] == [m for m in expected if m.name == "PARAMETERS"]

@@ -16,13 +16,11 @@ from firmware.sim.avr.board import AvrBoard
 from firmware.sim.mcs51.board import TICK_CYCLES, Mcs51Board
 from firmware.sim.mcs51.build import simulator
 from firmware.sim.mcs51.library import load
-from protocol.wire.decoder import StreamDecoder
-from protocol.wire.messages import Message
 from tests.harness.firmware.avr_bench import skip_without_avr
+from tests.harness.firmware.chip_host import ChipBoard, ChipHost
 from tests.harness.firmware.machine_code import Access, Program, avr_program, mcs51_program
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
-from tests.harness.gateway.board_host import Bench, frame
-from tests.harness.protocol.port import take_output
+from tests.harness.gateway.board_host import Bench
 
 OF_THE_CAPTURE = {"capture_start", "leave"}  # before its timer starts and after it has ended
 AVR_ALLOWED = {
@@ -79,32 +77,17 @@ def test_the_main_loop_of_the_avr_and_its_interrupts_do_not_undo_each_other(tmp_
     assert bad - AVR_ALLOWED == set()
 
 
-class Counted:
-    """A board and its host: ticks that were run, and those that the board says were late."""
+def host_of(board: ChipBoard) -> ChipHost[ChipBoard]:
+    host = ChipHost(board)
+    host.run(20)
+    host.hello()
+    return host
 
-    def __init__(self, board: AvrBoard | Mcs51Board) -> None:
-        self.board = board
-        self._decoder = StreamDecoder()
-        self._id = 0
-        for _ in range(20):
-            board.tick()
-        self.ask("HELLO", session=1, version_min=1, version_max=1)
 
-    def ask(self, name: str, **fields: int) -> Message:
-        self._id += 1
-        self.board.feed(frame(name, id=self._id, **fields))
-        messages: list[Message] = []
-        for _ in range(12):
-            self.board.tick()
-            events = self._decoder.feed(take_output(self.board))
-            messages += [e for e in events if isinstance(e, Message) and e.name != "EVENT"]
-        (answer,) = messages
-        return answer
-
-    def ticks(self) -> tuple[int, int]:
-        """The number of the next tick, and how many were late."""
-        late = self.ask("PING").int("overruns")
-        return self.board.next_tick, late
+def count_ticks(host: ChipHost[ChipBoard]) -> tuple[int, int]:
+    """The number of the next tick, and how many were late."""
+    late = host.ask("PING").int("overruns")
+    return host.board.next_tick, late
 
 
 @pytest.mark.parametrize(
@@ -112,13 +95,13 @@ class Counted:
 )
 @pytest.mark.parametrize("ticks", [2, 3, 6])
 def test_each_tick_that_was_not_run_is_an_overrun(
-    absent: Callable[[], None], make: Callable[[Bench], AvrBoard | Mcs51Board], ticks: int
+    absent: Callable[[], None], make: type[ChipBoard], ticks: int
 ) -> None:
     absent()
-    host = Counted(make(Bench()))
-    _, before = host.ticks()
+    host = host_of(make(Bench()))
+    _, before = count_ticks(host)
     host.board.overrun(ticks)
-    _, after = host.ticks()
+    _, after = count_ticks(host)
 
     assert after - before == ticks - 1  # the last one is run, late
 
@@ -127,11 +110,11 @@ def test_a_tick_that_comes_while_the_8051_takes_one_is_not_lost() -> None:
     """The interrupt comes at each cycle of `hal_tick_due`, while one tick is due."""
     skip_without_sdcc()
     board = Mcs51Board(Bench())
-    host, chip = Counted(board), board.chip
+    host, chip = host_of(board), board.chip
     due = cycle_of_tick(board)
     board.tick()  # the line goes on where the chip is
     board.tick()
-    run, late = host.ticks()
+    run, late = count_ticks(host)
     begin = chip.cpu.cycles
     for ahead in range(80):
         step_to(board, "hal_tick_due")
@@ -139,7 +122,7 @@ def test_a_tick_that_comes_while_the_8051_takes_one_is_not_lost() -> None:
         chip.held_until = latest + 2 * TICK_CYCLES - ahead
         for _ in range(6):
             board.tick()
-    run_then, late_then = host.ticks()
+    run_then, late_then = count_ticks(host)
 
     assert late_then - late > 10  # both were due in some of them
     assert run_then - run + late_then - late == round((chip.cpu.cycles - begin) / TICK_CYCLES)

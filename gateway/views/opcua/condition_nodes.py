@@ -68,9 +68,7 @@ class ConditionObject:
         attributes = ua.VariableAttributes(DisplayName=name, Description=name, **copied)  # to be read, by default
         kind = next(r.NodeId for r in declared.references if _is(r, _O.HasTypeDefinition))
         reference_type = reference.ReferenceTypeId.Identifier
-        return self._builder.add(
-            parent, path, ua.NodeClass.Variable, attributes, reference_type, kind, name=browse_name
-        )
+        return self._builder.add(parent, path, browse_name, ua.NodeClass.Variable, attributes, reference_type, kind)
 
 
 def _is(reference: Any, kind: int, *, forward: bool = True) -> bool:

@@ -24,13 +24,13 @@ from gateway.views.opcua.address_space.history import RingHistory, Track
 from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Leaf, leaves
 from gateway.views.opcua.address_space.parameters import instrument_ranges, nameplate, ranges
 from gateway.views.opcua.address_space.values import StampClock, Value, data_value, datetime_of, notify
+from gateway.views.opcua.operations import SETPOINTS
 from gateway.views.opcua.sessions import GuardedServer
-from gateway.views.opcua.types.build import Builder
-from gateway.views.opcua.types.layout import MACHINES, RIG_TYPE, SETPOINTS, Layout
+from gateway.views.opcua.types.build import VALUE, Builder
+from gateway.views.opcua.types.nodeset import MACHINES, RIG_TYPE, instantiate
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
-VALUE = ua.AttributeIds.Value
 _V = ua.VariantType
 
 
@@ -79,7 +79,7 @@ class BoardNodes:
         self.object = builder.object(parent, self.name, "one rig", kind=rig, events=True)
         builder.refer(ua.NodeId(MACHINES, builder.spaces.machinery), ua.ObjectIds.Organizes, self.object)
         builder.refer(ua.NodeId(ua.ObjectIds.Server), ua.ObjectIds.HasNotifier, self.object)
-        Layout(builder, self.object, self.name, interval_ms=1000.0 / rate_hz)
+        instantiate(server.aspace, rig, self.object, interval_ms=1000.0 / rate_hz)
         self._attach(history, max(2, round(history_s * rate_hz)))
 
     def _attach(self, history: RingHistory, rows: int) -> None:
@@ -95,7 +95,8 @@ class BoardNodes:
                 if topic in TICK_TOPICS and leaf.statistic in (None, "last"):
                     self._server.subscription_service.periodic.add(self._id(leaf.path))
         self._extras = [(extra, self._serve(extra.path, partial(extra_value, self.feed, extra))) for extra in EXTRAS]
-        for path, field, _ in SETPOINTS:
+        for field in SETPOINTS:
+            path = f"setpoint/{field}"
             leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
             self._nodes["state"].append((leaf, self._serve(path, partial(self._value, leaf))))
             self._server.subscription_service.periodic.add(self._id(path))

@@ -24,6 +24,12 @@ S = ua.StatusCodes
 TIMEOUT_S = 5.0
 _NULLABLE = (ua.VariantType.String, ua.VariantType.LocalizedText)
 SETPOINTS = {"x_ref_m": ua.VariantType.Double, "mode": ua.VariantType.UInt32}  # what may be written, and its type
+OUTPUTS = {  # of each method: fields of the reply
+    "accepted": ua.VariantType.Boolean,
+    "reason": ua.VariantType.String,
+    "text": ua.VariantType.String,
+    "tick": ua.VariantType.UInt64,
+}
 _CODES: dict[str, int] = {
     "not-allowed": S.BadUserAccessDenied,
     "out-of-range": S.BadOutOfRange,

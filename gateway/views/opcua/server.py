@@ -124,7 +124,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
 async def _keep_up(
     feed: Feed, inner: GuardedServer, history: RingHistory, settings: OpcuaSettings, stop: asyncio.Event
 ) -> None:
-    builder = Builder(inner, inner.spaces, inner.namespace)
+    builder = Builder(inner, inner.spaces)
     site = builder.object(
         ua.NodeId(ua.ObjectIds.ObjectsFolder), feed.site, "the site", reference=ua.ObjectIds.Organizes
     )

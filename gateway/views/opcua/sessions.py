@@ -27,10 +27,10 @@ from gateway.access.users import User
 from gateway.views.opcua.address_space.model import methods
 from gateway.views.opcua.address_space.values import check_timestamps, stamped
 from gateway.views.opcua.condition_events import ConditionNode
-from gateway.views.opcua.operations import NOBODY, SETPOINTS, Operations, called, code_of, is_of, written
+from gateway.views.opcua.operations import NOBODY, OUTPUTS, SETPOINTS, Operations, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from gateway.views.opcua.types.build import Namespaces
-from gateway.views.opcua.types.layout import OUTPUTS, RIG_TYPE
+from gateway.views.opcua.types.nodeset import RIG_TYPE
 from protocol.bus import board51_pb2 as pb
 
 S = ua.StatusCodes
@@ -265,7 +265,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         if not isinstance(command, pb.Command):
             return _result(*command)
         reply = await self.iserver.operations.command(self.visitor, board, _METHODS[name].act, command)
-        outputs = [ua.Variant(getattr(reply, output.name), output.variant) for output in OUTPUTS]
+        outputs = [ua.Variant(getattr(reply, name), variant) for name, variant in OUTPUTS.items()]
         return _result(code_of(reply), outputs=outputs)
 
     async def _call_of_condition(

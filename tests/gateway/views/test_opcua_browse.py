@@ -11,8 +11,7 @@ from asyncua import ua
 
 from gateway.access.roles import Role
 from gateway.views.opcua.server import OpcuaSettings
-from gateway.views.opcua.types.companion import DI, MACHINERY
-from gateway.views.opcua.types.rig_type import TYPES
+from gateway.views.opcua.types.nodeset import DI, MACHINERY, TYPES
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served, peer, until
@@ -185,6 +184,11 @@ def text(value: Any) -> str:
 
 def expect_machines(seen: dict[ua.NodeId, Seen]) -> None:
     rig = seen[ua.NodeId("rig", 2)]
+    for name, empty in (("StaticNodeIdTypes", []), ("StaticNumericNodeIdRange", []), ("StaticStringNodeIdPattern", "")):
+        assert (
+            seen[ua.NodeId(f"{TYPES}/{name}", 3)].value(A.Value) == empty
+        )  # asyncua reads nothing of an empty element
+    assert seen[ua.NodeId(6030, 5)].value(A.Value) == ua.QualifiedName("Identification", 4)  # DefaultInstanceBrowseName
     machines = ua.NodeId(1001, 5)
     assert machines in seen[ua.NodeId(O.ObjectsFolder)].to(O.Organizes)
     assert seen[machines].to(O.Organizes) == [ua.NodeId("rig", 2)]

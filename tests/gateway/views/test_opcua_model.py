@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from gateway.views.feed import Link
 from gateway.views.opcua.address_space import quality
 from gateway.views.opcua.address_space.history import RingHistory, Track
-from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods, unit_of
+from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods
 from gateway.views.opcua.address_space.values import StampClock
 from gateway.views.opcua.operations import called, code_of, written
 from protocol.bus import board51_pb2 as pb
@@ -26,27 +26,6 @@ S = ua.StatusCodes
 NODE = ua.NodeId("rig/state/x_m", 2)
 
 
-@pytest.mark.parametrize(
-    ("field", "symbol"),
-    [
-        ("i_c_a", "A"), ("x_m", "m"), ("u_c_v", "V"), ("v_m_s", "m/s"), ("x_ref_slew_m_s", "m/s"), ("t_s", "s"),
-        ("latency_p99_ms", "ms"), ("samples_per_s", "1/s"), ("x_m.error", "m"), ("x_m.normalised", None),
-        ("x_m.fit_percent", "%"), ("nis", None), ("innovation_i_c_a", "A"),
-    ],
-)  # fmt: skip
-def test_the_unit_is_the_end_of_the_name(field: str, symbol: str | None) -> None:
-    unit = unit_of(field)
-
-    assert (unit.DisplayName.Text if unit is not None else None) == symbol
-
-
-def test_unit_codes_are_those_of_unece() -> None:
-    metre = unit_of("x_m")
-
-    assert metre is not None
-    assert metre.UnitId == 5067858  # "MTR" as OPC UA counts it (Part 8, table of UNECE units)
-
-
 def test_every_field_of_the_topics_is_a_variable() -> None:
     paths = {leaf.path for leaf in leaves()}
 
@@ -55,14 +34,6 @@ def test_every_field_of_the_topics_is_a_variable() -> None:
             assert any(path.startswith(f"{topic}/{field.name}") for path in paths), (topic, field.name)
     assert {"state/x_m", "state/x_m/min", "state/x_m/max", "twin/divergence/x_m.error/max"} <= paths
     assert "status/latency_p99_ms/max" not in paths
-
-
-def test_descriptions_are_the_comments_of_the_proto() -> None:
-    description = {leaf.path: leaf.description for leaf in leaves()}
-    assert not [path for path, text in description.items() if not text], "a bare name means nothing in a SCADA system"
-
-    assert description["state/u_c_v"] == "in force from this tick to the next"
-    assert description["twin/state/sync"] == '"in-step" | "settling" | "out-of-step"'
 
 
 def test_every_kind_of_command_is_a_method() -> None:

@@ -14,8 +14,15 @@ from gateway.views.opcua.address_space.values import Value, data_value
 from protocol.bus import board51_pb2 as pb
 
 _V = ua.VariantType
-LINK_STATES = ("live", "silent", "absent", "handshake", "connecting", "streaming", "no-gateway")  # by number
-LINK_CODE = "link/code"
+LINK_STATES = (
+    "live",
+    "silent",
+    "absent",
+    "handshake",
+    "connecting",
+    "streaming",
+    "no-gateway",
+)  # LinkState of the NodeSet2 file
 
 
 class Extra(NamedTuple):
@@ -23,8 +30,6 @@ class Extra(NamedTuple):
 
     path: str
     variant: ua.VariantType
-    is_array: bool
-    description: str
     read: Callable[[BoardFeed], object]  # the current value; None if there is none
 
 
@@ -46,27 +51,18 @@ def _newest(read: Callable[[pb.CommandRecord], object]) -> Callable[[BoardFeed],
 
 
 EXTRAS = (
-    Extra("link/state", _V.String, False, "live, or silent, absent, handshake, connecting, no-gateway",
-          lambda feed: feed.link().state),
-    Extra(LINK_CODE, _V.Int32, False, "link/state as a number: 0 is live", _link_code),
-    Extra("link/reason", _V.String, False, "reason of the state, a sentence; empty while live",
-          lambda feed: feed.link().reason),
-    Extra("alarms/active", _V.UInt32, False, "number of conditions that hold now",
-          lambda feed: sum(alarm.active for alarm in feed.alarms())),
-    Extra("alarms/unacknowledged", _V.UInt32, False, "number of conditions that nobody has acknowledged",
-          lambda feed: sum(not alarm.acknowledged for alarm in feed.alarms())),
-    Extra("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first", _lines),
-    Extra("last_command/who", _V.String, False, "sender of the newest command to this board, by any route",
-          _newest(lambda record: record.command.who)),
-    Extra("last_command/what", _V.String, False, "kind of the newest command",
-          _newest(lambda record: record.command.WhichOneof("what") or "")),
-    Extra("last_command/accepted", _V.Boolean, False, "whether the newest command was accepted",
-          _newest(lambda record: record.reply.accepted)),
-    Extra("last_command/reason", _V.String, False, "why it was refused, kebab-case",
-          _newest(lambda record: record.reply.reason)),
-    Extra("last_command/text", _V.String, False, "why it was refused, a sentence",
-          _newest(lambda record: record.reply.text)),
-)  # fmt: skip
+    Extra("link/state", _V.String, lambda feed: feed.link().state),
+    Extra("link/code", _V.Int32, _link_code),
+    Extra("link/reason", _V.String, lambda feed: feed.link().reason),
+    Extra("alarms/active", _V.UInt32, lambda feed: sum(alarm.active for alarm in feed.alarms())),
+    Extra("alarms/unacknowledged", _V.UInt32, lambda feed: sum(not alarm.acknowledged for alarm in feed.alarms())),
+    Extra("alarms/list", _V.String, _lines),
+    Extra("last_command/who", _V.String, _newest(lambda record: record.command.who)),
+    Extra("last_command/what", _V.String, _newest(lambda record: record.command.WhichOneof("what") or "")),
+    Extra("last_command/accepted", _V.Boolean, _newest(lambda record: record.reply.accepted)),
+    Extra("last_command/reason", _V.String, _newest(lambda record: record.reply.reason)),
+    Extra("last_command/text", _V.String, _newest(lambda record: record.reply.text)),
+)
 
 
 def extra_value(feed: BoardFeed, extra: Extra) -> Value:

@@ -18,14 +18,14 @@ from protocol.wire.messages import COUNTS_MAX
 _V = ua.VariantType
 Span = tuple[float, float]  # lowest, highest
 _ENDS = ("", "/min", "/max")
-FIELDS: dict[str, tuple[ua.VariantType, str]] = {
-    "Manufacturer": (_V.LocalizedText, "maker of the rig; empty: boards do not state it"),
-    "Model": (_V.LocalizedText, "model of the rig; empty: boards do not state it"),
-    "SerialNumber": (_V.String, "serial number of the board; empty where it has none"),
-    "ProductInstanceUri": (_V.String, "unique name, made of the board's serial number; empty where it has none"),
-    "HardwareRevision": (_V.String, "revision of the hardware; empty: boards do not state it"),
-    "SoftwareRevision": (_V.String, "version and build of the board's firmware"),
-    "DeviceRevision": (_V.String, "revision of the rig as a whole; empty: boards do not state it"),
+FIELDS = {
+    "Manufacturer": _V.LocalizedText,
+    "Model": _V.LocalizedText,
+    "SerialNumber": _V.String,
+    "ProductInstanceUri": _V.String,
+    "HardwareRevision": _V.String,
+    "SoftwareRevision": _V.String,
+    "DeviceRevision": _V.String,
 }
 
 
@@ -41,7 +41,7 @@ def nameplate(parameters: pb.Parameters) -> dict[str, ua.Variant]:
         name: ua.Variant(
             ua.LocalizedText(texts.get(name, "")) if variant is _V.LocalizedText else texts.get(name, ""), variant
         )
-        for name, (variant, _) in FIELDS.items()
+        for name, variant in FIELDS.items()
     }
 
 
@@ -74,7 +74,3 @@ def instrument_ranges(parameters: pb.Parameters) -> dict[str, Span]:
         "state/u_c_v": (min(parameters.u_min_v, u_end_v), max(parameters.u_min_v, u_end_v)),
         "setpoint/x_ref_m": (parameters.x_ref_min_m, parameters.x_ref_max_m),
     }
-
-
-RANGED = frozenset(ranges(pb.Parameters()))  # paths that have an EURange, whatever the board
-INSTRUMENTS = frozenset(instrument_ranges(pb.Parameters()))

@@ -1,5 +1,4 @@
 """Types of the OPC UA server: RigType in the product's namespace, and what it needs of DI and Machinery.
 
-Read `layout.py` first (the nodes of a rig), then `rig_type.py` (the same nodes as a type).  `companion.py` has the
-nodes of the companion specifications, `nodeset.py` the types as a NodeSet2 file.
+The NodeSet2 files in `protocol/opcua` have all nodes of the types; `nodeset.py` reads them and makes the rigs.
 """

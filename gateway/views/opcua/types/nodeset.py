@@ -1,29 +1,35 @@
-"""Our types as a NodeSet2 file, for clients and engineering tools that want them without a server."""
+"""RigType and what it refers to, read from the NodeSet2 files, and its instances: the nodes of each rig.
+
+The files are the source of all names, types, units and descriptions.  Type and rigs cannot differ: a rig is a copy.
+`tests/gateway/views/test_opcua_types.py` compares the file with the messages of the bus.
+"""
 
 from __future__ import annotations
 
-import asyncio
-import logging
-import xml.etree.ElementTree as Et
-from datetime import UTC, datetime
+from dataclasses import replace
+from importlib.resources import files
 
 from asyncua import Server, ua
-from asyncua.common.xmlexporter import XmlExporter
+from asyncua.server.address_space import AddressSpace, AttributeValue, NodeData
 
-from gateway.views.opcua.types.build import Namespaces
-from gateway.views.opcua.types.companion import DI, MACHINERY, METADATA, Metadata
-from gateway.views.opcua.types.rig_type import PUBLISHED, TYPES, VERSION, add_types
+from gateway.views.opcua.address_space.quality import WAITING
+from gateway.views.opcua.address_space.values import data_value
+from gateway.views.opcua.types.build import VALUE, Namespaces
 
-_UA = Metadata(  # the oldest that Machinery asks for
-    uri="http://opcfoundation.org/UA/",
-    version="1.05.02",
-    published=datetime(2022, 10, 1, tzinfo=UTC),
-    is_subset=False,
-)
-_XML_ENCODINGS = {
-    f"i={ua.ObjectIds.Argument}": f"i={ua.ObjectIds.Argument_Encoding_DefaultXml}",
-    f"i={ua.ObjectIds.EUInformation}": f"i={ua.ObjectIds.EUInformation_Encoding_DefaultXml}",
-}
+TYPES = "urn:board51:opcua:types"
+DI = "http://opcfoundation.org/UA/DI/"
+MACHINERY = "http://opcfoundation.org/UA/Machinery/"
+RIG_TYPE = "RigType"
+MACHINES = 1001  # folder of all machines, of OPC UA for Machinery
+_COMPANIONS, _TYPES = "companions.NodeSet2.xml", "board51.NodeSet2.xml"
+_A, _O = ua.AttributeIds, ua.ObjectIds
+_HISTORY = 1 << ua.AccessLevel.HistoryRead
+_RULE, _PROPERTY = ua.NodeId(_O.HasModellingRule), ua.NodeId(_O.PropertyType)
+
+
+def nodeset(file: str = _TYPES) -> str:
+    """Return a NodeSet2 file: by default the one of our types, for clients and engineering tools."""
+    return (files("protocol") / "opcua" / file).read_text(encoding="utf-8")
 
 
 async def register(server: Server) -> Namespaces:
@@ -33,44 +39,59 @@ async def register(server: Server) -> Namespaces:
     """
     site = len(await server.get_namespace_array()) - 1
     types, di, machinery = [await server.register_namespace(uri) for uri in (TYPES, DI, MACHINERY)]
-    spaces = Namespaces(site=site, types=types, di=di, machinery=machinery)
-    add_types(server.iserver, spaces)
-    return spaces
+    for file in (_COMPANIONS, _TYPES):
+        for node in await server.import_xml(xmlstring=nodeset(file)):
+            _complete(server.iserver.aspace[node])
+    return Namespaces(site=site, types=types, di=di, machinery=machinery)
 
 
-def nodeset() -> str:
-    """The types as XML; the same text for the same version."""
-    return asyncio.run(_nodeset())
+def _complete(node: NodeData) -> None:
+    """Add what asyncua does not read from a file: that a variable has a history, waits for a value, or is empty."""
+    if VALUE in node.attributes:
+        access = node.attributes[_A.AccessLevel].value.Value.Value
+        _set(node, _A.Historizing, bool(access & _HISTORY), ua.VariantType.Boolean)
+        if node.attributes[VALUE].value.Value.Value is None:
+            is_declaration = any(reference.ReferenceTypeId == _RULE for reference in node.references)
+            missing = data_value(None, ua.VariantType.Null, WAITING, 0)
+            node.attributes[VALUE].value = missing if is_declaration else ua.DataValue(ua.Variant(""))
 
 
-async def _nodeset() -> str:
-    logging.getLogger("asyncua").setLevel(logging.ERROR)  # it warns of values of data types that we do not use
-    server = Server()
-    await server.init()
-    spaces = await register(server)
-    nodes = [node for node in server.iserver.aspace.keys() if node.NamespaceIndex == spaces.types]
-    exporter = XmlExporter(server, export_values=True)
-    await exporter.build_etree([server.get_node(node) for node in nodes])
-    return _written(exporter)
+def instantiate(space: AddressSpace, kind: ua.NodeId, rig: ua.NodeId, *, interval_ms: float) -> None:
+    """Copy all that is declared below a type to an instance; the path of a node begins with its rig instead.
+
+    Args:
+        space: of both.
+        kind: the type; the ids below it begin with its name and a slash.
+        rig: the instance; it exists.
+        interval_ms: shortest interval of the values.
+    """
+    below = f"{kind.Identifier}/"
+    ids = {kind: rig} | {
+        node: ua.NodeId(f"{rig.Identifier}/{node.Identifier.removeprefix(below)}", rig.NamespaceIndex)
+        for node in space.keys()
+        if node.NamespaceIndex == kind.NamespaceIndex and str(node.Identifier).startswith(below)
+    }
+    name = space[rig].attributes[_A.BrowseName].value.Value.Value
+    top = {
+        "BrowseName": name,
+        "DisplayName": ua.LocalizedText(name.Name),
+        "NodeClass": ua.NodeClass.Object,
+        "TypeDefinition": kind,
+    }
+    for declared, copy in ids.items():
+        source, node = space[declared], space[rig] if copy == rig else NodeData(copy)
+        node.references += [
+            replace(r, NodeId=ids.get(r.NodeId, r.NodeId), **(top if r.NodeId == kind else {}))
+            for r in source.references
+            if r.ReferenceTypeId != _RULE and (r.NodeId in ids or copy != rig)
+        ]
+        if copy != rig:
+            node.attributes = {a: AttributeValue(held.value) for a, held in source.attributes.items()}
+            _set(node, _A.NodeId, copy, ua.VariantType.NodeId)
+            if VALUE in node.attributes and all(r.NodeId != _PROPERTY for r in source.references):
+                _set(node, _A.MinimumSamplingInterval, interval_ms, ua.VariantType.Double)
+            space[copy] = node
 
 
-def _written(exporter: XmlExporter) -> str:
-    root = exporter.etree.getroot()
-    models = Et.Element("Models")
-    model = _model(models, "Model", Metadata(uri=TYPES, version=VERSION, published=PUBLISHED, is_subset=False))
-    for required in (_UA, *METADATA.values()):
-        _model(model, "RequiredModel", required)
-    root.insert(1, models)  # the schema wants namespaces, models, aliases, nodes
-    for identifier in root.iter("uax:Identifier"):  # of structures: that of their XML encoding, not of the data type
-        identifier.text = _XML_ENCODINGS.get(identifier.text or "", identifier.text)
-    for variable in root.iter("UAVariable"):  # asyncua writes an empty list as one of structures, whatever it is of
-        value = variable.find("Value")
-        if value is not None and len(value) == 1 and len(value[0]) == 0 and value[0].tag.startswith("uax:ListOf"):
-            variable.remove(value)
-    Et.indent(root)
-    return Et.tostring(root, encoding="unicode", xml_declaration=False) + "\n"
-
-
-def _model(parent: Et.Element, tag: str, metadata: Metadata) -> Et.Element:
-    published = f"{metadata.published:%Y-%m-%dT%H:%M:%SZ}"
-    return Et.SubElement(parent, tag, ModelUri=metadata.uri, Version=metadata.version, PublicationDate=published)
+def _set(node: NodeData, attribute: ua.AttributeIds, value: object, variant: ua.VariantType) -> None:
+    node.attributes[attribute] = AttributeValue(ua.DataValue(ua.Variant(value, variant)))
