@@ -37,6 +37,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "design": ("twin.commands.design", "a controller for the board from a model"),
     "validate": ("twin.commands.validate", "compare a model with recordings: figures, numbers, a report"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
+    "compare": ("twin.commands.compare", "two models on one flight, two flights under one model, models over time"),
     "diagnose": ("twin.commands.diagnose", "find the physical causes of a model's errors, and extend the model"),
     "investigate": (
         "gateway.commands.investigate",
@@ -62,7 +63,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
     **dict.fromkeys(
-        ("demo", "investigate", "twin", "identify", "design", "validate", "predict", "diagnose", "plot", "compile"),
+        (
+            "demo",
+            "investigate",
+            "twin",
+            "identify",
+            "design",
+            "validate",
+            "predict",
+            "compare",
+            "diagnose",
+            "plot",
+            "compile",
+        ),
         "twin",
     ),
     **dict.fromkeys(("import", "export"), "export"),

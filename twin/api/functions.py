@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from protocol.campaign import Campaign, Recording
-from protocol.errors import DataError, UsageError
+from protocol.campaign import Campaign
+from protocol.errors import UsageError
 from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
-from twin.model.parameters import Model
+from twin.model.parameters import NAME_REMEDY, Model, name_problem
 from twin.settings.diagnosis import MIN_SHARE
 
 if TYPE_CHECKING:
@@ -28,11 +28,14 @@ def _silent(_: str) -> None:
     return
 
 
-def identify(campaign: Campaign | Path | str, *, data: Path | None = None, progress: Progress = _silent) -> Identified:
+def identify(
+    campaign: Campaign | Path | str, *, name: str = "", data: Path | None = None, progress: Progress = _silent
+) -> Identified:
     """Identify K_A, T_A, K_c and b, and the noise levels, from the recordings with use = "fit".
 
     Args:
         campaign: campaign.toml, its folder, or the result of `Campaign.load`.
+        name: of the model, for people; empty: plant and day of the recordings.
         data: folder of the recordings, if it is not that of the campaign.
         progress: is called with lines of progress.
 
@@ -42,11 +45,15 @@ def identify(campaign: Campaign | Path | str, *, data: Path | None = None, progr
     Raises:
         DataError: a file is missing, unreadable or implausible.
         ConfigError: a key of the campaign is wrong.
+        UsageError: the name is too long or not printable.
     """
     from twin.identification import pipeline
 
+    if problem := name_problem(name):
+        raise UsageError(f"--name {problem}", remedy=NAME_REMEDY)
     result = pipeline.identify(_campaign(campaign), data=data, progress=progress)
-    return Identified(model=result.model, usable=result.usable, warnings=result.warnings, details=result)
+    model = replace(result.model, provenance={"name": name} | dict(result.model.provenance)) if name else result.model
+    return Identified(model=model, usable=result.usable, warnings=result.warnings, details=result)
 
 
 def validate(
@@ -218,22 +225,15 @@ def predict(
         UsageError: the horizon is below 1.
     """
     from twin import prediction
-    from twin.readers.campaign import read_recording
+    from twin.readers.campaign import read_flight
 
     if horizon_samples < 1:
         raise UsageError(f"--horizon {horizon_samples}", remedy="Give a number of samples from 1")
-    known, path = _model(model), Path(recording)
-    entry = Recording(file=path.name, kind="closed-loop", use="judge")
-    if campaign is not None:
-        entry, path = _listed(_campaign(campaign), path, data)
-    if board is not None:
-        entry = replace(entry, board=board)
-    record = read_recording(path, entry)
-    if campaign is None:
-        record = replace(record, kind="free")  # whether the loop was closed is unknown
-    result = prediction.predict(known, record, horizon_samples)
+    listed = None if campaign is None else _campaign(campaign)
+    record = read_flight(Path(recording), listed, data=data, board=board)
+    result = prediction.predict(_model(model), record, horizon_samples)
     return Predicted(
-        recording=entry.file,
+        recording=record.name,
         horizon_samples=result.ahead,
         horizon_s=result.ahead * result.interval_s,
         t_s=result.t,
@@ -242,17 +242,6 @@ def predict(
         rmse_m=result.rmse_m,
         details=result,
     )
-
-
-def _listed(campaign: Campaign, recording: Path, data: Path | None) -> tuple[Recording, Path]:
-    """Return (the campaign's entry of this file, the path of the file).  Raises DataError."""
-    exact = [r for r in campaign.recordings if recording in (Path(r.file), campaign.folder / r.file)]
-    result = exact or [r for r in campaign.recordings if Path(r.file).name == recording.name]
-    if len(result) != 1:
-        listed = ", ".join(r.file for r in campaign.recordings) or "none"
-        problem = "appears twice" if result else "is not one of its recordings"
-        raise DataError(f"{campaign.where}: {str(recording)!r} {problem}", remedy=f"Name one of: {listed}")
-    return result[0], recording if recording.is_file() else campaign.path_of(result[0], data=data)
 
 
 def design(

@@ -24,6 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN", help="campaign.toml or the folder that holds it")
     parser.add_argument("--out", type=Path, metavar="MODEL.json", help="write the model there")
+    parser.add_argument("--name", default="", help="name of the model for people (default: plant and day)")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     parser.add_argument("--json", action="store_true", help="print the model as JSON instead of a table")
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         # Before the work, which can take a minute.
         raise DataError(f"{args.out} cannot be written", remedy="Give a file in a writable folder")
     progress = progress_printer(quiet=args.quiet)
-    result = identify(args.campaign, data=args.data, progress=progress)
+    result = identify(args.campaign, name=args.name, data=args.data, progress=progress)
     if args.out is not None:
         result.model.save(args.out)
     print(as_text(result.to_json()) if args.json else result.table())

@@ -159,7 +159,7 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
             }
             for answer in answers
         ]
-        print(json.dumps({"model": belief.model.plant.name, "sha256": belief.sha256, "twins": rows}, indent=2))
+        print(json.dumps({"model": belief.model.name, "sha256": belief.sha256, "twins": rows}, indent=2))
     else:
         for answer in answers:
             since = f", from tick {answer.reply.tick}" if answer.reply.accepted and answer.reply.tick else ""
@@ -189,7 +189,7 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
         identity=identity,
         namers=None if args.no_names else namers(model),
     ) as service:
-        log.info("twin of model %s on %s/%s via %s", model.plant.name, args.site, args.board or "*", endpoints[0])
+        log.info("twin of model %s on %s/%s via %s", model.name, args.site, args.board or "*", endpoints[0])
         for line in left_out(model):
             log.info("%s", line)
         counted: dict[str, int] = {}
@@ -234,7 +234,7 @@ def _over_log(args: argparse.Namespace, model: Model, settings: Settings) -> int
         result = {
             "log": str(args.log),
             "complete": complete,
-            "model": model.plant.name,
+            "model": model.name,
             "model_sha256": believe(model).sha256,
             "boards": summaries,
         }

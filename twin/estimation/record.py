@@ -7,7 +7,9 @@ Rule 2: u_c of sample k is in force from sample k to k+1 (protocol/README.md, ru
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,7 @@ class Record:
     # e of true interval = (1 + e) interval of the board, by the times of arrival at the computer, and its standard
     # error; None: unknown.
     clock_error: tuple[float, float] | None = None
+    began_ns: int = 0  # Unix time of the first sample, ns; 0: the file does not state it
 
     def part(self, which: slice | BoolArray) -> Record:
         """The same with some of the samples; views for a slice."""
@@ -68,6 +71,12 @@ class Record:
         steps = np.diff(self.t)
         steps = steps[np.isfinite(steps) & (steps > 0)]
         return float(np.median(steps)) if steps.size else float("nan")
+
+
+def day_of(records: Iterable[Record]) -> dict[str, str]:
+    """Return {"measured": day of the first recording, UTC, ISO 8601}; empty if no file states a time."""
+    began = min((record.began_ns for record in records if record.began_ns), default=0)
+    return {"measured": datetime.fromtimestamp(began * 1e-9, UTC).date().isoformat()} if began else {}
 
 
 def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:

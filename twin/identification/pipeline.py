@@ -22,7 +22,7 @@ from protocol.errors import DataError
 from twin.estimation.gate import gate
 from twin.estimation.innovations import FLIES, USE_I, USE_X
 from twin.estimation.prepare import Usage, prepare
-from twin.estimation.record import Record
+from twin.estimation.record import Record, day_of
 from twin.estimation.structures import NOISES
 from twin.estimation.whiteness import Whiteness, whiteness
 from twin.evidence.checks.dead_channels import without_dead
@@ -115,7 +115,7 @@ def identify_records(
         "K_c": verdicts.force_constant(intervals.get("K_c"), force, ball, plant, warnings),
         "b": verdicts.drag(intervals.get("b"), held, ball, plant, warnings, coloured=coloured),
     }
-    provenance = provenance_of(campaign, fitted, white, usages, warnings, starts)
+    provenance = day_of(records) | provenance_of(campaign, fitted, white, usages, warnings, starts)
     noise = noise_of(fitted, records)
     model = Model(plant=plant, parameters=mark(parameters, plant), noise=noise, provenance=provenance)
     return Identification(

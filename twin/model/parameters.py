@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from datetime import date
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -37,6 +38,9 @@ PARAMETERS: dict[str, tuple[str, float, float]] = {
     "K_c": ("N m^2/A^2", 1e-9, 1e-1),
     "b": ("N s/m", 0.0, 10.0),
 }
+MAX_NAME = 64  # characters of a name: it goes into logs and onto terminals
+NAME_REMEDY = f"Use at most {MAX_NAME} characters, all of them printable"
+MAX_LISTED = 3  # causes in the name of a model
 REMEDY = "Give a model.json as `identify` writes it"
 
 
@@ -197,6 +201,25 @@ class Model:
             Path(path).write_text(model_text(self) + "\n", encoding="utf-8")
 
     @property
+    def measured(self) -> date | None:
+        """Return the day on which its recordings were made, UTC; None where the model file does not state it."""
+        try:
+            return date.fromisoformat(str(self.provenance.get("measured", "")))
+        except ValueError:
+            return None
+
+    @property
+    def name(self) -> str:
+        """Return the name that a person chose, else plant, causes and day: "ce152 + air-gap-offset, 24 Nov 2026"."""
+        if isinstance(chosen := self.provenance.get("name"), str) and chosen:
+            return chosen
+        causes = [cause.name for cause in self.causes]
+        if len(causes) > MAX_LISTED:
+            causes[MAX_LISTED - 1 :] = [f"{len(causes) - MAX_LISTED + 1} more"]
+        parts, day = " + ".join((self.plant.name, *causes)), self.measured
+        return parts if day is None else f"{parts}, {day.day} {day:%b %Y}"
+
+    @property
     def K_A(self) -> float:
         """Return the gain of the amplifier (1), A/V."""
         return self.parameters["K_A"].value
@@ -218,6 +241,13 @@ class Model:
 
 
 _COMPLETE = Annotated[Model, BeforeValidator(needs("causes", "provenance"))]
+
+
+def name_problem(name: str) -> str:
+    """Return what is wrong with a name for people, after the name of its key; empty if nothing is."""
+    if len(name) <= MAX_NAME and name.isprintable():
+        return ""
+    return f"is {name[:MAX_NAME]!r}, {len(name)} characters"
 
 
 def verdict_by(half_width: float, value: float) -> Verdict:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -57,6 +58,40 @@ def read_recording(path: Path, recording: Recording) -> Record:
     else:
         record = _from_columns(path, recording, _csv_columns(path))
     return _skip(record, recording.skip_s)
+
+
+def read_flight(
+    path: Path, campaign: Campaign | None = None, *, data: Path | None = None, board: str | None = None
+) -> Record:
+    """Read a recording by its path.
+
+    Args:
+        path: of the recording.
+        campaign: that lists it, with its columns and skip_s; None: the default columns.
+        data: folder of the recordings, if it is not that of the campaign.
+        board: to read, in a log of several boards.
+
+    Raises:
+        DataError: the recording is unreadable, or is not one of the campaign.
+    """
+    entry = Recording(file=path.name, kind="closed-loop", use="judge")
+    if campaign is not None:
+        entry, path = _listed(campaign, path, data)
+    if board is not None:
+        entry = replace(entry, board=board)
+    record = read_recording(path, entry)
+    return record if campaign is not None else replace(record, kind="free")  # whether the loop was closed is unknown
+
+
+def _listed(campaign: Campaign, recording: Path, data: Path | None) -> tuple[Recording, Path]:
+    """Return (the campaign's entry of this file, the path of the file).  Raises DataError."""
+    exact = [r for r in campaign.recordings if recording in (Path(r.file), campaign.folder / r.file)]
+    result = exact or [r for r in campaign.recordings if Path(r.file).name == recording.name]
+    if len(result) != 1:
+        listed = ", ".join(r.file for r in campaign.recordings) or "none"
+        problem = "appears twice" if result else "is not one of its recordings"
+        raise DataError(f"{campaign.where}: {str(recording)!r} {problem}", remedy=f"Name one of: {listed}")
+    return result[0], recording if recording.is_file() else campaign.path_of(result[0], data=data)
 
 
 def _skip(record: Record, skip_s: float) -> Record:
@@ -229,6 +264,7 @@ class _Rows:
         self.ticks: list[tuple[int, int]] = []  # (session, tick) of each row
         self.arrivals: dict[int, list[tuple[float, int]]] = {}  # by session: time of the board, s, and of arrival, ns
         self.lost = 0
+        self.began_ns = 0  # Unix time of the first sample
         self._session: int | None = None
         self._offset_s = 0.0
 
@@ -243,6 +279,7 @@ class _Rows:
             self.rows.append((self.rows[-1][0] + 5.0, nan, nan, nan, nan))
             self.ticks.append((-1, 0))
         self._session = state.session
+        self.began_ns = self.began_ns or state.host_time_ns
         self.ticks.append((state.session, state.tick))
         self.arrivals.setdefault(state.session, []).append((state.t_s, state.host_time_ns))
         self.lost += state.lost_before
@@ -328,4 +365,5 @@ def _read_log(path: Path, recording: Recording) -> Record:
         lsb=lsb,
         notes=tuple(notes),
         clock_error=clock,
+        began_ns=samples.began_ns,
     )

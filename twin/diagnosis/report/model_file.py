@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from protocol.campaign import Campaign, Plant
 from twin.diagnosis.result import fit_parameters
-from twin.estimation.record import Record
+from twin.estimation.record import Record, day_of
 from twin.inference.fisher_scoring import Fit
 from twin.inference.theta import PARAMETERS
 from twin.model import parameters as file
@@ -51,6 +51,7 @@ def model_of(
         provenance={
             "tool": "board51 diagnose",
             "about": description,
+            **day_of(records),
             "recordings": [{"file": record.name, "kind": record.kind, "samples": len(record.t)} for record in records],
             "log_likelihood_missing": float(lacks),
         },

@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse
 from protocol.errors import DataError
-from twin.model.parameters import Model, model_text, parse_model
+from twin.model.parameters import MAX_NAME, NAME_REMEDY, Model, model_text, name_problem, parse_model
 
 MAX_PAYLOAD = 1_000_000  # bytes; an identified model has some 10 000
 MAX_WORD = 128  # characters of id and who, as for the gateway's commands
-MAX_NAME = 64  # characters of a plant's name: it goes into logs and onto terminals
 RETAINED_IDS = 256
 SHORT = 12  # digits of a hash for people
 
@@ -39,14 +38,14 @@ class Belief:
     @property
     def title(self) -> str:
         """Return a title for a person: name and first digits of the hash."""
-        return f"{self.model.plant.name} ({self.sha256[:SHORT]})"
+        return f"{self.model.name} ({self.sha256[:SHORT]})"
 
     def message(self, *, session: int, since_tick: int) -> pb.TwinModel:
         """Return the message that publishes this model."""
         return pb.TwinModel(
             session=session,
             since_tick=since_tick,
-            name=self.model.plant.name,
+            name=self.model.name,
             model_json=self.text,
             sha256=self.sha256,
             who=self.who,
@@ -64,12 +63,9 @@ def believe(model: Model, *, who: str = "", command_id: str = "") -> Belief:
             f"the model {model.plant.name[:MAX_NAME]!r} is not plain JSON ({error})",
             remedy="Remove NaN, Infinity and broken characters from its provenance",
         ) from None
-    name = model.plant.name
-    if len(name) > MAX_NAME or not name.isprintable():
-        raise DataError(
-            f"plant.name is {name[:MAX_NAME]!r}, {len(name)} characters",
-            remedy=f"Use at most {MAX_NAME}, all of them printable",
-        )
+    for key, name in (("plant.name", model.plant.name), ("provenance.name", str(model.provenance.get("name", "")))):
+        if problem := name_problem(name):
+            raise DataError(f"{key} {problem}", remedy=NAME_REMEDY)
     return Belief(model=model, text=text, sha256=digest, who=who, command_id=command_id)
 
 
