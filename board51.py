@@ -38,6 +38,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "validate": ("twin.commands.validate", "compare a model with recordings: figures, numbers, a report"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
     "compare": ("twin.commands.compare", "two models on one flight, two flights under one model, models over time"),
+    "what-if": ("twin.commands.what_if", "a recorded flight under other gains or another reference, predicted"),
     "diagnose": ("twin.commands.diagnose", "find the physical causes of a model's errors, and extend the model"),
     "investigate": (
         "gateway.commands.investigate",
@@ -72,6 +73,7 @@ EXTRAS = {  # what a command needs beyond the core; what is not here runs withou
             "validate",
             "predict",
             "compare",
+            "what-if",
             "diagnose",
             "plot",
             "compile",

@@ -74,24 +74,29 @@ def read_flight(
     Raises:
         DataError: the recording is unreadable, or is not one of the campaign.
     """
-    entry = Recording(file=path.name, kind="closed-loop", use="judge")
-    if campaign is not None:
-        entry, path = _listed(campaign, path, data)
-    if board is not None:
-        entry = replace(entry, board=board)
+    entry, path = located(path, campaign, data=data, board=board)
     record = read_recording(path, entry)
     return record if campaign is not None else replace(record, kind="free")  # whether the loop was closed is unknown
 
 
-def _listed(campaign: Campaign, recording: Path, data: Path | None) -> tuple[Recording, Path]:
-    """Return (the campaign's entry of this file, the path of the file).  Raises DataError."""
+def located(
+    recording: Path, campaign: Campaign | None, *, data: Path | None, board: str | None
+) -> tuple[Recording, Path]:
+    """Return (the entry of a recording, the path of its file); the arguments are those of `read_flight`.
+
+    Raises:
+        DataError: the recording is not one of the campaign.
+    """
+    if campaign is None:
+        return Recording(file=recording.name, kind="closed-loop", use="judge", board=board or ""), recording
     exact = [r for r in campaign.recordings if recording in (Path(r.file), campaign.folder / r.file)]
     result = exact or [r for r in campaign.recordings if Path(r.file).name == recording.name]
     if len(result) != 1:
         listed = ", ".join(r.file for r in campaign.recordings) or "none"
         problem = "appears twice" if result else "is not one of its recordings"
         raise DataError(f"{campaign.where}: {str(recording)!r} {problem}", remedy=f"Name one of: {listed}")
-    return result[0], recording if recording.is_file() else campaign.path_of(result[0], data=data)
+    entry = result[0] if board is None else replace(result[0], board=board)
+    return entry, recording if recording.is_file() else campaign.path_of(result[0], data=data)
 
 
 def _skip(record: Record, skip_s: float) -> Record:

@@ -35,7 +35,7 @@ from twin.evidence.dead_time import delayed
 from twin.identification.input_delay import input_delay
 from twin.identification.pipeline import grouped
 from twin.model.parameters import Model
-from twin.readers.campaign import read_recording
+from twin.readers.campaign import located, read_recording
 from twin.readers.log import entries, parse
 from twin.validation.extended import as_readings, system_of
 
@@ -101,6 +101,31 @@ def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) ->
         for record, announced in zip(records, announcements, strict=True)
     ]
     return sources, grouped(messages + left_out, [record.name for record in records])
+
+
+def source_at(
+    recording: Path,
+    model: Model,
+    campaign: Campaign | None = None,
+    *,
+    data: Path | None = None,
+    board: str | None = None,
+) -> Source:
+    """Read a flight with its control law, by the path of its recording.
+
+    Args:
+        recording: path.
+        model: of the rig.
+        campaign: that lists it, with its columns, skip_s and [controller]; None: the default columns.
+        data: folder of the recordings, if it is not that of the campaign.
+        board: to read, in a log of several boards.
+
+    Raises:
+        DataError: the recording is unreadable, or is not one of the campaign.
+    """
+    entry, path = located(recording, campaign, data=data, board=board)
+    controller = None if campaign is None else campaign.controller
+    return source_of(read_recording(path, entry), model, controller=controller, announced=_announced(path, entry.board))
 
 
 def source_of(

@@ -1,0 +1,211 @@
+"""The forecast: a flight under another law or another reference, with intervals.
+
+Each draw takes parameters from their intervals, splits the recorded flight with them, and replays the disturbances from
+another instant on.  So the spread of the draws holds the uncertainty of the parameters, the noise, and what the model
+does not explain.
+
+Rule 1: parameters are drawn independently, as a model file has no covariances.  The disturbances of the split make up
+        for most of a wrong draw.
+Rule 2: disturbances are taken in their order, circularly shifted, which keeps their colour.  They do not follow x: a
+        disturbance that belongs to one position is spread over the flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.control import LawNumbers
+from twin.estimation.record import FloatArray
+from twin.estimation.step_figures import FIGURES, LoopRun, find_steps, measure
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.parameters import PARAMETERS, Model, Parameter
+from twin.validation.source import Source
+from twin.what_if.flight import Flight, fly, split
+from twin.what_if.replay import NEVER, Reference
+
+DRAWS = 100
+CI = (0.025, 0.5, 0.975)
+# Besides those of each step: over the whole flight.
+WHOLE = {"rms_m": ("rms of x_ref - x", "µm", 1e6), "at_limit": ("time with u_c at a limit", "%", 100.0)}
+ALL_FIGURES = FIGURES | WHOLE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expected:
+    """A figure of the flight, SI units."""
+
+    name: str  # of ALL_FIGURES
+    recorded: float  # mean over the steps of the recorded flight; NaN: not every step has it
+    value: float  # median of the draws
+    ci95: tuple[float, float]
+    draws: int  # that have it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Forecast:
+    """A forecast; arrays have shape (n,), those of the draws' quantiles 2.5, 50 and 97.5 % shape (3, n)."""
+
+    recording: str
+    model: str
+    t_s: FloatArray
+    x_ref_m: FloatArray
+    recorded_x_m: FloatArray  # empty under another reference
+    recorded_u_v: FloatArray
+    x_m: FloatArray
+    u_v: FloatArray
+    figures: tuple[Expected, ...]
+    steps: int
+    lost: int  # draws in which the ball reaches a stop
+    draws: int
+    notes: tuple[str, ...]
+
+    def answer(self) -> str:
+        """Return at most two sentences: whether the ball stays in flight, and a figure that changes."""
+        if self.lost == self.draws:
+            return "The ball is lost in every draw: do not fly this law."
+        if self.lost:
+            return f"The ball is lost in {self.lost} of {self.draws} draws: do not fly this law on the rig."
+        changed = [
+            figure
+            for figure in self.figures
+            if math.isfinite(figure.recorded) and not figure.ci95[0] <= figure.recorded <= figure.ci95[1]
+        ]
+        if not changed:
+            return "The ball stays in flight. No figure is expected to differ from the recorded flight."
+        return f"The ball stays in flight. Expected: {sentence(changed[0])}."
+
+
+def sentence(figure: Expected) -> str:
+    """Write a figure with its interval and its recorded value."""
+    title, unit, factor = ALL_FIGURES[figure.name]
+    value, low, high, recorded = (f"{factor * v:.3g}" for v in (figure.value, *figure.ci95, figure.recorded))
+    return f"{title} {value} {unit} ({low} to {high}), recorded {recorded} {unit}"
+
+
+def forecast(
+    source: Source,
+    model: Model,
+    law: LawNumbers,
+    *,
+    x_ref_m: FloatArray | None = None,
+    seed: int = 1,
+    draws: int = DRAWS,
+) -> Forecast:
+    """Predict the recorded flight under another law, or another reference.
+
+    Args:
+        source: the recorded flight.
+        model: of the rig, with its causes.
+        law: to fly with.
+        x_ref_m: reference by tick, m; None: the recorded one.
+        seed: of the draws.
+        draws: their number.
+
+    Raises:
+        DataError: the recording has no flight that is long enough.
+    """
+    rng = np.random.default_rng(seed)
+    flight = split(source, model)
+    recorded = flight.source.record.part(flight.part)
+    other = x_ref_m is not None
+    x_ref = np.ascontiguousarray(recorded.x_ref if x_ref_m is None else x_ref_m)
+    flown = [_draw(flight if n == 0 else split(source, drawn(model, rng)), law, x_ref, rng) for n in range(draws)]
+    kept = [out for out, lost in flown if lost == NEVER]
+    T_s = law.sample_time_s
+    t = np.arange(0.0, len(x_ref)) * T_s
+    shape = (3, len(x_ref))
+    none = np.zeros(0)
+    rows = [figures_of(t, x_ref, out[1], out[2], law, model.noise.sigma_x_m) for out in kept]
+    own = [] if other else figures_of(t, x_ref, recorded.x, recorded.u_c, law, model.noise.sigma_x_m)
+    run = _run(t, x_ref, x_ref, x_ref)
+    return Forecast(
+        recording=recorded.name,
+        model=model.name,
+        t_s=t,
+        x_ref_m=x_ref,
+        recorded_x_m=none if other else recorded.x,
+        recorded_u_v=none if other else recorded.u_c,
+        x_m=np.quantile([out[1] for out in kept], CI, axis=0) if kept else np.full(shape, np.nan),
+        u_v=np.quantile([out[2] for out in kept], CI, axis=0) if kept else np.full(shape, np.nan),
+        figures=_expected(rows, own),
+        steps=len(find_steps(run, model.noise.sigma_x_m)),
+        lost=draws - len(kept),
+        draws=draws,
+        notes=tuple(recorded.notes),
+    )
+
+
+def drawn(model: Model, rng: np.random.Generator) -> Model:
+    """The model with its parameters drawn from normal distributions within their physical ranges."""
+    causes = []
+    for cause in model.causes:
+        ranges = {one.name: (one.low, one.high) for one in BY_NAME[cause.name].parameters}
+        parameters = {name: _drawn(p, *ranges[name], rng) for name, p in cause.parameters.items()}
+        causes.append(replace(cause, parameters=parameters))
+    parameters = {name: _drawn(p, *PARAMETERS[name][1:], rng) for name, p in model.parameters.items()}
+    return replace(model, parameters=parameters, causes=tuple(causes))
+
+
+def _drawn(parameter: Parameter, low: float, high: float, rng: np.random.Generator) -> Parameter:
+    if parameter.std is None:
+        return parameter
+    return replace(parameter, value=float(np.clip(rng.normal(parameter.value, parameter.std), low, high)))
+
+
+def _draw(flight: Flight, law: LawNumbers, x_ref: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, int]:
+    count = len(flight.disturbed.readings)
+    order = (np.arange(len(x_ref)) - 1 + int(rng.integers(count))) % count
+    step = np.full(len(x_ref), law.sample_time_s)
+    return fly(flight, law, Reference(x_ref, step, order))
+
+
+def figures_of(
+    t_s: FloatArray, x_ref: FloatArray, x: FloatArray, u: FloatArray, law: LawNumbers, sigma_x_m: float
+) -> list[float]:
+    """Return the figures of a flight in the order of ALL_FIGURES; NaN where not every step has one."""
+    T_s = law.sample_time_s
+    table = [measure(x, u, x_ref, step, T_s, sigma_x_m) for step in find_steps(_run(t_s, x_ref, x, u), sigma_x_m)]
+    means = np.mean(table, axis=0).tolist() if table else [math.nan] * len(FIGURES)
+    margin = 1e-3 * (law.u_high - law.u_low)
+    limited = (u <= law.u_low + margin) | (u >= law.u_high - margin)
+    return [*means, float(np.sqrt(np.nanmean((x_ref - x) ** 2))), float(np.mean(limited))]
+
+
+def _run(t_s: FloatArray, x_ref: FloatArray, x: FloatArray, u: FloatArray) -> LoopRun:
+    """A flight without a simulation, for the search of its steps."""
+    none = np.zeros((0, len(t_s)))
+    return LoopRun(
+        name="",
+        t_s=t_s,
+        x_ref_m=x_ref,
+        x_m=x,
+        i_c_a=x,
+        u_c_v=u,
+        simulated_x_m=none,
+        simulated_i_c_a=none,
+        simulated_u_c_v=none,
+        quiet_x_m=x,
+        expected_std_m=math.nan,
+    )
+
+
+def _expected(rows: Sequence[Sequence[float]], recorded: Sequence[float]) -> tuple[Expected, ...]:
+    figures = []
+    for n, name in enumerate(ALL_FIGURES):
+        values = np.array([row[n] for row in rows])
+        known = values[np.isfinite(values)]
+        low, middle, high = np.quantile(known, CI).tolist() if len(known) else (math.nan,) * 3
+        figures.append(
+            Expected(
+                name=name,
+                recorded=recorded[n] if recorded else math.nan,
+                value=middle,
+                ci95=(low, high),
+                draws=len(known),
+            )
+        )
+    return tuple(figures)
