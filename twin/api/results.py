@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +37,19 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file.  Raises UsageError if that is not possible."""
     with writing(path):
         path.write_text(text, encoding="utf-8")
+
+
+def save_figures(figures: Mapping[str, Figure], folder: Path | str, kind: str) -> None:
+    """Write each figure as a file of its name, of the kind png, pdf or svg.
+
+    Raises:
+        UsageError: the folder cannot be written.
+    """
+    make_folder(Path(folder))
+    for name, figure in figures.items():
+        path = Path(folder) / f"{re.sub(r'[^A-Za-z0-9]+', '-', name).strip('-')}.{kind}"
+        with writing(path):
+            figure.savefig(path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

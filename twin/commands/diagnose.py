@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from protocol.errors import UsageError
 from twin.commands import progress_printer
 from twin.inference.budget import FULL, MILLION, QUICK
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
@@ -70,6 +71,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
     parser.add_argument("--workers", type=int, default=2, help="threads (2); the result does not depend on it")
+    parser.add_argument(
+        "--figures", choices=("png", "pdf", "svg"), help="also write each figure of the report into --out"
+    )
     parser.add_argument("--json", action="store_true", help="print diagnosis.json instead of a summary")
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
     configure_live(parser)
@@ -79,10 +83,12 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write."""
     # Imported here: --help must not wait for numba and scipy.
     from twin.api.functions import diagnose
-    from twin.api.results import as_text
+    from twin.api.results import as_text, save_figures
 
     progress = progress_printer(quiet=args.quiet)
     check_options(args)
+    if args.figures is not None and args.out is None:
+        raise UsageError("--figures without --out", remedy="Give the folder of the report with --out")
     board = ""
     if args.live is not None:
         args.campaign, board = record_live(args, progress)
@@ -102,6 +108,8 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.out is not None:
         result.save(args.out)
+        if args.figures is not None:
+            save_figures(result.figures(), args.out / "figures", args.figures)
     print(as_text(result.to_json()) if args.json else result.summary(args.out))
     if args.hand_over and result.offered:
         # To stderr beside --json: what is parsed stays one object.

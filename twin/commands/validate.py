@@ -29,6 +29,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json", help="the model to judge")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets report.html and validation.json")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
+    parser.add_argument(
+        "--figures", choices=("png", "pdf", "svg"), help="also write each figure of the report into --out"
+    )
     parser.add_argument("--json", action="store_true", help="print validation.json instead of the answer")
 
 
@@ -36,12 +39,14 @@ def run(args: argparse.Namespace) -> int:
     """Validate, write, print."""
     # Imported here: --help must not wait for numba, scipy and matplotlib.
     from twin.api.functions import validate
-    from twin.api.results import as_text
+    from twin.api.results import as_text, save_figures
 
     campaign, model = Campaign.load(args.campaign), Model.load(args.model)
     make_folder(args.out)  # before the work, which takes a minute
     result = validate(campaign, model, data=args.data)
     result.save(args.out, title=f"Validation of {args.model.name} on {campaign.plant.name}")
+    if args.figures is not None:
+        save_figures(result.figures(), args.out / "figures", args.figures)
     print(as_text(result.to_json()) if args.json else f"{result.answer}\n{args.out / 'report.html'}")
     for note in result.notes:
         print(f"! {note}", file=sys.stderr)

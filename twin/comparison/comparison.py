@@ -81,9 +81,8 @@ def compare_models(
         progress(f"predicting {record.name}")
         pairs.append((predictions(first, record), predictions(second, record)))
     changes = []
-    by_horizon = zip(zip(*(a for a, _ in pairs), strict=True), zip(*(b for _, b in pairs), strict=True), strict=True)
-    for sides in by_horizon:
-        changes += paired(*sides, first.plant.travel_m)
+    for n in range(len(pairs[0][0])):
+        changes += paired([a[n] for a, _ in pairs], [b[n] for _, b in pairs], first.plant.travel_m)
     notes = [note for a, b in pairs for side in (a[-1], b[-1]) for note in side.notes]
     return Comparison(
         kind="models",

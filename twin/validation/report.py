@@ -101,7 +101,7 @@ def _pictures(result: Validation) -> dict[str, Picture]:
         drawn["residuals"] = figures.residual_figure(result.channels), "residual correlations"
     if not isinstance(result.loop, str) and result.loop.steps:
         drawn["steps"] = figures.step_figure(result.loop.responses), "mean step response of rig and simulation"
-    return {part: inline(figure, caption, "png") for part, (figure, caption) in drawn.items()}
+    return {part: inline(figure, caption) for part, (figure, caption) in drawn.items()}
 
 
 def _loops(result: Validation) -> list[Picture]:
@@ -112,7 +112,7 @@ def _loops(result: Validation) -> list[Picture]:
     else:
         what, runs = "closed loop", result.loop.runs
     travel_m = result.model.plant.travel_m
-    return [inline(figures.loop_figure(run, travel_m), f"{what} of {run.name}", "png") for run in runs[:MAX_LOOPS]]
+    return [inline(figures.loop_figure(run, travel_m), f"{what} of {run.name}") for run in runs[:MAX_LOOPS]]
 
 
 def _ahead_row(row: Ahead) -> list[str | Mark]:

@@ -114,27 +114,25 @@ class Validation:
         return messages
 
     def answer(self) -> str:
-        """The verdict in one sentence, one more on the differences of the steps, and one on a missing closed loop."""
+        """Return at most two short sentences: the verdict with its largest number, and the next thing to know."""
         if self.passed is None:
-            first = "The model of the ball could not be tested on this campaign."
-        elif self.passed:
-            parts = []
-            if self.ahead:
-                row = max((row for row in self.ahead if row.beats_still), key=lambda r: r.horizon_s)
-                parts.append(f"{row.horizon_s * 1e3:.0f} ms ahead its error is {row.ratio:.2f} times the noise floor")
-            if not isinstance(self.channels, str):
-                parts.append("its residuals are noise")
-            if not isinstance(self.loop, str):
-                parts.append("the closed loop agrees within noise")
-            first = f"The model explains these recordings: {', '.join(parts)}."
-        else:
-            messages = self.failures()
-            more = f" ({len(messages) - 1} more below)" if len(messages) > 1 else ""
-            first = f"The model does not explain these recordings: {messages[0]}{more}."
-        untested = ""
-        if isinstance(self.loop, str) and self.passed is not None:
-            untested = f"The closed loop could not be compared: {self.loop.rsplit(' (', 1)[0]}."  # the page names where
-        return " ".join(part for part in (first, self.pace(), untested) if part)
+            return "The model of the ball could not be tested on this campaign."
+        if not self.passed:
+            verdict = f"The model does not explain these recordings: {self.failures()[0]}."
+            return f"{verdict} `board51 diagnose` looks for the cause."
+        first = "The model explains these recordings"
+        if self.ahead:
+            row = max((row for row in self.ahead if row.beats_still), key=lambda r: r.horizon_s)
+            first += f": {row.horizon_s * 1e3:.0f} ms ahead its error is {row.ratio:.2f} times the noise floor"
+        if isinstance(self.loop, str):  # the page names where
+            return f"{first}. The closed loop could not be compared: {self.loop.rsplit(' (', 1)[0]}."
+        differing = sorted((row for row in self.loop.steps if row.significant), key=_weight, reverse=True)
+        if not differing:
+            return f"{first}. The closed loop agrees."
+        largest = differing[0]
+        _, unit, factor = FIGURES[largest.name]
+        rig, simulation = (f"{value * factor:.4g} {unit}" for value in (largest.rig, largest.simulation))
+        return f"{first}. The {definition(largest.name, largest.bands)} is {rig}, simulated {simulation}."
 
     def pace(self) -> str:
         """A sentence on the differences of the steps of rig and simulation, largest first; '' without steps.

@@ -1,13 +1,16 @@
 """The forecast: a flight under another law or another reference, with intervals.
 
-Each draw takes parameters from their intervals, splits the recorded flight with them, and replays the disturbances from
-another instant on.  So the spread of the draws holds the uncertainty of the parameters, the noise, and what the model
-does not explain.
+Each draw takes parameters from their intervals, splits the recorded flight with them, and replays blocks of its
+disturbances.  So the spread of the draws holds the uncertainty of the parameters, the noise, and what the model does
+not explain.
 
 Rule 1: parameters are drawn independently, as a model file has no covariances.  The disturbances of the split make up
         for most of a wrong draw.
-Rule 2: disturbances are taken in their order, circularly shifted, which keeps their colour.  They do not follow x: a
-        disturbance that belongs to one position is spread over the flight.
+Rule 2: disturbances are drawn in blocks, which keeps their colour (H. R. Kuensch, The Jackknife and the Bootstrap for
+        General Stationary Observations, Annals of Statistics 17 (1989)).  They do not follow x: a disturbance that
+        belongs to one position is spread over the flight.
+Rule 3: the blocks are drawn twice.  The recorded flight is one sample of the noise and the predicted flight another:
+        the interval of a prediction has both.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.control import LawNumbers
 from twin.estimation.record import FloatArray
@@ -28,8 +32,9 @@ from twin.what_if.flight import Flight, fly, split
 from twin.what_if.replay import NEVER, Reference
 
 DRAWS = 100
+BLOCK_S = 0.2
 CI = (0.025, 0.5, 0.975)
-# Besides those of each step: over the whole flight.
+# Besides those of each step: from the first step on.
 WHOLE = {"rms_m": ("rms of x_ref - x", "µm", 1e6), "at_limit": ("time with u_c at a limit", "%", 100.0)}
 ALL_FIGURES = FIGURES | WHOLE
 
@@ -114,12 +119,12 @@ def forecast(
     other = x_ref_m is not None
     x_ref = np.ascontiguousarray(recorded.x_ref if x_ref_m is None else x_ref_m)
     flown = [_draw(flight if n == 0 else split(source, drawn(model, rng)), law, x_ref, rng) for n in range(draws)]
-    kept = [out for out, lost in flown if lost == NEVER]
+    flights = [out for out, lost in flown if lost == NEVER]
     T_s = law.sample_time_s
     t = np.arange(0.0, len(x_ref)) * T_s
     shape = (3, len(x_ref))
     none = np.zeros(0)
-    rows = [figures_of(t, x_ref, out[1], out[2], law, model.noise.sigma_x_m) for out in kept]
+    rows = [figures_of(t, x_ref, out[1], out[2], law, model.noise.sigma_x_m) for out in flights]
     own = [] if other else figures_of(t, x_ref, recorded.x, recorded.u_c, law, model.noise.sigma_x_m)
     run = _run(t, x_ref, x_ref, x_ref)
     return Forecast(
@@ -129,11 +134,11 @@ def forecast(
         x_ref_m=x_ref,
         recorded_x_m=none if other else recorded.x,
         recorded_u_v=none if other else recorded.u_c,
-        x_m=np.quantile([out[1] for out in kept], CI, axis=0) if kept else np.full(shape, np.nan),
-        u_v=np.quantile([out[2] for out in kept], CI, axis=0) if kept else np.full(shape, np.nan),
+        x_m=np.quantile([out[1] for out in flights], CI, axis=0) if flights else np.full(shape, np.nan),
+        u_v=np.quantile([out[2] for out in flights], CI, axis=0) if flights else np.full(shape, np.nan),
         figures=_expected(rows, own),
         steps=len(find_steps(run, model.noise.sigma_x_m)),
-        lost=draws - len(kept),
+        lost=draws - len(flights),
         draws=draws,
         notes=tuple(recorded.notes),
     )
@@ -143,7 +148,7 @@ def drawn(model: Model, rng: np.random.Generator) -> Model:
     """The model with its parameters drawn from normal distributions within their physical ranges."""
     causes = []
     for cause in model.causes:
-        ranges = {one.name: (one.low, one.high) for one in BY_NAME[cause.name].parameters}
+        ranges = {known.name: (known.low, known.high) for known in BY_NAME[cause.name].parameters}
         parameters = {name: _drawn(p, *ranges[name], rng) for name, p in cause.parameters.items()}
         causes.append(replace(cause, parameters=parameters))
     parameters = {name: _drawn(p, *PARAMETERS[name][1:], rng) for name, p in model.parameters.items()}
@@ -157,22 +162,32 @@ def _drawn(parameter: Parameter, low: float, high: float, rng: np.random.Generat
 
 
 def _draw(flight: Flight, law: LawNumbers, x_ref: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, int]:
-    count = len(flight.disturbed.readings)
-    order = (np.arange(len(x_ref)) - 1 + int(rng.integers(count))) % count
     step = np.full(len(x_ref), law.sample_time_s)
+    length = max(round(BLOCK_S / law.sample_time_s), 1)
+    order = _blocks(len(flight.disturbed.readings), len(x_ref), length, rng)
     return fly(flight, law, Reference(x_ref, step, order))
+
+
+def _blocks(available: int, wanted: int, length: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return the disturbance of each sample: blocks drawn from a drawn sample of blocks, circularly."""
+    pool = rng.integers(available, size=-(-available // length))
+    begins = rng.choice(pool, size=-(-wanted // length))
+    order: NDArray[np.int64] = ((begins[:, None] + np.arange(length)) % available).ravel()[:wanted]
+    return order
 
 
 def figures_of(
     t_s: FloatArray, x_ref: FloatArray, x: FloatArray, u: FloatArray, law: LawNumbers, sigma_x_m: float
 ) -> list[float]:
     """Return the figures of a flight in the order of ALL_FIGURES; NaN where not every step has one."""
-    T_s = law.sample_time_s
-    table = [measure(x, u, x_ref, step, T_s, sigma_x_m) for step in find_steps(_run(t_s, x_ref, x, u), sigma_x_m)]
+    steps = find_steps(_run(t_s, x_ref, x, u), sigma_x_m)
+    table = [measure(x, u, x_ref, step, law.sample_time_s, sigma_x_m) for step in steps]
     means = np.mean(table, axis=0).tolist() if table else [math.nan] * len(FIGURES)
+    # Before the first step the loop still settles from the state in which the recording began.
+    part = slice(steps[0].begin if steps else 0, None)
     margin = 1e-3 * (law.u_high - law.u_low)
-    limited = (u <= law.u_low + margin) | (u >= law.u_high - margin)
-    return [*means, float(np.sqrt(np.nanmean((x_ref - x) ** 2))), float(np.mean(limited))]
+    limited = (u[part] <= law.u_low + margin) | (u[part] >= law.u_high - margin)
+    return [*means, float(np.sqrt(np.nanmean((x_ref - x)[part] ** 2))), float(np.mean(limited))]
 
 
 def _run(t_s: FloatArray, x_ref: FloatArray, x: FloatArray, u: FloatArray) -> LoopRun:

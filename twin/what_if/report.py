@@ -14,7 +14,7 @@ from twin.page.plain import plain
 from twin.page.render import Mark, render
 from twin.what_if.forecast import ALL_FIGURES, Expected, Forecast
 
-SHOWN_S = 4.0
+WINDOW_S = 4.0
 
 
 def to_dict(result: Forecast) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def forecast_figure(result: Forecast) -> Figure:
     """Draw position and input, recorded and expected, around the first change of the reference."""
     moves = np.flatnonzero(np.abs(np.diff(result.x_ref_m)) > 0.0)
     first = max((int(moves[0]) if len(moves) else 0) - 50, 0)
-    part = slice(first, first + int(np.searchsorted(result.t_s - result.t_s[0], SHOWN_S)))
+    part = slice(first, first + int(np.searchsorted(result.t_s - result.t_s[0], WINDOW_S)))
     t = result.t_s[part]
     figure, axes = grid(2, 1, height=6.4, ratios=[1.8, 1.0])
     top, bottom = axes[0][0], axes[1][0]

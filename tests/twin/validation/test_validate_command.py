@@ -86,16 +86,19 @@ def test_a_log_gives_a_report_that_needs_nothing_else(
 ) -> None:
     write_log(tmp_path / "run.mcap", flight, BALL)
 
-    assert run(*folder(tmp_path)) == 0
+    assert run(*folder(tmp_path), "--figures", "pdf") == 0
 
     answer = capsys.readouterr().out.splitlines()[0]
     page = (tmp_path / "report" / "report.html").read_text()
     assert answer.startswith("The model explains these recordings")
     assert page.index(answer.split(":")[0]) < page.index("<img")  # the answer first
     assert 'alt="error over the horizon"' in page
-    assert page.count("data:image/png;base64,") == 6  # 7, 8, horizon, residuals, 11 and 12, steps
+    assert page.count("data:image/svg+xml;base64,") == 6  # 7, 8, horizon, residuals, 11 and 12, steps
     assert not re.findall(r'(?:src|href)="(?!data:)', page)
     assert "Not testable" not in page
+    drawn = sorted((tmp_path / "report" / "figures").iterdir())
+    assert [path.suffix for path in drawn] == [".pdf"] * 6
+    assert all(path.read_bytes().startswith(b"%PDF") for path in drawn)
     numbers = json.loads((tmp_path / "report" / "validation.json").read_text())
     assert numbers["passed"] is True
     assert len(numbers["ahead"]) == 4

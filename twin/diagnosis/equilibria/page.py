@@ -30,7 +30,7 @@ def page(diagnosis: StaticDiagnosis, title: str) -> str:
         title=title,
         answer=sentence_of(diagnosis),
         colour="fail" if diagnosis.verdict == "unknown-cause" else "pass",
-        picture=inline(figure(diagnosis), caption, "png"),
+        picture=inline(figure(diagnosis), caption),
         points=[
             [
                 f"{1e3 * x:.3f}",

@@ -151,7 +151,7 @@ def test_the_extended_model_runs_and_says_what_was_not_measured(shifted: tuple[i
     assert low < K_C < high
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "air-gap-offset" in page
-    assert "data:image/png;base64," in page
+    assert "data:image/svg+xml;base64," in page
 
 
 def test_a_bent_balance_is_no_shifted_coil(tmp_path: Path) -> None:
