@@ -37,6 +37,7 @@ WITHOUT = [
     (["twin"], "twin"),
     (["identify", "campaign.toml"], "twin"),
     (["design", "model.json"], "twin"),
+    (["export-model", "model.json", "--to", "fmu"], "twin"),
     (["validate", "campaign.toml", "--model", "model.json", "--out", "v"], "twin"),
     (["predict", "model.json", "run.csv", "--horizon", "10", "--out", "p.csv"], "twin"),
     (["diagnose", "campaign.toml", "--out", "d"], "twin"),
