@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco, magnetoshield")
     parser.add_argument("--to", required=True, choices=("fmu",), help="format")
     parser.add_argument("--out", type=Path, metavar="PATH", help="file of an FMU, else folder (named after the rig)")
-    parser.add_argument("--fmi", choices=("2.0",), default="2.0", help="version of FMI of an FMU (%(default)s)")
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="version of FMI of an FMU (%(default)s)")
     parser.add_argument(
         "--controller", type=Path, metavar="CONTROLLER.json", help="law of the closed loop (a design for the model)"
     )

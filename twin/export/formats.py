@@ -12,7 +12,7 @@ from twin.model.parameters import Model
 from twin.model.simulate import left_out
 
 Format = Literal["fmu"]
-FmiVersion = Literal["2.0"]
+FmiVersion = Literal["2.0", "3.0"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,7 @@ from tests.harness.twin.exported import (
 )
 from tests.harness.twin.importer import flown, needs_compiler
 from twin.control import LawNumbers
+from twin.estimation.record import FloatArray
 from twin.export.fmu.pack import fmu
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
@@ -48,13 +49,13 @@ MODELS = {
 }
 
 
-def differences(model: Model, law: LawNumbers, folder: Path, *, closed_loop: bool) -> np.ndarray:
+def differences(model: Model, law: LawNumbers, folder: Path, *, closed_loop: bool, fmi: str = "2.0") -> FloatArray:
     """Largest difference of each output, as a share of its range in the twin."""
     drive = steps(law, SECONDS) if closed_loop else pushes(law, SECONDS)
     expected = twin_flight(model, law, drive, closed_loop=closed_loop)
     path = folder / "rig.fmu"
-    path.write_bytes(fmu(model, law).content)
-    got = flown(path, folder / "unpacked", drive, OUTPUTS, closed_loop=closed_loop, T_s=T_S)
+    path.write_bytes(fmu(model, law, fmi=fmi).content)
+    got = flown(path, drive, OUTPUTS, closed_loop=closed_loop, T_s=T_S)
     return np.asarray(np.abs(got - expected).max(axis=0) / np.ptp(expected, axis=0))
 
 
@@ -72,10 +73,18 @@ def test_in_open_loop_from_stop_to_stop(name: str, tmp_path: Path) -> None:
     assert differences(model, law_for(model), tmp_path, closed_loop=False).max() < SHARE
 
 
+@pytest.mark.parametrize("closed_loop", [True, False])
+def test_in_the_third_version_of_fmi(closed_loop: bool, tmp_path: Path) -> None:
+    model = MODELS["late, dry, offset"]
+
+    assert differences(model, law_for(model), tmp_path, closed_loop=closed_loop, fmi="3.0").max() < SHARE
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 @pytest.mark.parametrize("name", MODELS)
-def test_the_standard_finds_nothing_wrong(name: str, tmp_path: Path) -> None:
+def test_the_standard_finds_nothing_wrong(name: str, fmi: str, tmp_path: Path) -> None:
     path = tmp_path / "rig.fmu"
-    path.write_bytes(fmu(MODELS[name], law_for(MODELS[name])).content)
+    path.write_bytes(fmu(MODELS[name], law_for(MODELS[name]), fmi=fmi, compiler="").content)
 
     assert validate_fmu(str(path)) == []
 

@@ -7,6 +7,7 @@ Rule 2: no C compiler is no error: other machines compile the sources anyway.
 from __future__ import annotations
 
 import io
+import platform
 import re
 import shutil
 import subprocess
@@ -22,14 +23,14 @@ from uuid import UUID
 
 from protocol.errors import UsageError
 from twin.control import LawNumbers
-from twin.export.fmu.description import SOURCES, Description, fmi2
+from twin.export.fmu.description import SOURCES, Description, build3, fmi2, fmi3
 from twin.export.fmu.model_c import header, source
 from twin.export.rig import rig
 from twin.export.variables import variables
 from twin.model.parameters import Model, model_text
 from twin.model.simulate import left_out
 
-INTERFACES = {"2.0": "fmi2.c"}
+INTERFACES = {"2.0": "fmi2.c", "3.0": "fmi3.c"}
 COMPILERS = ("gcc", "cc", "clang")
 # Contraction would give other last digits than the twin's own kernels.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
@@ -80,7 +81,9 @@ def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None
         **{name: _shipped(name) for name in ("slave.h", "slave.c", INTERFACES[fmi])},
     }
     content = {f"sources/{name}": text.encode() for name, text in sources.items()}
-    content["modelDescription.xml"] = fmi2(description).encode()
+    content["modelDescription.xml"] = (fmi2 if fmi == "2.0" else fmi3)(description).encode()
+    if fmi == "3.0":
+        content["sources/buildDescription.xml"] = build3(description).encode()
     folder = None
     chosen = next(filter(None, map(shutil.which, COMPILERS)), None) if compiler is None else compiler
     if chosen and shutil.which(chosen) is None:
@@ -100,9 +103,11 @@ def identifier(name: str) -> str:
 
 def platform_folder(fmi: str) -> tuple[str, str]:
     """Return (folder of the binaries for this machine, suffix of the file)."""
-    bits = 64 if sys.maxsize > 2**32 else 32
-    short = {"linux": "linux", "win32": "win", "darwin": "darwin"}[sys.platform]
-    return f"{short}{bits}", _SUFFIX[sys.platform]
+    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}[sys.platform]
+    if fmi == "2.0":
+        return f"{system.removesuffix('dows')}{64 if sys.maxsize > 2**32 else 32}", _SUFFIX[sys.platform]
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
+    return f"{machine}-{system}", _SUFFIX[sys.platform]
 
 
 def compiled(sources: dict[str, str], units: list[str], compiler: str) -> bytes:

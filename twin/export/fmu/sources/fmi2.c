@@ -3,14 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
 #ifdef FMI2_FUNCTION_PREFIX /* set to `identifier_` where the sources are linked statically */
-#define JOIN_(a, b) a##b
-#define JOIN(a, b) JOIN_(a, b)
 #define FMI(name) JOIN(FMI2_FUNCTION_PREFIX, name)
 #else
 #define FMI(name) name
@@ -40,7 +33,8 @@ static Status report(Instance *n, const char *wrong)
         return OK;
     }
     if (n->callbacks.logger) {
-        n->callbacks.logger(n->callbacks.environment, n->name, ERROR, "logStatusError", "%s", wrong);
+        /* As the format itself, which has no %: loggers of other languages do not fill formats in. */
+        n->callbacks.logger(n->callbacks.environment, n->name, ERROR, "logStatusError", wrong);
     }
     return ERROR;
 }

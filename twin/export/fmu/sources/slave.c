@@ -9,7 +9,7 @@ void slave_reset(Slave *s)
 {
     model_reset(&s->model);
     s->phase = SETTING_UP;
-    s->start_s = 0.0;
+    s->start_s = s->time_s = 0.0;
     s->ticks = 0;
     model_begin(&s->model);
 }
@@ -17,6 +17,7 @@ void slave_reset(Slave *s)
 void slave_begin(Slave *s)
 {
     model_begin(&s->model);
+    s->time_s = s->start_s;
     s->ticks = 0;
 }
 
@@ -47,6 +48,10 @@ const char *slave_set(Slave *s, unsigned reference, double value, char *text)
 
 const char *slave_get(const Slave *s, unsigned reference, double *value, char *text)
 {
+    if (reference == TIME) {
+        *value = s->time_s;
+        return 0;
+    }
     if (reference >= VARIABLES) {
         return no_such(reference, "number", text);
     }
@@ -83,5 +88,6 @@ const char *slave_step(Slave *s, double time_s, double duration_s, char *text)
         model_tick(&s->model);
         s->ticks += 1;
     }
+    s->time_s = time_s + duration_s;
     return 0;
 }

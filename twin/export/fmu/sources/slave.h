@@ -6,12 +6,22 @@
 #define SLAVE_H
 #include "model.h"
 
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+#define JOIN_(a, b) a##b
+#define JOIN(a, b) JOIN_(a, b)
+
+#define TIME (VARIABLES + 1) /* value reference of the time; FMI 3.0 has it as a variable */
+
 typedef enum { SETTING_UP, INITIALISING, RUNNING } Phase;
 
 typedef struct {
     Model model;
     Phase phase;
-    double start_s;
+    double start_s, time_s;
     long ticks; /* that have been run */
 } Slave;
 
