@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "campaign": ("gateway.commands.campaign", "perform the paper's experiments on a live board, into a campaign"),
     "identify": ("twin.commands.identify", "a model from the recordings of a campaign"),
     "design": ("twin.commands.design", "a controller for the board from a model"),
+    "export-model": ("twin.commands.export_model", "a model as FMU for other tools"),
     "validate": ("twin.commands.validate", "compare a model with recordings: figures, numbers, a report"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
     "compare": ("twin.commands.compare", "two models on one flight, two flights under one model, models over time"),
@@ -63,23 +64,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
-    **dict.fromkeys(
-        (
-            "demo",
-            "investigate",
-            "twin",
-            "identify",
-            "design",
-            "validate",
-            "predict",
-            "compare",
-            "what-if",
-            "diagnose",
-            "plot",
-            "compile",
-        ),
-        "twin",
-    ),
+    **{name: "twin" for name, (module, _) in COMMANDS.items() if module.startswith("twin.")},
+    **dict.fromkeys(("demo", "investigate"), "twin"),
     **dict.fromkeys(("import", "export"), "export"),
     "emulate": "emulator",
     **dict.fromkeys(("start", "bench"), "all"),
@@ -108,7 +94,7 @@ class Parser(argparse.ArgumentParser):
 
 def _parser() -> Parser:
     """Return the parser of the command's name; the commands declare their own arguments."""
-    listing = "\n".join(f"  {name:<11} {summary}" for name, (_, summary) in COMMANDS.items())
+    listing = "\n".join(f"  {name:<12} {summary}" for name, (_, summary) in COMMANDS.items())
     parser = Parser(
         prog="board51",
         description="Gateway and digital twin of a magnetic levitation rig.",

@@ -37,6 +37,7 @@ WITHOUT = [
     (["twin"], "twin"),
     (["identify", "campaign.toml"], "twin"),
     (["design", "model.json"], "twin"),
+    (["export-model", "model.json", "--to", "fmu"], "twin"),
     (["validate", "campaign.toml", "--model", "model.json", "--out", "v"], "twin"),
     (["compare", "ce152", "inteco"], "twin"),
     (["what-if", "run.csv", "--model", "ce152", "--gains", "c.json"], "twin"),

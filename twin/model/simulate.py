@@ -44,6 +44,7 @@ from twin.model.parameters import Model
 
 I_READ, X_READ, INTEGRAL, X_BEFORE = range(STATES, STATES + 4)
 LINES = STATES + 4
+ACT, SENSE = actuation_delay.DELAY, sampling_delay.DELAY  # in the vector c
 _SLIVER = 1e-9  # of a tick: rounding error of a delay of whole ticks
 
 
@@ -66,19 +67,20 @@ def plant_numbers(model: Model, sample_time_s: float) -> PlantNumbers:
     """The model in the form of the kernels, for ticks of `sample_time_s`, s."""
     c = vector(model.causes)
     c[periodic_disturbance.AMPLITUDE] = 0.0
-    act, sense = float(c[actuation_delay.DELAY]), float(c[sampling_delay.DELAY])
+    act, sense = float(c[ACT]), float(c[SENSE])
     return PlantNumbers(
         tuple(base(model)),
         c,
         sample_time_s,
-        *_ticks(act, sample_time_s),
-        *_ticks(sense, sample_time_s),
-        *_ticks(act + sense, sample_time_s),
+        *delay_in_ticks(act, sample_time_s),
+        *delay_in_ticks(sense, sample_time_s),
+        *delay_in_ticks(act + sense, sample_time_s),
         not model.causes,
     )
 
 
-def _ticks(delay_s: float, sample_time_s: float) -> tuple[int, float]:
+def delay_in_ticks(delay_s: float, sample_time_s: float) -> tuple[int, float]:
+    """Return (whole ticks, the rest in s) of a delay."""
     whole = math.floor(delay_s / sample_time_s + _SLIVER)
     part = delay_s - whole * sample_time_s
     return whole, part if part > _SLIVER * sample_time_s else 0.0
@@ -111,18 +113,30 @@ def rig_at(
     Returns:
         The memory, shape (`places`,).
     """
-    p, c = Base(*plant.base), plant.c
     memory = np.zeros(places(plant))
+    begin(plant, memory, i, x, v, u, -1.0 if warmth is None else warmth)
+    return memory
+
+
+def begin(
+    plant: PlantNumbers, memory: NDArray[np.float64], i: float, x: float, v: float, u: float, warmth: float
+) -> None:
+    """Fill the memory of `rig_at`; a `warmth` below 0 is that of a coil that has carried its current for a long time.
+
+    `twin/export` translates this function, as it does the kernels.
+    """
+    p, c = Base(*plant.base), plant.c
     current = current_of_reading(c, i)
     position = min(max(position_of_reading(p, c, x, current), 0.0), p.travel_m)
     memory[I_C], memory[X], memory[V], memory[FIELD] = current, position, v, current
     memory[SENSOR], memory[RATE] = position_reading(p, c, position, current), v
-    memory[WARMTH] = current * current if warmth is None else warmth
+    memory[WARMTH] = current * current if warmth < 0.0 else warmth
     memory[I_READ], memory[X_READ] = current_reading(c, current), memory[SENSOR]
     lines_end = LINES + plant.act_whole + 2
-    memory[LINES:lines_end] = u
-    memory[lines_end::2], memory[lines_end + 1 :: 2] = memory[I_READ], memory[X_READ]
-    return memory
+    for k in range(LINES, lines_end):
+        memory[k] = u
+    for k in range(lines_end, lines_end + 2 * (plant.sense_whole + 1), 2):
+        memory[k], memory[k + 1] = memory[I_READ], memory[X_READ]
 
 
 @kernel

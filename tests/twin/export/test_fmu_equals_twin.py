@@ -1,0 +1,98 @@
+"""An FMU simulates the rig as the twin does, to a billionth of each range."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+
+from tests.harness.twin.exported import (
+    OUTPUTS,
+    T_S,
+    law_for,
+    pushes,
+    steps,
+    twin_flight,
+    with_causes,
+    with_curve,
+)
+from tests.harness.twin.importer import flown, needs_compiler
+from twin.control import LawNumbers
+from twin.estimation.record import FloatArray
+from twin.export.fmu.pack import fmu
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.model.parameters import Model
+
+pytestmark = needs_compiler
+SHARE = 1e-9  # of the range of each output
+SECONDS = 10.0
+
+MODELS = {
+    "no causes": Model.load("ce152"),
+    "another rig": Model.load("magnetoshield"),
+    "late, dry, offset": with_causes(
+        "actuation-delay",
+        "sampling-delay",
+        "coulomb-friction",
+        "position-sensor-offset",
+        "current-sensor-offset",
+        "air-gap-offset",
+        sizes={"actuation-delay": 2.3e-3, "sampling-delay": 0.7e-3},
+    ),
+    "hidden states": with_causes(
+        "eddy-current-lag", "position-sensor-lag", "motional-emf", "slew-rate-limit", "amplifier-gain-drift"
+    ),
+    "remainder": with_curve("force-over-height", 0.5e-3, 5e-3),
+}
+
+
+def differences(model: Model, law: LawNumbers, folder: Path, *, closed_loop: bool, fmi: str = "2.0") -> FloatArray:
+    """Largest difference of each output, as a share of its range in the twin."""
+    drive = steps(law, SECONDS) if closed_loop else pushes(law, SECONDS)
+    expected = twin_flight(model, law, drive, closed_loop=closed_loop)
+    path = folder / "rig.fmu"
+    path.write_bytes(fmu(model, law, fmi=fmi).content)
+    got = flown(path, drive, OUTPUTS, closed_loop=closed_loop, T_s=T_S)
+    return np.asarray(np.abs(got - expected).max(axis=0) / np.ptp(expected, axis=0))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_in_closed_loop(name: str, tmp_path: Path) -> None:
+    model = MODELS[name]
+
+    assert differences(model, law_for(model), tmp_path, closed_loop=True).max() < SHARE
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_in_open_loop_from_stop_to_stop(name: str, tmp_path: Path) -> None:
+    model = MODELS[name]
+
+    assert differences(model, law_for(model), tmp_path, closed_loop=False).max() < SHARE
+
+
+@pytest.mark.parametrize("closed_loop", [True, False])
+def test_in_the_third_version_of_fmi(closed_loop: bool, tmp_path: Path) -> None:
+    model = MODELS["late, dry, offset"]
+
+    assert differences(model, law_for(model), tmp_path, closed_loop=closed_loop, fmi="3.0").max() < SHARE
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+@pytest.mark.parametrize("name", MODELS)
+def test_the_standard_finds_nothing_wrong(name: str, fmi: str, tmp_path: Path) -> None:
+    path = tmp_path / "rig.fmu"
+    path.write_bytes(fmu(MODELS[name], law_for(MODELS[name]), fmi=fmi, compiler="").content)
+
+    assert validate_fmu(str(path)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", CATALOGUE, ids=lambda cause: cause.name)
+@pytest.mark.parametrize("closed_loop", [True, False])
+def test_each_cause(cause: Cause, closed_loop: bool, tmp_path: Path) -> None:
+    model = with_causes(cause.name)
+
+    assert differences(model, law_for(Model.load("ce152")), tmp_path, closed_loop=closed_loop).max() < SHARE

@@ -1,0 +1,50 @@
+"""The formats of `board51 export-model`, and the files of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from twin.export.controller import Controller
+from twin.export.fmu.pack import fmu
+from twin.model.parameters import Model
+from twin.model.simulate import left_out
+
+Format = Literal["fmu"]
+FmiVersion = Literal["2.0", "3.0"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """The files of an export."""
+
+    files: Mapping[str, bytes]  # by name; one file for an FMU
+    notes: tuple[str, ...]  # sentences on what is left out
+
+
+def export(
+    model: Model, controller: Controller, to: Format, *, fmi: FmiVersion = "2.0", compiler: str | None = None
+) -> Exported:
+    """Export a model.
+
+    Args:
+        model: with or without causes.
+        controller: the law of its closed loop.
+        to: format.
+        fmi: of an FMU: version of FMI.
+        compiler: of an FMU: C compiler; None: the first of gcc, cc, clang; empty: none.
+
+    Raises:
+        NotTranslatableError: a part of the model has no form in this format; the message says which and why.
+        UsageError: the compiler refuses the sources.
+    """
+    if to == "fmu":
+        made = fmu(model, controller.numbers, fmi=fmi, compiler=compiler)
+        note = () if made.platform else ("no C compiler was found: the FMU has sources, and no binary",)
+        return Exported(files={f"{made.identifier}.fmu": made.content}, notes=(*left_out(model), *note))
+    texts = _TEXTS[to](model, controller)
+    return Exported(files={name: text.encode() for name, text in texts.items()}, notes=tuple(left_out(model)))
+
+
+_TEXTS: dict[str, Callable[[Model, Controller], Mapping[str, str]]] = {}
