@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "identify": ("twin.commands.identify", "a model from the recordings of a campaign"),
     "design": ("twin.commands.design", "a controller for the board from a model"),
     "validate": ("twin.commands.validate", "compare a model with recordings: figures, numbers, a report"),
+    "bode": ("twin.commands.bode", "compare a model with measured frequency responses: bands, margins, a verdict"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
     "diagnose": ("twin.commands.diagnose", "find the physical causes of a model's errors, and extend the model"),
     "investigate": (
@@ -62,7 +63,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
     **dict.fromkeys(
-        ("demo", "investigate", "twin", "identify", "design", "validate", "predict", "diagnose", "plot", "compile"),
+        (
+            "demo",
+            "investigate",
+            "twin",
+            "identify",
+            "design",
+            "validate",
+            "bode",
+            "predict",
+            "diagnose",
+            "plot",
+            "compile",
+        ),
         "twin",
     ),
     **dict.fromkeys(("import", "export"), "export"),

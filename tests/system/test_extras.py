@@ -38,6 +38,7 @@ WITHOUT = [
     (["identify", "campaign.toml"], "twin"),
     (["design", "model.json"], "twin"),
     (["validate", "campaign.toml", "--model", "model.json", "--out", "v"], "twin"),
+    (["bode", "model.json", "campaign.toml"], "twin"),
     (["predict", "model.json", "run.csv", "--horizon", "10", "--out", "p.csv"], "twin"),
     (["diagnose", "campaign.toml", "--out", "d"], "twin"),
     (["plot", "run.mcap", "--out", "p.png"], "twin"),

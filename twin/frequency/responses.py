@@ -78,28 +78,37 @@ def position_law(law: LawNumbers, f_hz: FloatArray) -> ComplexArray:
     return np.asarray(law.k_x + law.k_p + law.k_v * (1.0 - 1.0 / z) / T_s + law.k_s * T_s / (z - 1.0))
 
 
-def linear_responses(
-    model: Model, law: LawNumbers | None, x_m: float, T_s: float, f_hz: FloatArray
-) -> dict[Name, ComplexArray]:
-    """Return the responses of the model linearised at x, (14) and (15); NaN where nothing holds the ball."""
-    phi, gamma = discrete(model, x_m, T_s)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """The circumstances of a linearisation."""
+
+    law: LawNumbers | None
+    x_m: float  # the height
+    sample_time_s: float
+    delay: int = 0  # of u_c, samples, that the identification of the model corrected
+
+
+def linear_responses(model: Model, setting: Setting, f_hz: FloatArray) -> dict[Name, ComplexArray]:
+    """Return the responses of the linearised model, (14) and (15), shape (F,); none where nothing holds the ball."""
+    T_s = setting.sample_time_s
+    phi, gamma = discrete(model, setting.x_m, T_s)
     if not np.isfinite(phi).all():
         return {}
     z = np.exp(2j * np.pi * f_hz * T_s)[:, None, None]
-    states = np.linalg.solve(z * np.eye(len(phi)) - phi, gamma[None].astype(complex))[:, :, 0]
+    states = np.linalg.solve(z * np.eye(len(phi)) - phi, gamma[None] * z**-setting.delay)[:, :, 0]
     one = np.ones(len(f_hz), dtype=complex)
-    return {a: top / bottom for a, (top, bottom) in _pairs(one, states[:, 0], states[:, 1], law, f_hz).items()}
+    return {a: top / bottom for a, (top, bottom) in _pairs(one, states[:, 0], states[:, 1], setting.law, f_hz).items()}
 
 
-def curves(model: Model, law: LawNumbers | None, x_m: float, T_s: float, f_hz: FloatArray) -> dict[Name, Curve]:
-    """Return the responses of the model at x with their uncertainty.
+def curves(model: Model, setting: Setting, f_hz: FloatArray) -> dict[Name, Curve]:
+    """Return the responses of the model with their uncertainty.
 
     The model file has a standard deviation for each parameter and no correlations: they are taken as independent.
     """
-    nominal = linear_responses(model, law, x_m, T_s, f_hz)
+    nominal = linear_responses(model, setting, f_hz)
     slopes: dict[Name, list[ComplexArray]] = {name: [] for name in nominal}
     for higher, lower in _varied(model):
-        up, down = (linear_responses(changed, law, x_m, T_s, f_hz) for changed in (higher, lower))
+        up, down = (linear_responses(changed, setting, f_hz) for changed in (higher, lower))
         for name in nominal:
             if name in up and name in down:
                 slopes[name].append(0.5 * (up[name] - down[name]))
