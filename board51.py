@@ -37,6 +37,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "design": ("twin.commands.design", "a controller for the board from a model"),
     "export-model": ("twin.commands.export_model", "a model as FMU for other tools"),
     "validate": ("twin.commands.validate", "compare a model with recordings: figures, numbers, a report"),
+    "bode": ("twin.commands.bode", "compare a model with measured frequency responses: bands, margins, a verdict"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
     "compare": ("twin.commands.compare", "two models on one flight, two flights under one model, models over time"),
     "what-if": ("twin.commands.what_if", "a recorded flight under other gains or another reference, predicted"),

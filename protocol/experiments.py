@@ -139,6 +139,13 @@ def _bouncing(duration_s: float, salt: int) -> tuple[Step, ...]:
     return (Wave(shape="prbs", low=0.05, high=1.2, period_s=0.02, duration_s=duration_s, salt=salt),)
 
 
+def _multisines(x: float) -> tuple[Step, ...]:
+    """Eight sines from 1 to 8 Hz, then eight from 4 to 32 Hz, of amplitudes within the slew of a CE 152."""
+    slow = Wave(shape="multisine", low=x - 0.04, high=x + 0.04, period_s=1.0, duration_s=12.0, on_reference=True)
+    fast = Wave(shape="multisine", low=x - 0.02, high=x + 0.02, period_s=0.25, duration_s=20.0, on_reference=True)
+    return _fly(x, slow, fast)
+
+
 _SAME_STEPS = Wave(shape="rectangle", low=0.42, high=0.58, period_s=1.0, duration_s=4.0, on_reference=True)
 
 MENU: tuple[Experiment, ...] = (
@@ -227,6 +234,16 @@ MENU: tuple[Experiment, ...] = (
         instruction="let the reference swing between {low} and {high}, from 0.5 Hz up to 10 Hz in {duration}",
         steps=_fly(0.5, Wave(shape="chirp", low=0.47, high=0.53, period_s=2.0, period_end_s=0.1, duration_s=15.0,
                              on_reference=True)),
+    ),
+    Experiment(
+        name="bode-low", kind="closed-loop", use="judge", expects="flies", standard=False, quick=1.0,
+        purpose="small multisines from 1 to 32 Hz low in the travel, for frequency responses",
+        steps=_multisines(0.35),
+    ),
+    Experiment(
+        name="bode-high", kind="closed-loop", use="judge", expects="flies", standard=False, quick=1.0,
+        purpose="the same high in the travel",
+        steps=_multisines(0.65),
     ),
     Experiment(
         name="holds", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,

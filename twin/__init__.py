@@ -20,18 +20,20 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from protocol.campaign import Campaign
-    from twin.api.functions import design, diagnose, identify, predict, validate
-    from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
+    from twin.api.functions import bode, design, diagnose, identify, predict, validate
+    from twin.api.results import Designed, Diagnosed, FrequencyResponses, Identified, Predicted, Validated
     from twin.model.parameters import Model
 
 __all__ = [
     "Campaign",
     "Designed",
     "Diagnosed",
+    "FrequencyResponses",
     "Identified",
     "Model",
     "Predicted",
     "Validated",
+    "bode",
     "design",
     "diagnose",
     "identify",

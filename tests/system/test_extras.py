@@ -41,6 +41,7 @@ WITHOUT = [
     (["validate", "campaign.toml", "--model", "model.json", "--out", "v"], "twin"),
     (["compare", "ce152", "inteco"], "twin"),
     (["what-if", "run.csv", "--model", "ce152", "--gains", "c.json"], "twin"),
+    (["bode", "model.json", "campaign.toml"], "twin"),
     (["predict", "model.json", "run.csv", "--horizon", "10", "--out", "p.csv"], "twin"),
     (["diagnose", "campaign.toml", "--out", "d"], "twin"),
     (["plot", "run.mcap", "--out", "p.png"], "twin"),

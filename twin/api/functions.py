@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 from protocol.campaign import Campaign
 from protocol.errors import UsageError
-from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
+from twin.api.results import Designed, Diagnosed, FrequencyResponses, Identified, Predicted, Validated
 from twin.model.parameters import NAME_REMEDY, Model, name_problem
 from twin.settings.diagnosis import MIN_SHARE
 
@@ -92,6 +92,29 @@ def validate(
         rmse_m=np.array([row.rmse_m for row in result.ahead], dtype=np.float64),
         floor_m=np.array([row.floor_m for row in result.ahead], dtype=np.float64),
         details=result,
+    )
+
+
+def bode(campaign: Campaign | Path | str, model: Model | Path | str, *, data: Path | None = None) -> FrequencyResponses:
+    """Compare a model with the frequency responses of a campaign's flights in closed loop.
+
+    Args:
+        campaign: campaign.toml, its folder, or the result of `Campaign.load`.
+        model: a model, a model file, or the name of a shipped model.
+        data: folder of the recordings, if it is not that of the campaign.
+
+    Returns:
+        The verdict in words; responses, margins and tests are in its `details` and `to_json()`.
+
+    Raises:
+        DataError: a file is missing, unreadable or implausible, or the model is of another rig.
+        ConfigError: a key of the campaign is wrong.
+    """
+    from twin.frequency import bode as work
+
+    result = work.bode(_campaign(campaign), _model(model), data=data)
+    return FrequencyResponses(
+        explains=result.verdict.explains, answer=result.verdict.sentence, notes=result.notes, details=result
     )
 
 

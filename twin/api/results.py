@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from twin.diagnosis.equilibria.diagnosis import StaticDiagnosis
     from twin.diagnosis.residuals.summary import Summary
     from twin.diagnosis.result import Diagnosis
+    from twin.frequency.bode import Bode
     from twin.identification.result import Identification
     from twin.prediction import Prediction
     from twin.validation.verdict import Validation
@@ -126,6 +127,47 @@ class Validated:
         make_folder(Path(folder))
         write_text(Path(folder) / "validation.json", as_text(self.to_json()) + "\n")
         write_text(Path(folder) / "report.html", self.to_html(title))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrequencyResponses:
+    """The answer to whether a model explains measured frequency responses."""
+
+    explains: bool | None  # None: no flight is excited
+    answer: str
+    notes: tuple[str, ...]
+    details: Bode
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of bode.json."""
+        from twin.frequency.report import to_dict
+
+        return to_dict(self.details)
+
+    def to_html(self, title: str = "") -> str:
+        """Return the content of bode.html, self-contained."""
+        from twin.frequency.report import to_html
+
+        return to_html(self.details, title=title or f"Frequency responses of {self.details.model.plant.name}")
+
+    def figures(self) -> dict[str, Figure]:
+        """The responses by height, and the spectra of the residuals."""
+        from twin.frequency import figures as draw
+
+        drawn = {f"{height.x_m * 1e3:.2f} mm": draw.response_figure(height) for height in self.details.heights}
+        if self.details.residuals:
+            drawn["residuals"] = draw.residual_figure(self.details.residuals)
+        return drawn
+
+    def save(self, folder: Path | str, *, title: str = "") -> None:
+        """Write bode.json and bode.html.
+
+        Raises:
+            UsageError: the folder cannot be written.
+        """
+        make_folder(Path(folder))
+        write_text(Path(folder) / "bode.json", as_text(self.to_json()) + "\n")
+        write_text(Path(folder) / "bode.html", self.to_html(title))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

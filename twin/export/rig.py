@@ -42,12 +42,12 @@ class Rig:
 def simulated(model: Model) -> list[tuple[Cause, CauseParameter]]:
     """The parameters of the causes of a model that a simulation has, in the order of the model."""
     causes = [BY_NAME[cause.name] for cause in model.causes if not BY_NAME[cause.name].not_simulated]
-    return [(cause, one) for cause in causes for one in cause.parameters if not one.walks and one.name != "in_captures"]
+    return [(cause, p) for cause in causes for p in cause.parameters if not p.walks and p.name != "in_captures"]
 
 
 def constants(model: Model) -> Mapping[int, float]:
     """Return the places of the vector c that are neutral whatever the parameters are."""
-    free = {one.index for _, one in simulated(model)}
+    free = {parameter.index for _, parameter in simulated(model)}
     return {index: float(value) for index, value in enumerate(neutral()) if index not in free}
 
 

@@ -74,8 +74,16 @@ class Filtered:
     wild: int  # number of outliers left out
 
 
-def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) -> tuple[list[Source], list[str]]:
+def sources_of(
+    campaign: Campaign, model: Model, *, data: Path | None = None, spare: bool = False
+) -> tuple[list[Source], list[str]]:
     """Return (the recordings of the campaign that can be used, in its order; sentences about them).
+
+    Args:
+        campaign: of `Campaign.load`.
+        model: to judge.
+        data: folder of the recordings, if it is not that of the campaign.
+        spare: whether to read those for fitting also where there are some for judging.
 
     Raises:
         DataError: a recording is missing, unreadable or implausible.
@@ -84,10 +92,9 @@ def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) ->
     announcements: list[list[pb.Parameters]] = []
     judge_kinds = {r.kind in FLYING for r in campaign.recordings if r.use == "judge"}
     for recording in campaign.recordings:
-        spare = (
-            recording.use == "fit" and (recording.kind in FLYING) in judge_kinds
-        )  # there are judge recordings of its sort
-        if recording.kind in ("equilibria", "sawtooth") or spare:
+        # Whether there are judge recordings of its sort.
+        needless = recording.use == "fit" and (recording.kind in FLYING) in judge_kinds and not spare
+        if recording.kind in ("equilibria", "sawtooth") or needless:
             continue
         path = campaign.path_of(recording, data=data)
         records.append(read_recording(path, recording))

@@ -204,6 +204,14 @@ def validate(
     Raises:
         DataError: a recording is missing, unreadable or implausible, or the model is of another rig.
     """
+    check_same_rig(campaign, model)
+    progress("reading the recordings")
+    sources, messages = sources_of(campaign, model, data=data)
+    return validate_sources(sources, model, messages=messages, progress=progress)
+
+
+def check_same_rig(campaign: Campaign, model: Model) -> None:
+    """Raise DataError if the model is of another rig than the campaign."""
     for name in ("mass_kg", "travel_m", "x_max_m"):
         in_model, in_campaign = getattr(model.plant, name), getattr(campaign.plant, name)
         if abs(in_model - in_campaign) > 1e-3 * abs(in_campaign):
@@ -211,9 +219,6 @@ def validate(
                 f"The model has {name} = {in_model:g}, the campaign {in_campaign:g}: they describe different rigs",
                 remedy=f"Give a model of the campaign's rig ({campaign.plant.name}), e.g. of `board51 identify`",
             )
-    progress("reading the recordings")
-    sources, messages = sources_of(campaign, model, data=data)
-    return validate_sources(sources, model, messages=messages, progress=progress)
 
 
 def validate_sources(

@@ -112,7 +112,7 @@ def test_a_narrow_range_makes_wide_steps_impossible_and_says_the_numbers() -> No
 
 def test_what_judges_is_never_what_was_fitted() -> None:
     for e in MENU:
-        if e.use == "judge":
+        if e.use == "judge" and not e.name.startswith("bode-"):  # of which there is none for fitting
             fitted = EXPERIMENT_OF_NAME[e.name.removesuffix("-judge")]
             assert fitted.use == "fit"
             assert actions_of(fitted, SCALE) != actions_of(e, SCALE)

@@ -74,7 +74,7 @@ class Expressions:
             case ast.UnaryOp(op=ast.Not(), operand=inner):
                 return fold.opposite(self.value(inner))
             case ast.Compare(left=left, ops=ops, comparators=others):
-                values = [self.value(one) for one in (left, *others)]
+                values = [self.value(value) for value in (left, *others)]
                 pairs = [fold.comparison(op, a, b) for op, a, b in zip(ops, values, values[1:], strict=False)]
                 return fold.logic(ast.And(), pairs)
             case ast.BoolOp(op=op, values=parts):

@@ -182,8 +182,8 @@ class Body(Expressions):
     def _merge(self, ends: list[dict[str, Value]]) -> None:
         for key in {key for end in ends for key in end}:
             values = [end[key] for end in ends if key in end]
-            alike = all(value == values[0] for value in values) and len(values) == len(ends)
-            self.local[key] = values[0] if alike else Code(name(key), self.variables[key])
+            equal = all(value == values[0] for value in values) and len(values) == len(ends)
+            self.local[key] = values[0] if equal else Code(name(key), self.variables[key])
 
     def _write_down(self, variables: set[str]) -> None:
         """Write the known values of variables that a branch or a loop may change."""

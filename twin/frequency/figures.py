@@ -1,0 +1,102 @@
+"""The figures of the report: measured points with bars, the model as a line with a band; grey tells them apart, too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import f as f_distribution
+
+from twin.estimation.record import FloatArray
+from twin.frequency.bode import Height, Measured
+from twin.frequency.residual_psd import ResidualSpectrum
+from twin.frequency.responses import TITLES, UNITS, Curve, Name
+from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, label, legend_above, styled
+
+PLOTTED: tuple[Name, ...] = ("amplifier", "plant", "loop")
+SENSITIVITIES: tuple[Name, ...] = ("S", "T")
+
+
+def radius(m: Measured) -> FloatArray:
+    """Return the radius of the disc that holds the response with 95 %, shape (F,)."""
+    return np.asarray(m.std * np.sqrt(f_distribution.ppf(0.95, 2.0, 2.0 * m.dof)))
+
+
+@styled
+def response_figure(height: Height) -> Figure:
+    """Draw gain, phase and coherence of amplifier, plant and loop gain at one height."""
+    names = [name for name in PLOTTED if name in height.measured]
+    figure, axes = grid(3, len(names), height=7.4, ratios=[2.0, 1.6, 0.9])
+    for n, name in enumerate(names):
+        measured, curve = height.measured[name], height.model.get(name)
+        _gain(axes[0][n], measured, curve, UNITS[name])
+        _phase(axes[1][n], measured, curve)
+        axes[0][n].set_title(TITLES[name], pad=20)
+        axes[2][n].semilogx(measured.f_hz, measured.coherence, color=REFERENCE, lw=1.0, marker=".")
+        axes[2][n].set(xlabel="frequency [Hz]", ylim=(0.0, 1.05))
+        if name == "loop":
+            axes[0][n].axhline(1.0, color="black", lw=0.6)
+    axes[1][0].set_ylabel("phase [degrees]")
+    axes[2][0].set_ylabel("coherence [-]")
+    legend_above(axes[0][0])
+    return figure
+
+
+@styled
+def sensitivity_figure(height: Height) -> Figure:
+    """Draw the gains of S and T at one height."""
+    figure, axes = grid(1, 2, height=3.4)
+    for ax, name in zip(axes[0], SENSITIVITIES, strict=True):
+        _gain(ax, height.measured[name], height.model.get(name), UNITS[name])
+        ax.axhline(1.0, color="black", lw=0.6)
+        ax.set_title(TITLES[name], pad=20)
+        ax.set_xlabel("frequency [Hz]")
+    legend_above(axes[0][0])
+    return figure
+
+
+@styled
+def residual_figure(spectra: Sequence[ResidualSpectrum]) -> Figure:
+    """Draw the spectra of the innovations against the model's noise."""
+    figure, axes = grid(1, len(spectra), height=3.4)
+    for ax, one in zip(axes[0], spectra, strict=True):
+        ax.loglog(one.f_hz, one.power, color=MEASURED, lw=0.9, label="measured")
+        ax.axhspan(one.low, one.high, color=REFERENCE, alpha=0.25, lw=0, label="95 %, one frequency")
+        ax.axhline(1.0, color=MODEL, lw=1.4, label="model's noise")
+        if len(one.wrong_hz):
+            power = np.interp(one.wrong_hz, one.f_hz, one.power)
+            ax.plot(one.wrong_hz, power, "x", color="black", ms=6, label="refused")
+        ax.set_title(f"residual of {one.channel}", pad=20)
+        label(ax, "frequency [Hz]", "power / stated power [-]")
+    return figure
+
+
+def _gain(ax: Axes, measured: Measured, curve: Curve | None, unit: str) -> None:
+    drawn = measured.std < np.abs(measured.value)
+    size, bar = np.abs(measured.value)[drawn], radius(measured)[drawn]
+    if curve is not None:
+        gain, spread = np.abs(curve.value), np.exp(1.96 * curve.log_gain_std)
+        ax.fill_between(curve.f_hz, gain / spread, gain * spread, color=MODEL, alpha=0.25, lw=0, label="model, 95 %")
+        ax.loglog(curve.f_hz, gain, color=MODEL, lw=1.4, label="model")
+    ax.errorbar(
+        measured.f_hz[drawn], size, yerr=(np.minimum(bar, 0.9 * size), bar), color=MEASURED, fmt="o", ms=4, lw=1.2,
+        capsize=2.5, label="measured, 95 %",
+    )  # fmt: skip
+    ax.set(xscale="log", yscale="log", ylabel=f"gain [{unit}]")
+
+
+def _phase(ax: Axes, measured: Measured, curve: Curve | None) -> None:
+    drawn = measured.std < np.abs(measured.value)
+    f_hz, phase = measured.f_hz[drawn], np.degrees(np.angle(measured.value[drawn]))
+    bar = np.degrees(np.arcsin(np.minimum(radius(measured)[drawn] / np.abs(measured.value[drawn]), 1.0)))
+    if curve is not None:
+        line = np.degrees(np.unwrap(np.angle(curve.value)))
+        spread = 1.96 * np.degrees(curve.phase_std)
+        ax.fill_between(curve.f_hz, line - spread, line + spread, color=MODEL, alpha=0.25, lw=0)
+        ax.semilogx(curve.f_hz, line, color=MODEL, lw=1.4)
+        expected = np.interp(f_hz, curve.f_hz, line)  # the turn nearest to the model's
+        phase = phase - 360.0 * np.round((phase - expected) / 360.0)
+    ax.errorbar(f_hz, phase, yerr=bar, color=MEASURED, fmt="o", ms=4, lw=1.2, capsize=2.5)
+    ax.set(xscale="log")

@@ -1,0 +1,158 @@
+"""The report: one HTML page that needs nothing else, the same numbers as JSON, and a section of another report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from twin.frequency import figures
+from twin.frequency.bode import Bode, Height, Measured
+from twin.frequency.margins import Margin
+from twin.frequency.residual_psd import ResidualSpectrum
+from twin.frequency.responses import Curve
+from twin.frequency.verdict import WORDS, Test
+from twin.page.figures import Picture, inline
+from twin.page.plain import plain
+from twin.page.render import Mark, render
+
+MARGINS = {
+    "gain_low": ("gain may fall to, factor", "{:.2f}"),
+    "gain_high": ("gain may rise to, factor", "{:.2f}"),
+    "phase_deg": ("phase margin [degrees]", "{:.1f}"),
+    "modulus": ("modulus margin, smallest |1 + L|", "{:.2f}"),
+}
+
+
+def to_dict(result: Bode) -> dict[str, Any]:
+    """The numbers of the page; a complex response as gain and phase, NaN as None."""
+    return plain(
+        {
+            "explains": result.verdict.explains,
+            "answer": result.verdict.sentence,
+            "from_hz": result.verdict.from_hz,
+            "to_hz": result.verdict.to_hz,
+            "tests": [asdict(test) | {"failed": test.failed} for test in result.verdict.tests],
+            "heights": [_height_dict(height) for height in result.heights],
+            "residuals": [asdict(spectrum) for spectrum in result.residuals],
+            "notes": list(result.notes),
+        },
+        digits=9,
+    )
+
+
+def _height_dict(height: Height) -> dict[str, Any]:
+    return {
+        "x_m": height.x_m,
+        "recordings": list(height.recordings),
+        "measured": {name: _measured_dict(entry) for name, entry in height.measured.items()},
+        "model": {name: _curve_dict(entry) for name, entry in height.model.items()},
+        "margins": {name: asdict(entry) for name, entry in height.margins.items()},
+        "model_margins": {name: asdict(entry) for name, entry in height.model_margins.items()},
+    }
+
+
+def _measured_dict(m: Measured) -> dict[str, Any]:
+    return {
+        "f_hz": m.f_hz,
+        "gain": np.abs(m.value),
+        "phase_deg": np.degrees(np.angle(m.value)),
+        "radius95": figures.radius(m),
+        "coherence": m.coherence,
+    }
+
+
+def _curve_dict(c: Curve) -> dict[str, Any]:
+    return {
+        "f_hz": c.f_hz,
+        "gain": np.abs(c.value),
+        "phase_deg": np.degrees(np.unwrap(np.angle(c.value))),
+        "gain_std": np.abs(c.value) * c.log_gain_std,
+        "phase_std_deg": np.degrees(c.phase_std),
+    }
+
+
+def to_html(result: Bode, *, title: str) -> str:
+    """The page."""
+    p = result.model.parameters
+    return render(
+        "frequency/bode.html",
+        title=title,
+        answer=result.verdict.sentence,
+        colour={True: "pass", False: "fail", None: ""}[result.verdict.explains],
+        values=", ".join(f"{name} = {p[name].value:.5g} {p[name].unit}" for name in p),
+        certain=any(parameter.std or parameter.ci95 for parameter in p.values()),
+        notes=result.notes,
+        tests=[_test_row(test) for test in result.verdict.tests],
+        heights=[
+            {
+                "x": f"{height.x_m * 1e3:.2f} mm",
+                "recordings": ", ".join(height.recordings),
+                "picture": inline(figures.response_figure(height), f"responses at x = {height.x_m * 1e3:.2f} mm"),
+                "sensitivities": inline(figures.sensitivity_figure(height), "sensitivities")
+                if "S" in height.measured
+                else None,
+                "margins": _margin_rows(height.margins, height.model_margins),
+            }
+            for height in result.heights
+        ],
+        residuals=inline(figures.residual_figure(result.residuals), "spectra of the residuals")
+        if result.residuals
+        else None,
+        wrong=[sentence for spectrum in result.residuals if (sentence := residual_sentence(spectrum))],
+    )
+
+
+def pictures(result: Bode) -> list[Picture]:
+    """Draw the responses of all heights, for a section of another report."""
+    return [
+        inline(figures.response_figure(height), f"frequency responses at x = {height.x_m * 1e3:.2f} mm")
+        for height in result.heights
+    ]
+
+
+def residual_sentence(spectrum: ResidualSpectrum) -> str:
+    """Say where the residuals are not the model's noise; '' if they are."""
+    if not len(spectrum.wrong_hz):
+        return ""
+    low, high = spectrum.wrong_hz.min(), spectrum.wrong_hz.max()
+    power = np.interp(spectrum.wrong_hz, spectrum.f_hz, spectrum.power)
+    worst = int(np.argmax(np.abs(np.log(power))))
+    count = len(spectrum.wrong_hz)
+    return (
+        f"The residual of {spectrum.channel} is not the model's noise, at {count} frequencies from {low:.3g} to"
+        f" {high:.3g} Hz: {power[worst]:.2g} times its power at {spectrum.wrong_hz[worst]:.3g} Hz."
+    )
+
+
+def _test_row(test: Test) -> list[str | Mark]:
+    return [
+        f"{WORDS[test.name]}, x = {test.x_m * 1e3:.2f} mm",
+        f"{len(test.f_hz)}",
+        f"{test.p:.2g}" if test.p >= 1e-6 else "< 1e-6",
+        ", ".join(f"{f:.3g}" for f in test.refused_hz) or "none",
+        f"{test.worst_gain:.3f}, {test.worst_phase_deg:+.2g}° at {test.worst_hz:.3g} Hz",
+        " / ".join(f"{form.text}: p = {form.p_left:.2g}" for form in test.forms),
+        Mark("no" if test.failed else "yes", not test.failed),
+    ]
+
+
+def _margin_rows(measured: Mapping[str, Margin], model: Mapping[str, Margin]) -> list[list[str]]:
+    if not measured:
+        return []
+    return [
+        [title, _margin(measured[name], form), _margin(model[name], form) if name in model else "-"]
+        for name, (title, form) in MARGINS.items()
+    ]
+
+
+def _margin(margin: Margin, form: str) -> str:
+    if not math.isfinite(margin.value):
+        return "not within the frequencies"
+    interval = (
+        f" ({form.format(margin.low)} to {form.format(margin.high)})" if math.isfinite(margin.low) else " (no interval)"
+    )
+    return form.format(margin.value) + interval
