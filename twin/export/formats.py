@@ -9,12 +9,14 @@ from typing import Literal
 from twin.export.controller import Controller
 from twin.export.fmu.pack import fmu
 from twin.export.script.content import Content, content
+from twin.export.script.latex import latex
 from twin.export.script.matlab import matlab
+from twin.export.script.modelica import modelica
 from twin.export.script.python import python
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
 
-Format = Literal["fmu", "matlab", "python"]
+Format = Literal["fmu", "matlab", "python", "latex", "modelica"]
 FmiVersion = Literal["2.0", "3.0"]
 
 
@@ -48,8 +50,15 @@ def export(
         return Exported(files={f"{made.identifier}.fmu": made.content}, notes=(*left_out(model), *note))
     parts = content(model, controller)
     texts = _WRITERS[to](parts)
-    missing = [f"the differential equation is left out. {why}" for why in parts.without_rates]
+    missing = [
+        f"the differential equation is left out. {why}" for why in parts.without_rates if to in ("matlab", "python")
+    ]
     return Exported(files={name: text.encode() for name, text in texts.items()}, notes=(*parts.notes, *missing))
 
 
-_WRITERS: dict[str, Callable[[Content], Mapping[str, str]]] = {"matlab": matlab, "python": python}
+_WRITERS: dict[str, Callable[[Content], Mapping[str, str]]] = {
+    "matlab": matlab,
+    "python": python,
+    "latex": latex,
+    "modelica": modelica,
+}
