@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "\nexit code 0: done; 2: bad input, or a part of the model that the format cannot have"
     )
     parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco, magnetoshield")
-    parser.add_argument("--to", required=True, choices=("fmu",), help="format")
+    parser.add_argument("--to", required=True, choices=("fmu", "matlab", "python", "latex", "modelica"), help="format")
     parser.add_argument("--out", type=Path, metavar="PATH", help="file of an FMU, else folder (named after the rig)")
     parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="version of FMI of an FMU (%(default)s)")
     parser.add_argument(

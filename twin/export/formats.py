@@ -8,10 +8,15 @@ from typing import Literal
 
 from twin.export.controller import Controller
 from twin.export.fmu.pack import fmu
+from twin.export.script.content import Content, content
+from twin.export.script.latex import latex
+from twin.export.script.matlab import matlab
+from twin.export.script.modelica import modelica
+from twin.export.script.python import python
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
 
-Format = Literal["fmu"]
+Format = Literal["fmu", "matlab", "python", "latex", "modelica"]
 FmiVersion = Literal["2.0", "3.0"]
 
 
@@ -43,8 +48,17 @@ def export(
         made = fmu(model, controller.numbers, fmi=fmi, compiler=compiler)
         note = () if made.platform else ("no C compiler was found: the FMU has sources, and no binary",)
         return Exported(files={f"{made.identifier}.fmu": made.content}, notes=(*left_out(model), *note))
-    texts = _TEXTS[to](model, controller)
-    return Exported(files={name: text.encode() for name, text in texts.items()}, notes=tuple(left_out(model)))
+    parts = content(model, controller)
+    texts = _WRITERS[to](parts)
+    missing = [
+        f"the differential equation is left out. {why}" for why in parts.without_rates if to in ("matlab", "python")
+    ]
+    return Exported(files={name: text.encode() for name, text in texts.items()}, notes=(*parts.notes, *missing))
 
 
-_TEXTS: dict[str, Callable[[Model, Controller], Mapping[str, str]]] = {}
+_WRITERS: dict[str, Callable[[Content], Mapping[str, str]]] = {
+    "matlab": matlab,
+    "python": python,
+    "latex": latex,
+    "modelica": modelica,
+}

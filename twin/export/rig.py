@@ -81,13 +81,13 @@ def rig(model: Model, sample_time_s: float) -> Rig:
     """
     program = Program()
     numbers, memory = plant(model, sample_time_s), Cells(name(MEMORY), {})
-    program.add(begin, [numbers, memory, *_variables("i", "x", "v", "u"), Known(-1.0)])
+    program.add(begin, [numbers, memory, *variables_of("i", "x", "v", "u"), Known(-1.0)])
     closed_loop = Code(name("closed_loop"), "bool")
-    program.add(advance, [numbers, law(sample_time_s), memory, closed_loop, *_variables("x_ref", "u")])
+    program.add(advance, [numbers, law(sample_time_s), memory, closed_loop, *variables_of("x_ref", "u")])
     known = constants(model)
     delays = ACT not in known or SENSE not in known
     if delays:
-        program.add(delay_in_ticks, [*_variables("delay_s"), Known(sample_time_s)])
+        program.add(delay_in_ticks, [*variables_of("delay_s"), Known(sample_time_s)])
     longest = {
         cause.strength.index: math.ceil(cause.strength.high / sample_time_s) + 1 for cause, _ in simulated(model)
     }
@@ -95,5 +95,6 @@ def rig(model: Model, sample_time_s: float) -> Rig:
     return Rig(program=program, act_whole_max=act, sense_whole_max=sense, delays=delays)
 
 
-def _variables(*names: str) -> list[Value]:
+def variables_of(*names: str) -> list[Value]:
+    """Return numbers that are known at run time only."""
     return [Code(name(key), "float") for key in names]

@@ -157,7 +157,8 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
 
 
 @inlined
-def _lead(p: Base, c: Vector, v: float, gap: float) -> float:
+def induced_lead(p: Base, c: Vector, v: float, gap: float) -> float:
+    """Return by which factor the voltage that a moving ball induces raises the resistance of the coil."""
     bottom, gap_mid = air_gap_offset.gap_m(c, p.x_max_m), p.x_max_m - 0.5 * p.travel_m
     per_speed = motional_emf.per_speed(c, gap, gap_mid)
     per_speed += position_dependent_inductance.per_speed(c, p.T_A, gap, bottom, gap_mid)
@@ -171,8 +172,8 @@ def _driven(
     """The current after h s, starting from i; `at` is the time since the ball had v, a and `gap`, s."""
     if c[motional_emf.COUPLING] == 0.0 and c[position_dependent_inductance.VOLTAGE] == 0.0:
         return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, h))
-    begin = _lead(p, c, v + at * a, gap - at * v)
-    end = _lead(p, c, v + (at + h) * a, gap - (at + h) * v)
+    begin = induced_lead(p, c, v + at * a, gap - at * v)
+    end = induced_lead(p, c, v + (at + h) * a, gap - (at + h) * v)
     change = T_A * (end - begin) / h if h > INSTANT_S else 0.0
     last = motional_emf.steady_lead(end, change)
     if c[slew_rate_limit.RATE] < math.inf:

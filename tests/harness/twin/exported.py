@@ -23,12 +23,15 @@ OUTPUTS = ("i", "x", "v", "y_i", "y_x", "u")
 
 
 def with_causes(*names: str, sizes: dict[str, float] | None = None) -> Model:
-    """The shipped CE 152 with these causes in their usual form, as large as the screen looks for them."""
+    """The shipped CE 152 with these causes in their usual form, of medium size."""
     model = Model.load("ce152")
     causes = []
     for name in names:
         cause = BY_NAME[name]
-        values = {one.name: one.neutral if math.isfinite(one.spread) else one.probes[-1] for one in cause.parameters}
+        values = {
+            one.name: one.neutral if math.isfinite(one.spread) else one.probes[(len(one.probes) - 1) // 2]
+            for one in cause.parameters
+        }
         values[cause.strength.name] = (sizes or {}).get(name, values[cause.strength.name])
         causes.append(
             ModelCause(

@@ -90,6 +90,18 @@ def test_a_wrong_value_is_refused_and_named(name: str, value: float, says: str, 
         assert says in rig.said[0]
 
 
+def test_a_rig_that_diverges_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "rig.fmu"
+    model = with_causes("quadratic-drag", sizes={"quadratic-drag": 20.0})
+    path.write_bytes(fmu(model, law_for(Model.load("ce152"))).content)
+
+    with running(path, {"closed_loop": False, "u_c": 5.0}) as rig:
+        with pytest.raises(FMICallException):
+            rig.step(0.0, 1.0)
+
+        assert "is not a number any longer" in rig.said[0]
+
+
 def test_time_does_not_run_backwards(start: Start) -> None:
     with start() as rig, pytest.raises(FMICallException):
         rig.step(0.0, -T_S)

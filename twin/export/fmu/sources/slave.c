@@ -79,6 +79,8 @@ const char *slave_get_loop(const Slave *s, unsigned reference, int *closed, char
 
 const char *slave_step(Slave *s, double time_s, double duration_s, char *text)
 {
+    double value = 0;
+    unsigned n;
     const double end = floor((time_s + duration_s - s->start_s) / SAMPLE_TIME_S + SLIVER);
     if (!(duration_s > 0.0 && end - (double)s->ticks < MOST_TICKS)) {
         snprintf(text, TEXT, "A step of %g s at %g s cannot be done. Give a positive duration", duration_s, time_s);
@@ -89,5 +91,13 @@ const char *slave_step(Slave *s, double time_s, double duration_s, char *text)
         s->ticks += 1;
     }
     s->time_s = time_s + duration_s;
+    for (n = 0; n < VARIABLES; n += 1) {
+        slave_get(s, n, &value, text);
+        if (!isfinite(value)) {
+            snprintf(text, TEXT, "%s is not a number any longer at %g s. Check the parameters", variables[n].name,
+                     s->time_s);
+            return text;
+        }
+    }
     return 0;
 }
