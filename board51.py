@@ -35,7 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "campaign": ("gateway.commands.campaign", "perform the paper's experiments on a live board, into a campaign"),
     "identify": ("twin.commands.identify", "a model from the recordings of a campaign"),
     "design": ("twin.commands.design", "a controller for the board from a model"),
-    "export-model": ("twin.commands.export_model", "a model for other tools: FMU, MATLAB, Python"),
+    "export-model": ("twin.commands.export_model", "a model as FMU, MATLAB, Python, LaTeX or Modelica"),
     "validate": ("twin.commands.validate", "compare a model with recordings: figures, numbers, a report"),
     "bode": ("twin.commands.bode", "compare a model with measured frequency responses: bands, margins, a verdict"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),

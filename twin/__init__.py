@@ -20,14 +20,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from protocol.campaign import Campaign
+    from twin.api.exports import export_model
     from twin.api.functions import bode, design, diagnose, identify, predict, validate
     from twin.api.results import Designed, Diagnosed, FrequencyResponses, Identified, Predicted, Validated
+    from twin.export.formats import Exported
     from twin.model.parameters import Model
 
 __all__ = [
     "Campaign",
     "Designed",
     "Diagnosed",
+    "Exported",
     "FrequencyResponses",
     "Identified",
     "Model",
@@ -36,12 +39,18 @@ __all__ = [
     "bode",
     "design",
     "diagnose",
+    "export_model",
     "identify",
     "predict",
     "validate",
 ]
 
-_ELSEWHERE = {"Campaign": "protocol.campaign", "Model": "twin.model.parameters"}
+_ELSEWHERE = {
+    "Campaign": "protocol.campaign",
+    "Exported": "twin.export.formats",
+    "Model": "twin.model.parameters",
+    "export_model": "twin.api.exports",
+}
 
 
 def __getattr__(name: str) -> object:

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 from protocol.errors import UsageError
-from protocol.files import make_folder, writing
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -43,41 +41,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design or read the law, export, write."""
+    """Design or name the law, export, write."""
     # Imported here: --help must not wait for numba and scipy.
-    from twin.control_design.design import Specification, design
-    from twin.export import controller
-    from twin.export.formats import export
-    from twin.model.parameters import Model
+    from twin.api.exports import export_model
+    from twin.api.functions import design
 
-    model = Model.load(args.model)
+    law = args.controller
     if args.controller is None:
-        specification = Specification(
-            law=args.law, x_m=args.operating_point, sample_time_s=args.sample_time, u_max_v=args.u_max
+        law = design(
+            args.model, x_m=args.operating_point, law=args.law, sample_time_s=args.sample_time, u_max_v=args.u_max
         )
-        law = controller.of_design(design(model, specification), u_max_v=args.u_max)
-    elif args.operating_point is None:
-        law = controller.of_file(args.controller, u_max_v=args.u_max)
-    else:
+    elif args.operating_point is not None:
         raise UsageError("--controller with --operating-point", remedy="The file has one: leave out the one or other")
-    made = export(model, law, args.to, fmi=args.fmi, compiler=args.compiler)
-    for path in _written(made.files, args.out, Path(args.model).stem):
+    exported = export_model(
+        args.model, args.to, controller=law, u_max_v=args.u_max, fmi=args.fmi, compiler=args.compiler
+    )
+    default = next(iter(exported.files)) if len(exported.files) == 1 else Path(args.model).stem
+    for path in exported.save(args.out or default):
         print(path)
-    for note in made.notes:
+    for note in exported.notes:
         print(f"! {note}", file=sys.stderr)
     return 0
-
-
-def _written(files: Mapping[str, bytes], out: Path | None, name: str) -> list[Path]:
-    """Write the files, one to `out`, several below it; returns where they are."""
-    if len(files) == 1:
-        ((default, content),) = files.items()
-        placed = {out or Path(default): content}
-    else:
-        folder = out or Path(name)
-        make_folder(folder)
-        placed = {folder / key: content for key, content in files.items()}
-    for path, content in placed.items():
-        with writing(path):
-            path.write_bytes(content)
-    return list(placed)

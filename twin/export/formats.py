@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+from protocol.files import make_folder, writing
 from twin.export.controller import Controller
 from twin.export.fmu.pack import fmu
 from twin.export.script.content import Content, content
@@ -22,10 +24,27 @@ FmiVersion = Literal["2.0", "3.0"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """The files of an export."""
+    """An exported model."""
 
     files: Mapping[str, bytes]  # by name; one file for an FMU
     notes: tuple[str, ...]  # sentences on what is left out
+
+    def save(self, path: Path | str) -> list[Path]:
+        """Write one file to `path`, or several into the folder `path`; returns where they are.
+
+        Raises:
+            UsageError: a file cannot be written.
+        """
+        target = Path(path)
+        if len(self.files) == 1:
+            placed = dict.fromkeys([target], next(iter(self.files.values())))
+        else:
+            make_folder(target)
+            placed = {target / name: data for name, data in self.files.items()}
+        for file, data in placed.items():
+            with writing(file):
+                file.write_bytes(data)
+        return list(placed)
 
 
 def export(

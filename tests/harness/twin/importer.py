@@ -40,6 +40,19 @@ class Instance:
         values: list[float] = number([self.references[name] for name in names])
         return values
 
+    def begin(self, settings: Mapping[str, float]) -> None:
+        """Initialise a new instance, or one that has been reset."""
+        if isinstance(self.slave, FMU2Slave):
+            self.slave.setupExperiment(startTime=0.0)
+        self.slave.enterInitializationMode()
+        for name, value in settings.items():
+            self.set(name, value)
+        self.slave.exitInitializationMode()
+
+    def restart(self, settings: Mapping[str, float]) -> None:
+        self.slave.reset()
+        self.begin(settings)
+
     def step(self, time_s: float, duration_s: float) -> None:
         self.slave.doStep(time_s, duration_s)
 
@@ -60,14 +73,9 @@ def running(path: Path, settings: Mapping[str, float] | None = None) -> Iterator
         callbacks = fmi2CallbackFunctions()
         callbacks.logger = fmi2CallbackLoggerTYPE(lambda env, name, status, category, text: said.append(text.decode()))
         slave.instantiate(callbacks=callbacks)
-        slave.setupExperiment(startTime=0.0)
-        slave.enterInitializationMode()
     else:
         slave.instantiate(logMessage=lambda env, status, category, text: said.append(text.decode()))
-        slave.enterInitializationMode(startTime=0.0)
-    for name, value in (settings or {}).items():
-        instance.set(name, value)
-    slave.exitInitializationMode()
+    instance.begin(settings or {})
     yield instance
     slave.terminate()
     slave.freeInstance()

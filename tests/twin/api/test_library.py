@@ -15,7 +15,7 @@ import board51
 from gateway.emulator.plant.constants import CE152
 from protocol.errors import DataError, UsageError
 from tests.harness.twin.emulated_campaign import run_campaign
-from twin import Campaign, Model, design, diagnose, identify, predict, validate
+from twin import Campaign, Model, design, diagnose, export_model, identify, predict, validate
 from twin.estimation.record import Record
 
 NAMES = ("t", "u_c", "i_c", "x", "x_ref")
@@ -74,6 +74,16 @@ def test_importing_the_package_loads_no_numerics() -> None:
         "import sys, twin; from twin import Campaign, Model\n"
         "loaded = {'numba', 'scipy', 'matplotlib', 'numpy'} & set(sys.modules); assert not loaded, loaded"
     )
+
+
+def test_an_export_is_what_the_command_writes(model: Model, tmp_path: Path) -> None:
+    model.save(tmp_path / "model.json")
+    words = ["export-model", tmp_path / "model.json", "--to", "matlab", "--out", tmp_path / "command"]
+
+    paths = export_model(model, "matlab").save(tmp_path / "library")
+
+    assert board51.main([*map(str, words)]) == 0
+    assert [path.read_bytes() for path in paths] == [(tmp_path / "command" / path.name).read_bytes() for path in paths]
 
 
 def test_a_model_is_what_the_command_writes(

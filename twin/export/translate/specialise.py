@@ -139,7 +139,7 @@ class Program:
             body=statements,
             uses_model=_is_used(MODEL, statements),
         )
-        return written, _simple(statements, body.results, [key for key, _ in parameters])
+        return written, None if arrays else _simple(statements, body.results, [key for key, _ in parameters])
 
     def _free_name(self, stem: str) -> str:
         names = {written.name for written, _ in self._known.values()}

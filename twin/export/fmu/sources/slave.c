@@ -29,7 +29,7 @@ static const char *no_such(unsigned reference, const char *type, char *text)
 
 const char *slave_set(Slave *s, unsigned reference, double value, char *text)
 {
-    const Variable *v = &variables[reference];
+    const Variable *v = &variables[reference < VARIABLES ? reference : 0];
     if (reference >= VARIABLES) {
         return no_such(reference, "number", text);
     }
