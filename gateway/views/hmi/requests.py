@@ -8,6 +8,7 @@ POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act
 POST /api/*/delete                  {"log": "logs/NAME.mcap"}
 GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
+GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see model/exports.py
 GET  /log/<name>, /report-file/<name>    a file that the lists name
 POST /login (form), POST /logout
 
@@ -15,7 +16,7 @@ Rule 1: a request may give the time at which it was made in PAGE_TIME_HEADER.  I
         the page knows from its frames.  A delayed request is refused, because its sender has already seen a time-out.
         A STOP always acts.
 Rule 2: acts and STOP have threads of their own, and a STOP gives up the acts that wait for its rig (views/dispatch.py).
-Rule 3: a summary is one process at a time, which ends with its request (summaries.py).
+Rule 3: summaries and exports are one process at a time, which ends with its request (turns.py).
 """
 
 from __future__ import annotations
@@ -38,10 +39,12 @@ from gateway.views.dispatch import EVERY_RIG, FRESH_S, Dispatch, Wish
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal, session_of
 from gateway.views.hmi.html.render import render
+from gateway.views.hmi.model.exports import FORMATS, exported
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
-from gateway.views.hmi.summaries import Summaries, departure
+from gateway.views.hmi.summaries import summary
 from gateway.views.hmi.texts import text_of
+from gateway.views.hmi.turns import Turns, departure
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
@@ -68,7 +71,8 @@ class Requests:
         self._starts = _starts(actions, work)
         self._logins = Logins(users) if users is not None else None
         self._dispatch = Dispatch("hmi", actions.feed.stopped_s)
-        self._summaries = Summaries()
+        self._work = work
+        self._turns = Turns()
         self.guard: Guard | None = None  # makes the cookies; set once it stands
 
     def routes(self) -> list[Route]:
@@ -90,6 +94,7 @@ class Requests:
             "/log/{name:path}": self.log,
             "/report-file/{name:path}": self.report,
             "/api/summary/{name:path}": self.summary,
+            "/api/{board}/export/{name:path}": self.export,
         }
         return [Route(path, endpoint, methods=["POST"]) for path, endpoint in changes.items()] + [
             Route(path, endpoint, methods=["GET"]) for path, endpoint in reads.items()
@@ -203,10 +208,25 @@ class Requests:
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", text_of("refusal.no_log"))
-        text = await self._summaries.text(entry, departure(request))
+        text = await summary(self._turns, entry, departure(request))
         if text is None:
             return refusal(503, "busy", text_of("library.busy"))
         return JSONResponse({"accepted": True, "text": text})
+
+    async def export(self, request: Request) -> Response:
+        """Return a model as a file for another tool."""
+        board, name, to = *request.path_params.values(), request.query_params.get("to", "")
+        models = await asyncio.to_thread(self._work.models, board)
+        model = next((file for file in models if file.name == name), None)
+        if model is None or to not in FORMATS:
+            return refusal(404, "no-model", text_of("refusal.no_model"))
+        download = await exported(self._turns, model, to, departure(request))
+        if download is None:
+            return refusal(503, "busy", text_of("library.busy"))
+        if download.problem:
+            return refusal(409, "not-exported", download.problem)
+        headers = {"content-disposition": f'attachment; filename="{download.name}"'}
+        return Response(download.data, media_type="application/octet-stream", headers=headers)
 
     async def login_form(self, request: Request) -> Response:
         """Return the login form."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import html
+import io
 import os
 import time
+import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -22,6 +24,7 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import PASSWORDS, Page, drain, frame, hmi, users_file
+from twin.model.parameters import Model
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
 STOP = "/api/rig/stop"
@@ -89,7 +92,8 @@ def test_without_a_session_there_is_the_login_and_nothing_else(server: Server) -
     ):
         answer = page.http.get(path, headers={"accept": "text/html"})
         assert (answer.status_code, answer.headers["location"]) == (303, login)
-    for path in ("/api/session", "/log/logs/a.mcap", "/report-file/0/report.html", "/api/summary/logs/a.mcap"):
+    for path in ("/api/session", "/log/logs/a.mcap", "/report-file/0/report.html", "/api/summary/logs/a.mcap",
+                 "/api/rig/export/kept/a.json?to=fmu"):  # fmt: skip
         assert page.http.get(path).status_code == 401
     assert page.post(STOP).status_code == 401
     assert page.http.get("/login").status_code == 200
@@ -342,6 +346,24 @@ def test_path_tricks_find_nothing(server: Server, route: str, name: str) -> None
     assert b"secret" not in answer.content
     assert b"root:" not in answer.content
     assert page.http.get("/log/logs/a.mcap").content == b"not a log", "its own files are found"
+
+
+def test_a_model_leaves_the_page_as_a_file_for_another_tool(server: Server) -> None:
+    models = server.folder / "data" / "models" / "rig"
+    models.mkdir(parents=True)
+    Model.load("ce152").save(models / "a.json")
+    (models / "b.json").write_text('{"plant": {"name": "ce152"}}')
+    page = server.page("vic")
+
+    for to, name in (("matlab", "a.zip"), ("fmu", "ce152.fmu")):
+        answer = page.http.get(f"/api/rig/export/kept/a.json?to={to}")
+        assert answer.headers["content-disposition"] == f'attachment; filename="{name}"'
+        assert zipfile.ZipFile(io.BytesIO(answer.content)).testzip() is None
+    broken = page.http.get("/api/rig/export/kept/b.json?to=fmu")
+    assert broken.status_code == 409
+    assert "kept/b.json" in broken.json()["text"]
+    for name, to in (("kept/a.json", "exe"), ("kept/absent.json", "fmu"), ("kept/..%2f..%2f..%2fusers.toml", "fmu")):
+        assert page.http.get(f"/api/rig/export/{name}?to={to}").status_code == 404
 
 
 def test_a_large_body_is_refused_before_it_is_read(server: Server) -> None:

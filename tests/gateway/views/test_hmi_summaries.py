@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from gateway.views.hmi.summaries import WAITING
+from gateway.views.hmi.turns import WAITING
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.hmi_peers import Page

@@ -21,6 +21,7 @@ from gateway.views.hmi.guard import refusal, session_of
 from gateway.views.hmi.html.figure import errors_figure
 from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.campaigns import choose, parse_table, rig_of
+from gateway.views.hmi.model.exports import FORMATS
 from gateway.views.hmi.model.models import summary
 from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
 from gateway.views.hmi.texts import text_of
@@ -83,8 +84,8 @@ class Pages:
             request, "model.html", live=f"/live/{board}", title=text_of("title.model", rig=board), board=board,
             chips=True, script="model.js", campaigns=campaigns, chosen=chosen, diagnosis=diagnosis, problem=problem,
             report=report, figure=errors_figure(diagnosis.ahead) if diagnosis is not None else None, running=running,
-            running_summary=summary(now), models=self._work.models(board), experiments=EXPERIMENT_OF_NAME,
-            live_min=f"{LIVE_MIN:g}",
+            running_summary=summary(now), models=self._work.models(board), formats=FORMATS,
+            experiments=EXPERIMENT_OF_NAME, live_min=f"{LIVE_MIN:g}",
         )  # fmt: skip
 
     async def replays(self, request: Request) -> Response:
