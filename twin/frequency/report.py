@@ -48,10 +48,10 @@ def _height_dict(height: Height) -> dict[str, Any]:
     return {
         "x_m": height.x_m,
         "recordings": list(height.recordings),
-        "measured": {name: _measured_dict(one) for name, one in height.measured.items()},
-        "model": {name: _curve_dict(one) for name, one in height.model.items()},
-        "margins": {name: asdict(one) for name, one in height.margins.items()},
-        "model_margins": {name: asdict(one) for name, one in height.model_margins.items()},
+        "measured": {name: _measured_dict(item) for name, item in height.measured.items()},
+        "model": {name: _curve_dict(item) for name, item in height.model.items()},
+        "margins": {name: asdict(item) for name, item in height.margins.items()},
+        "model_margins": {name: asdict(item) for name, item in height.model_margins.items()},
     }
 
 
@@ -84,7 +84,7 @@ def to_html(result: Bode, *, title: str) -> str:
         answer=result.verdict.sentence,
         colour={True: "pass", False: "fail", None: ""}[result.verdict.explains],
         values=", ".join(f"{name} = {p[name].value:.5g} {p[name].unit}" for name in p),
-        certain=any(one.std or one.ci95 for one in p.values()),
+        certain=any(item.std or item.ci95 for item in p.values()),
         notes=result.notes,
         tests=[_test_row(test) for test in result.verdict.tests],
         heights=[
@@ -102,7 +102,7 @@ def to_html(result: Bode, *, title: str) -> str:
         residuals=inline(figures.residual_figure(result.residuals), "spectra of the residuals")
         if result.residuals
         else None,
-        wrong=[sentence for one in result.residuals if (sentence := residual_sentence(one))],
+        wrong=[sentence for item in result.residuals if (sentence := residual_sentence(item))],
     )
 
 
@@ -114,16 +114,17 @@ def pictures(result: Bode) -> list[Picture]:
     ]
 
 
-def residual_sentence(one: ResidualSpectrum) -> str:
+def residual_sentence(item: ResidualSpectrum) -> str:
     """Say where the residuals are not the model's noise; '' if they are."""
-    if not len(one.wrong_hz):
+    if not len(item.wrong_hz):
         return ""
-    low, high = one.wrong_hz.min(), one.wrong_hz.max()
-    power = np.interp(one.wrong_hz, one.f_hz, one.power)
+    low, high, count = item.wrong_hz.min(), item.wrong_hz.max(), len(item.wrong_hz)
+    power = np.interp(item.wrong_hz, item.f_hz, item.power)
     worst = int(np.argmax(np.abs(np.log(power))))
+    where = f" at {count} frequencies from {low:.3g} to {high:.3g} Hz" if count > 1 else ""
     return (
-        f"The residual of {one.channel} is not the model's noise, at {len(one.wrong_hz)} frequencies from {low:.3g} to"
-        f" {high:.3g} Hz: {power[worst]:.2g} times its power at {one.wrong_hz[worst]:.3g} Hz."
+        f"The residual of {item.channel} is not the model's noise{where}: it has {power[worst]:.2g} times its power at"
+        f" {item.wrong_hz[worst]:.3g} Hz."
     )
 
 
@@ -143,13 +144,18 @@ def _margin_rows(measured: Mapping[str, Margin], model: Mapping[str, Margin]) ->
     if not measured:
         return []
     return [
-        [title, _margin(measured[name], form), _margin(model[name], form) if name in model else "-"]
+        [
+            title,
+            _margin(measured[name], form, absent="not within the frequencies"),
+            _margin(model[name], form, absent="none") if name in model else "-",
+        ]
         for name, (title, form) in MARGINS.items()
     ]
 
 
-def _margin(one: Margin, form: str) -> str:
-    if not math.isfinite(one.value):
-        return "not within the frequencies"
-    interval = f" ({form.format(one.low)} to {form.format(one.high)})" if math.isfinite(one.low) else " (no interval)"
-    return form.format(one.value) + interval
+def _margin(margin: Margin, form: str, *, absent: str) -> str:
+    if not math.isfinite(margin.value):
+        return absent
+    if not math.isfinite(margin.low):
+        return f"{form.format(margin.value)} (no interval)"
+    return f"{form.format(margin.value)} ({form.format(margin.low)} to {form.format(margin.high)})"

@@ -65,7 +65,5 @@ def _spectrum(filtered: Sequence[Filtered], column: int, name: str) -> ResidualS
     tail = chi2.cdf(dof * power, dof)
     tested = slice(1, None, BINS)
     wrong = holm(2.0 * np.minimum(tail, 1.0 - tail)[tested], LEVEL)
-    low, high = chi2.ppf([0.025, 0.975], dof) / dof
-    return ResidualSpectrum(
-        channel=name, f_hz=f_hz, power=power, low=float(low), high=float(high), wrong_hz=f_hz[tested][wrong]
-    )
+    low, high = (float(chi2.ppf(tail_p, dof) / dof) for tail_p in (0.025, 0.975))
+    return ResidualSpectrum(channel=name, f_hz=f_hz, power=power, low=low, high=high, wrong_hz=f_hz[tested][wrong])
