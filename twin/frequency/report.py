@@ -15,9 +15,10 @@ from twin.frequency.margins import Margin
 from twin.frequency.residual_psd import ResidualSpectrum
 from twin.frequency.responses import Curve
 from twin.frequency.verdict import WORDS, Test
-from twin.page.figures import Picture, inline
+from twin.page.figures import inline
 from twin.page.plain import plain
 from twin.page.render import Mark, render
+from twin.validation.report import Section
 
 MARGINS = {
     "gain_low": ("gain may fall to, factor", "{:.2f}"),
@@ -25,6 +26,15 @@ MARGINS = {
     "phase_deg": ("phase margin [degrees]", "{:.1f}"),
     "modulus": ("modulus margin, smallest |1 + L|", "{:.2f}"),
 }
+
+
+TEST_HEAD = (
+    "response", "frequencies", "p of all", "refused one by one [Hz]", "measured / model where it differs most",
+    "would be explained by", "explained",
+)  # fmt: skip
+UNEXCITED = (
+    "no recording in closed loop has a reference that repeats itself or sweeps, over a third of the travel at most"
+)
 
 
 def to_dict(result: Bode) -> dict[str, Any]:
@@ -86,6 +96,8 @@ def to_html(result: Bode, *, title: str) -> str:
         values=", ".join(f"{name} = {p[name].value:.5g} {p[name].unit}" for name in p),
         certain=any(item.std or item.ci95 for item in p.values()),
         notes=result.notes,
+        head=TEST_HEAD,
+        unexcited=UNEXCITED,
         tests=[_test_row(test) for test in result.verdict.tests],
         heights=[
             {
@@ -106,12 +118,20 @@ def to_html(result: Bode, *, title: str) -> str:
     )
 
 
-def pictures(result: Bode) -> list[Picture]:
-    """Draw the responses of all heights, for a section of another report."""
-    return [
-        inline(figures.response_figure(height), f"frequency responses at x = {height.x_m * 1e3:.2f} mm")
-        for height in result.heights
-    ]
+def section(result: Bode) -> Section:
+    """The answer with its tests and responses, for the page of `validate`."""
+    tested = bool(result.verdict.tests)
+    return Section(
+        title="Frequency responses: does the model explain the loop?",
+        answer=result.verdict.sentence if tested else UNEXCITED,
+        tested=tested,
+        head=TEST_HEAD,
+        rows=[_test_row(test) for test in result.verdict.tests],
+        pictures=[
+            inline(figures.response_figure(height), f"frequency responses at x = {height.x_m * 1e3:.2f} mm")
+            for height in result.heights
+        ],
+    )
 
 
 def residual_sentence(item: ResidualSpectrum) -> str:
