@@ -25,6 +25,7 @@ PAGES = {  # page of the site: file of the repository
     "theory/identify.md": "twin/identification/README.md",
     "theory/design.md": "twin/control_design/README.md",
     "theory/validate.md": "twin/validation/README.md",
+    "theory/frequency.md": "twin/frequency/README.md",
     "theory/diagnose.md": "twin/diagnosis/README.md",
     "theory/matrix.md": "twin/diagnosis/matrix.md",
     "changes.md": "CHANGELOG.md",

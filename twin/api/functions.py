@@ -20,6 +20,7 @@ from twin.settings.diagnosis import MIN_SHARE
 if TYPE_CHECKING:
     from twin.control_design.board import Converters
     from twin.diagnosis.options import Options
+    from twin.frequency.bode import Bode
 
 Progress = Callable[[str], None]
 
@@ -80,9 +81,15 @@ def validate(
     """
     import numpy as np
 
+    from twin.frequency.bode import bode_of
     from twin.validation import verdict
+    from twin.validation.source import chosen
 
-    result = verdict.validate(_campaign(campaign), _model(model), data=data, progress=progress)
+    model = _model(model)
+    sources, messages = verdict.sources_of_rig(_campaign(campaign), model, data=data, progress=progress)
+    result = verdict.validate_sources(sources, model, messages=messages, progress=progress)
+    progress("frequency responses")
+    flown, _ = chosen([source for source in sources if source.record.kind == "closed-loop"])
     return Validated(
         passed=result.passed,
         answer=result.answer(),
@@ -92,6 +99,7 @@ def validate(
         rmse_m=np.array([row.rmse_m for row in result.ahead], dtype=np.float64),
         floor_m=np.array([row.floor_m for row in result.ahead], dtype=np.float64),
         details=result,
+        responses=_answered(bode_of(flown, model)),
     )
 
 
@@ -112,10 +120,7 @@ def bode(campaign: Campaign | Path | str, model: Model | Path | str, *, data: Pa
     """
     from twin.frequency import bode as work
 
-    result = work.bode(_campaign(campaign), _model(model), data=data)
-    return FrequencyResponses(
-        explains=result.verdict.explains, answer=result.verdict.sentence, notes=result.notes, details=result
-    )
+    return _answered(work.bode(_campaign(campaign), _model(model), data=data))
 
 
 def diagnose(
@@ -326,6 +331,12 @@ def design(
         stable=result.board.stable,
         warnings=result.warnings,
         details=result,
+    )
+
+
+def _answered(result: Bode) -> FrequencyResponses:
+    return FrequencyResponses(
+        explains=result.verdict.explains, answer=result.verdict.sentence, notes=result.notes, details=result
     )
 
 

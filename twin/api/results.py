@@ -74,62 +74,6 @@ class Identified:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Validated:
-    """The answer to whether a model explains the recordings with use = "judge"."""
-
-    passed: bool | None  # None: the flights are missing or too short for a verdict
-    answer: str
-    failures: tuple[str, ...]
-    notes: tuple[str, ...]
-    horizon_s: FloatArray  # of the predictions, s, shape (n,)
-    rmse_m: FloatArray  # their error, m, shape (n,)
-    floor_m: FloatArray  # error of a perfect model, m, shape (n,)
-    details: Validation
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the content of validation.json."""
-        from twin.validation.report import to_dict
-
-        return to_dict(self.details)
-
-    def to_html(self, title: str = "") -> str:
-        """Return the content of report.html, self-contained."""
-        from twin.validation.report import to_html
-
-        return to_html(self.details, title=title or f"Validation on {self.details.model.plant.name}")
-
-    def figures(self) -> dict[str, Figure]:
-        """The paper's figures 7, 8, 11 and 12, prediction errors and residuals; those without data are left out."""
-        from twin.validation import figures as draw
-
-        result, travel_m = self.details, self.details.model.plant.travel_m
-        drawn: dict[str, Figure] = {}
-        if not isinstance(result.amplifier, str):
-            drawn["amplifier"] = draw.amplifier_figure(result.amplifier, result.model.T_A)
-        if not isinstance(result.windows, str):
-            drawn["ball"] = draw.ball_figure(result.windows, travel_m)
-        if result.ahead:
-            drawn["prediction"] = draw.ahead_figure(result.ahead)
-        if not isinstance(result.channels, str):
-            drawn["residuals"] = draw.residual_figure(result.channels)
-        if not isinstance(result.loop, str):
-            drawn |= {f"closed loop {run.name}": draw.loop_figure(run, travel_m) for run in result.loop.runs}
-            if result.loop.responses:
-                drawn["steps"] = draw.step_figure(result.loop.responses)
-        return drawn
-
-    def save(self, folder: Path | str, *, title: str = "") -> None:
-        """Write validation.json and report.html.
-
-        Raises:
-            UsageError: the folder cannot be written.
-        """
-        make_folder(Path(folder))
-        write_text(Path(folder) / "validation.json", as_text(self.to_json()) + "\n")
-        write_text(Path(folder) / "report.html", self.to_html(title))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FrequencyResponses:
     """The answer to whether a model explains measured frequency responses."""
 
@@ -168,6 +112,67 @@ class FrequencyResponses:
         make_folder(Path(folder))
         write_text(Path(folder) / "bode.json", as_text(self.to_json()) + "\n")
         write_text(Path(folder) / "bode.html", self.to_html(title))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Validated:
+    """The answer to whether a model explains the recordings with use = "judge"."""
+
+    passed: bool | None  # None: the flights are missing or too short for a verdict
+    answer: str
+    failures: tuple[str, ...]
+    notes: tuple[str, ...]
+    horizon_s: FloatArray  # of the predictions, s, shape (n,)
+    rmse_m: FloatArray  # their error, m, shape (n,)
+    floor_m: FloatArray  # error of a perfect model, m, shape (n,)
+    details: Validation
+    responses: FrequencyResponses  # does not affect `passed`: a simple answer of its own
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of validation.json."""
+        from twin.validation.report import to_dict
+
+        tests = self.responses.to_json()["tests"]
+        answer = {"explains": self.responses.explains, "answer": self.responses.answer, "tests": tests}
+        return to_dict(self.details) | {"frequency_responses": answer}
+
+    def to_html(self, title: str = "") -> str:
+        """Return the content of report.html, self-contained."""
+        from twin.frequency.report import section
+        from twin.validation.report import to_html
+
+        title = title or f"Validation on {self.details.model.plant.name}"
+        return to_html(self.details, title=title, further=section(self.responses.details))
+
+    def figures(self) -> dict[str, Figure]:
+        """The paper's figures 7, 8, 11 and 12, prediction errors and residuals; those without data are left out."""
+        from twin.validation import figures as draw
+
+        result, travel_m = self.details, self.details.model.plant.travel_m
+        drawn: dict[str, Figure] = {}
+        if not isinstance(result.amplifier, str):
+            drawn["amplifier"] = draw.amplifier_figure(result.amplifier, result.model.T_A)
+        if not isinstance(result.windows, str):
+            drawn["ball"] = draw.ball_figure(result.windows, travel_m)
+        if result.ahead:
+            drawn["prediction"] = draw.ahead_figure(result.ahead)
+        if not isinstance(result.channels, str):
+            drawn["residuals"] = draw.residual_figure(result.channels)
+        if not isinstance(result.loop, str):
+            drawn |= {f"closed loop {run.name}": draw.loop_figure(run, travel_m) for run in result.loop.runs}
+            if result.loop.responses:
+                drawn["steps"] = draw.step_figure(result.loop.responses)
+        return drawn
+
+    def save(self, folder: Path | str, *, title: str = "") -> None:
+        """Write validation.json and report.html.
+
+        Raises:
+            UsageError: the folder cannot be written.
+        """
+        make_folder(Path(folder))
+        write_text(Path(folder) / "validation.json", as_text(self.to_json()) + "\n")
+        write_text(Path(folder) / "report.html", self.to_html(title))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

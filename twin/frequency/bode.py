@@ -36,6 +36,7 @@ from twin.validation.verdict import check_same_rig
 
 SAME_HEIGHT = 0.05  # of the travel: parts nearer than that are of one height
 CURVE_POINTS = 200
+USABLE = 0.5  # standard deviation of L over its size, up to which it takes part in the margins
 CERTAIN = 0.3  # standard deviation of a response over its size: a smaller one is a measurement
 
 
@@ -146,8 +147,8 @@ def _flown(source: Source, model: Model, notes: list[str]) -> list[_Flown]:
         setting = Setting(law=law, x_m=float(np.mean(measured[0])), sample_time_s=T_s, delay=source.delay)
         quiet = None
         if law is not None:
-            noiseless = simulated(measured[0], model, law, delay=source.delay)
-            quiet = None if noiseless is None else spectra(noiseless, part, T_s)
+            driven_model = simulated(measured[0], model, law, delay=source.delay)
+            quiet = None if driven_model is None else spectra(driven_model, part, T_s)
             if quiet is None:
                 notes.append(
                     f"{r.name}: the model's loop does not hold the ball there; compared with its linearisation"
@@ -170,7 +171,7 @@ def _law_of(source: Source, model: Model, notes: list[str]) -> LawNumbers | None
 
 def _grouped(flown: Sequence[_Flown], reach_m: float) -> list[list[_Flown]]:
     groups: list[list[_Flown]] = []
-    for part in sorted(flown, key=lambda part: part.x_m):
+    for part in sorted(flown, key=lambda item: item.x_m):
         if groups and part.x_m - groups[-1][0].x_m < reach_m:
             groups[-1].append(part)
         else:
@@ -182,8 +183,8 @@ def _height(group: Sequence[_Flown], model: Model) -> Height:
     measured: dict[Name, list[Measured]] = {}
     differing: dict[Name, list[Deviations]] = {}
     for part in group:
-        for name, (response, difference) in _compared(part, model).items():
-            measured.setdefault(name, []).append(response)
+        for name, (item, difference) in _compared(part, model).items():
+            measured.setdefault(name, []).append(item)
             differing.setdefault(name, []).append(difference)
     joined = {name: _joined(several) for name, several in measured.items()}
     x_m = float(np.mean([part.x_m for part in group]))
@@ -209,13 +210,15 @@ def _compared(part: _Flown, model: Model) -> dict[Name, tuple[Measured, Deviatio
     s, law = part.spectra, part.setting.law
     at_bins = linear_responses(model, part.setting, s.bins_hz.ravel())
     middle = curves(model, part.setting, s.f_hz)
-    own = {} if part.quiet is None else pairs(part.quiet, law)
+    model_pairs = {} if part.quiet is None else pairs(part.quiet, law)
     result: dict[Name, tuple[Measured, Deviations]] = {}
     for name, (top, bottom) in pairs(s, law).items():
         if name not in at_bins:
             continue
         h = at_bins[name].reshape(s.bins_hz.shape)
-        expected = s.on_r(own[name][0] - h * own[name][1]) if name in own else np.zeros(len(s.f_hz))
+        expected = (
+            s.on_r(model_pairs[name][0] - h * model_pairs[name][1]) if name in model_pairs else np.zeros(len(s.f_hz))
+        )
         # Within a band the response has the model's shape; its size is measured.
         shaped = bottom * h / middle[name].value
         driven = s.on_r(shaped)
@@ -263,8 +266,8 @@ def _margins(loop: Measured | None, model: Model, setting: Setting) -> tuple[dic
 
 
 def _merged(loop: Measured) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Return (frequencies, L, its standard deviation) of what is certain; equal frequencies once, weighted."""
-    keep = loop.certain
+    """Return (frequencies, L, its standard deviation) of what is known; equal frequencies once, weighted."""
+    keep = loop.std < USABLE * np.abs(loop.value)
     f_hz = np.unique(np.round(loop.f_hz[keep], 6))
     value, std = np.empty(len(f_hz), dtype=complex), np.empty(len(f_hz))
     for k, f in enumerate(f_hz):

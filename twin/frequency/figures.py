@@ -6,16 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from scipy.stats import f as f_distribution
 
 from twin.estimation.record import FloatArray
 from twin.frequency.bode import Height, Measured
 from twin.frequency.residual_psd import ResidualSpectrum
 from twin.frequency.responses import TITLES, UNITS, Curve, Name
-from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, label, legend_above, styled
+from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, styled
 
-PLOTTED: tuple[Name, ...] = ("amplifier", "plant", "loop")
+DRAWN: tuple[Name, ...] = ("amplifier", "plant", "loop")
 SENSITIVITIES: tuple[Name, ...] = ("S", "T")
 
 
@@ -27,20 +29,22 @@ def radius(m: Measured) -> FloatArray:
 @styled
 def response_figure(height: Height) -> Figure:
     """Draw gain, phase and coherence of amplifier, plant and loop gain at one height."""
-    names = [name for name in PLOTTED if name in height.measured]
+    names = [name for name in DRAWN if name in height.measured]
     figure, axes = grid(3, len(names), height=7.4, ratios=[2.0, 1.6, 0.9])
     for n, name in enumerate(names):
         measured, curve = height.measured[name], height.model.get(name)
         _gain(axes[0][n], measured, curve, UNITS[name])
         _phase(axes[1][n], measured, curve)
-        axes[0][n].set_title(TITLES[name], pad=20)
+        axes[0][n].set_title(TITLES[name])
         axes[2][n].semilogx(measured.f_hz, measured.coherence, color=REFERENCE, lw=1.0, marker=".")
         axes[2][n].set(xlabel="frequency [Hz]", ylim=(0.0, 1.05))
+        _plain_ticks(axes[2][n].xaxis)
         if name == "loop":
             axes[0][n].axhline(1.0, color="black", lw=0.6)
+            axes[1][n].axhline(-180.0, color="black", lw=0.6)
     axes[1][0].set_ylabel("phase [degrees]")
     axes[2][0].set_ylabel("coherence [-]")
-    legend_above(axes[0][0])
+    _legend_outside(figure, axes[0][0])
     return figure
 
 
@@ -51,9 +55,10 @@ def sensitivity_figure(height: Height) -> Figure:
     for ax, name in zip(axes[0], SENSITIVITIES, strict=True):
         _gain(ax, height.measured[name], height.model.get(name), UNITS[name])
         ax.axhline(1.0, color="black", lw=0.6)
-        ax.set_title(TITLES[name], pad=20)
+        ax.set_title(TITLES[name])
         ax.set_xlabel("frequency [Hz]")
-    legend_above(axes[0][0])
+        _plain_ticks(ax.xaxis)
+    _legend_outside(figure, axes[0][0])
     return figure
 
 
@@ -61,15 +66,18 @@ def sensitivity_figure(height: Height) -> Figure:
 def residual_figure(spectra: Sequence[ResidualSpectrum]) -> Figure:
     """Draw the spectra of the innovations against the model's noise."""
     figure, axes = grid(1, len(spectra), height=3.4)
-    for ax, one in zip(axes[0], spectra, strict=True):
-        ax.loglog(one.f_hz, one.power, color=MEASURED, lw=0.9, label="measured")
-        ax.axhspan(one.low, one.high, color=REFERENCE, alpha=0.25, lw=0, label="95 %, one frequency")
+    for ax, item in zip(axes[0], spectra, strict=True):
+        ax.loglog(item.f_hz, item.power, color=MEASURED, lw=0.9, label="measured")
+        ax.axhspan(item.low, item.high, color=REFERENCE, alpha=0.25, lw=0, label="95 %, one frequency")
         ax.axhline(1.0, color=MODEL, lw=1.4, label="model's noise")
-        if len(one.wrong_hz):
-            power = np.interp(one.wrong_hz, one.f_hz, one.power)
-            ax.plot(one.wrong_hz, power, "x", color="black", ms=6, label="refused")
-        ax.set_title(f"residual of {one.channel}", pad=20)
-        label(ax, "frequency [Hz]", "power / stated power [-]")
+        if len(item.wrong_hz):
+            power = np.interp(item.wrong_hz, item.f_hz, item.power)
+            ax.plot(item.wrong_hz, power, "x", color="black", ms=6, label="refused")
+        ax.set_title(f"residual of {item.channel}")
+        ax.set(xlabel="frequency [Hz]", ylabel="power / stated power [-]")
+        _plain_ticks(ax.xaxis)
+        _plain_ticks(ax.yaxis)
+    _legend_outside(figure, max(axes[0], key=lambda ax: len(ax.get_legend_handles_labels()[1])))
     return figure
 
 
@@ -85,6 +93,21 @@ def _gain(ax: Axes, measured: Measured, curve: Curve | None, unit: str) -> None:
         capsize=2.5, label="measured, 95 %",
     )  # fmt: skip
     ax.set(xscale="log", yscale="log", ylabel=f"gain [{unit}]")
+    low, high = ax.get_ylim()
+    if high < 20.0 * low:
+        _plain_ticks(ax.yaxis)
+
+
+def _legend_outside(figure: Figure, ax: Axes) -> None:
+    """Put one legend for all axes above them: in one of them it would cover data."""
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=4, frameon=False)
+
+
+def _plain_ticks(axis: Axis) -> None:
+    """Label a logarithmic axis at 1, 2, 5, 10 .. without powers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _phase(ax: Axes, measured: Measured, curve: Curve | None) -> None:
@@ -93,6 +116,7 @@ def _phase(ax: Axes, measured: Measured, curve: Curve | None) -> None:
     bar = np.degrees(np.arcsin(np.minimum(radius(measured)[drawn] / np.abs(measured.value[drawn]), 1.0)))
     if curve is not None:
         line = np.degrees(np.unwrap(np.angle(curve.value)))
+        line = line - 360.0 * np.ceil((np.median(line) - 90.0) / 360.0)  # an unstable plant begins at -180, not at 180
         spread = 1.96 * np.degrees(curve.phase_std)
         ax.fill_between(curve.f_hz, line - spread, line + spread, color=MODEL, alpha=0.25, lw=0)
         ax.semilogx(curve.f_hz, line, color=MODEL, lw=1.4)

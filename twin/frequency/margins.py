@@ -49,13 +49,13 @@ def margins_of(f_hz: FloatArray, loop: ComplexArray) -> Margins:
     # The phase about -180 degrees, so that a crossing of the negative real axis is a change of sign.
     phase = PchipInterpolator(at, np.unwrap(np.angle(-loop)))(grid)
     turned = phase - 2.0 * np.pi * np.round(phase / (2.0 * np.pi))  # -pi to pi; 0 on the negative real axis
-    at_crossover = turned[_changes(size)]
+    at_unity = turned[_changes(size)]
     crossing = _changes(turned)
     at_minus = np.exp(-size[crossing[np.abs(turned[crossing]) < 1.0]])  # without the jumps from pi to -pi
     return Margins(
         gain_low=float(at_minus[at_minus < 1.0].max(initial=-np.inf)) if (at_minus < 1.0).any() else np.nan,
         gain_high=float(at_minus[at_minus > 1.0].min(initial=np.inf)) if (at_minus > 1.0).any() else np.nan,
-        phase_deg=float(np.degrees(np.abs(at_crossover).min())) if len(at_crossover) else np.nan,
+        phase_deg=float(np.degrees(np.abs(at_unity).min())) if len(at_unity) else np.nan,
         modulus=float(np.abs(1.0 - np.exp(size + 1j * phase)).min()),
     )
 
@@ -68,10 +68,10 @@ def _changes(values: FloatArray) -> NDArray[np.intp]:
 def with_intervals(f_hz: FloatArray, loop: ComplexArray, draws: list[ComplexArray]) -> dict[str, Margin]:
     """Return the margins of `loop` by name, with the 2.5 and 97.5 % quantiles of those of the draws."""
     nominal = asdict(margins_of(f_hz, loop))
-    drawn = [asdict(margins_of(f_hz, one)) for one in draws]
+    drawn = [asdict(margins_of(f_hz, item)) for item in draws]
     result = {}
     for name, value in nominal.items():
-        several = np.array([one[name] for one in drawn])
+        several = np.array([item[name] for item in drawn])
         several = several[np.isfinite(several)]
         enough = np.isfinite(value) and len(several) >= SHARE * len(drawn) > 0
         low, high = np.quantile(several, [0.025, 0.975]) if enough else (np.nan, np.nan)

@@ -15,9 +15,10 @@ from twin.frequency.margins import Margin
 from twin.frequency.residual_psd import ResidualSpectrum
 from twin.frequency.responses import Curve
 from twin.frequency.verdict import WORDS, Test
-from twin.page.figures import Picture, inline
+from twin.page.figures import inline
 from twin.page.plain import plain
 from twin.page.render import Mark, render
+from twin.validation.report import Section
 
 MARGINS = {
     "gain_low": ("gain may fall to, factor", "{:.2f}"),
@@ -25,6 +26,15 @@ MARGINS = {
     "phase_deg": ("phase margin [degrees]", "{:.1f}"),
     "modulus": ("modulus margin, smallest |1 + L|", "{:.2f}"),
 }
+
+
+TEST_HEAD = (
+    "response", "frequencies", "p of all", "refused one by one [Hz]", "measured / model where it differs most",
+    "would be explained by", "explained",
+)  # fmt: skip
+UNEXCITED = (
+    "no recording in closed loop has a reference that repeats itself or sweeps, over a third of the travel at most"
+)
 
 
 def to_dict(result: Bode) -> dict[str, Any]:
@@ -48,10 +58,10 @@ def _height_dict(height: Height) -> dict[str, Any]:
     return {
         "x_m": height.x_m,
         "recordings": list(height.recordings),
-        "measured": {name: _measured_dict(entry) for name, entry in height.measured.items()},
-        "model": {name: _curve_dict(entry) for name, entry in height.model.items()},
-        "margins": {name: asdict(entry) for name, entry in height.margins.items()},
-        "model_margins": {name: asdict(entry) for name, entry in height.model_margins.items()},
+        "measured": {name: _measured_dict(item) for name, item in height.measured.items()},
+        "model": {name: _curve_dict(item) for name, item in height.model.items()},
+        "margins": {name: asdict(item) for name, item in height.margins.items()},
+        "model_margins": {name: asdict(item) for name, item in height.model_margins.items()},
     }
 
 
@@ -84,8 +94,10 @@ def to_html(result: Bode, *, title: str) -> str:
         answer=result.verdict.sentence,
         colour={True: "pass", False: "fail", None: ""}[result.verdict.explains],
         values=", ".join(f"{name} = {p[name].value:.5g} {p[name].unit}" for name in p),
-        certain=any(parameter.std or parameter.ci95 for parameter in p.values()),
+        certain=any(item.std or item.ci95 for item in p.values()),
         notes=result.notes,
+        head=TEST_HEAD,
+        unexcited=UNEXCITED,
         tests=[_test_row(test) for test in result.verdict.tests],
         heights=[
             {
@@ -102,29 +114,37 @@ def to_html(result: Bode, *, title: str) -> str:
         residuals=inline(figures.residual_figure(result.residuals), "spectra of the residuals")
         if result.residuals
         else None,
-        wrong=[sentence for spectrum in result.residuals if (sentence := residual_sentence(spectrum))],
+        wrong=[sentence for item in result.residuals if (sentence := residual_sentence(item))],
     )
 
 
-def pictures(result: Bode) -> list[Picture]:
-    """Draw the responses of all heights, for a section of another report."""
-    return [
-        inline(figures.response_figure(height), f"frequency responses at x = {height.x_m * 1e3:.2f} mm")
-        for height in result.heights
-    ]
+def section(result: Bode) -> Section:
+    """The answer with its tests and responses, for the page of `validate`."""
+    tested = bool(result.verdict.tests)
+    return Section(
+        title="Frequency responses: does the model explain the loop?",
+        answer=result.verdict.sentence if tested else UNEXCITED,
+        tested=tested,
+        head=TEST_HEAD,
+        rows=[_test_row(test) for test in result.verdict.tests],
+        pictures=[
+            inline(figures.response_figure(height), f"frequency responses at x = {height.x_m * 1e3:.2f} mm")
+            for height in result.heights
+        ],
+    )
 
 
-def residual_sentence(spectrum: ResidualSpectrum) -> str:
+def residual_sentence(item: ResidualSpectrum) -> str:
     """Say where the residuals are not the model's noise; '' if they are."""
-    if not len(spectrum.wrong_hz):
+    if not len(item.wrong_hz):
         return ""
-    low, high = spectrum.wrong_hz.min(), spectrum.wrong_hz.max()
-    power = np.interp(spectrum.wrong_hz, spectrum.f_hz, spectrum.power)
+    low, high, count = item.wrong_hz.min(), item.wrong_hz.max(), len(item.wrong_hz)
+    power = np.interp(item.wrong_hz, item.f_hz, item.power)
     worst = int(np.argmax(np.abs(np.log(power))))
-    count = len(spectrum.wrong_hz)
+    where = f" at {count} frequencies from {low:.3g} to {high:.3g} Hz" if count > 1 else ""
     return (
-        f"The residual of {spectrum.channel} is not the model's noise, at {count} frequencies from {low:.3g} to"
-        f" {high:.3g} Hz: {power[worst]:.2g} times its power at {spectrum.wrong_hz[worst]:.3g} Hz."
+        f"The residual of {item.channel} is not the model's noise{where}: it has {power[worst]:.2g} times its power at"
+        f" {item.wrong_hz[worst]:.3g} Hz."
     )
 
 
@@ -144,15 +164,18 @@ def _margin_rows(measured: Mapping[str, Margin], model: Mapping[str, Margin]) ->
     if not measured:
         return []
     return [
-        [title, _margin(measured[name], form), _margin(model[name], form) if name in model else "-"]
+        [
+            title,
+            _margin(measured[name], form, absent="not within the frequencies"),
+            _margin(model[name], form, absent="none") if name in model else "-",
+        ]
         for name, (title, form) in MARGINS.items()
     ]
 
 
-def _margin(margin: Margin, form: str) -> str:
+def _margin(margin: Margin, form: str, *, absent: str) -> str:
     if not math.isfinite(margin.value):
-        return "not within the frequencies"
-    interval = (
-        f" ({form.format(margin.low)} to {form.format(margin.high)})" if math.isfinite(margin.low) else " (no interval)"
-    )
-    return form.format(margin.value) + interval
+        return absent
+    if not math.isfinite(margin.low):
+        return f"{form.format(margin.value)} (no interval)"
+    return f"{form.format(margin.value)} ({form.format(margin.low)} to {form.format(margin.high)})"

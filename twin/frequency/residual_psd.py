@@ -65,5 +65,5 @@ def _spectrum(filtered: Sequence[Filtered], column: int, name: str) -> ResidualS
     tail = chi2.cdf(dof * power, dof)
     tested = slice(1, None, BINS)
     wrong = holm(2.0 * np.minimum(tail, 1.0 - tail)[tested], LEVEL)
-    low, high = (float(chi2.ppf(share, dof)) / dof for share in (0.025, 0.975))
+    low, high = (float(chi2.ppf(tail_p, dof) / dof) for tail_p in (0.025, 0.975))
     return ResidualSpectrum(channel=name, f_hz=f_hz, power=power, low=low, high=high, wrong_hz=f_hz[tested][wrong])

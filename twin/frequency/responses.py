@@ -96,8 +96,8 @@ def linear_responses(model: Model, setting: Setting, f_hz: FloatArray) -> dict[N
         return {}
     z = np.exp(2j * np.pi * f_hz * T_s)[:, None, None]
     states = np.linalg.solve(z * np.eye(len(phi)) - phi, gamma[None] * z**-setting.delay)[:, :, 0]
-    unit = np.ones(len(f_hz), dtype=complex)
-    return {a: top / bottom for a, (top, bottom) in _pairs(unit, states[:, 0], states[:, 1], setting.law, f_hz).items()}
+    item = np.ones(len(f_hz), dtype=complex)
+    return {a: top / bottom for a, (top, bottom) in _pairs(item, states[:, 0], states[:, 1], setting.law, f_hz).items()}
 
 
 def curves(model: Model, setting: Setting, f_hz: FloatArray) -> dict[Name, Curve]:

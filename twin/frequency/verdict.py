@@ -2,8 +2,8 @@
 
 Rule 1: a false alarm of a right model has at most the probability LEVEL.  Half of it is for the joint tests (one of
         each response and height), half for the single frequencies; Holm's method within each.
-Rule 2: the difference is described by the first response on the way from u_c to x that is refused: amplifier, ball,
-        plant, loop.
+Rule 2: the difference is described by the amplifier's response if that is refused, else by the plant's.  Ball and coil
+        come after it: i_c is known with noise, and at samples only, so a late u_c looks shorter from i_c to x.
 Rule 3: a gain, a delay or a lag "would" explain the difference if the joint test no longer refuses what it leaves.
 """
 
@@ -21,7 +21,7 @@ from twin.frequency.responses import Name
 from twin.frequency.spectra import ComplexArray
 
 LEVEL = 0.05
-ORDER: tuple[Name, ...] = ("amplifier", "ball", "plant", "loop")
+ORDER: tuple[Name, ...] = ("amplifier", "plant", "ball", "loop")
 WORDS: Mapping[Name, str] = {
     "amplifier": "the amplifier (u_c to i_c)",
     "ball": "ball and coil (i_c to x)",
@@ -64,6 +64,7 @@ class Test:
     f_hz: FloatArray
     p_each: FloatArray
     refused_hz: FloatArray  # single frequencies refused
+    certain_hz: FloatArray  # where the response is measured to 30 %
     worst_hz: float
     worst_gain: float  # measured / model there
     worst_phase_deg: float  # measured - model
@@ -88,19 +89,19 @@ class Verdict:
 
 def judge(tested: Sequence[Tested]) -> Verdict:
     """Test the responses of all heights, and put the answer into words."""
-    listed = [(name, x_m, of[name]) for x_m, of, _ in tested for name in ORDER if name in of]
+    listed = [(name, x_m, of[name], good[name]) for x_m, of, good in tested for name in ORDER if name in of]
     if not listed:
         return Verdict(
             explains=None,
             sentence="No recording in closed loop has an excitation to compare responses with.",
             tests=(), from_hz=np.nan, to_hz=np.nan,
         )  # fmt: skip
-    each, joint = zip(*(chances(d) for _, _, d in listed), strict=True)
+    each, joint = zip(*(chances(d) for _, _, d, _ in listed), strict=True)
     refused = holm(np.array(joint), LEVEL / 2.0)
     singles = np.split(holm(np.concatenate(each), LEVEL / 2.0), np.cumsum([len(p) for p in each])[:-1])
     tests = tuple(
-        _test(name, x_m, d, p_each, p, whole, single)
-        for (name, x_m, d), p_each, p, whole, single in zip(listed, each, joint, refused.tolist(), singles, strict=True)
+        _test(known, p_each, p, whole, single)
+        for known, p_each, p, whole, single in zip(listed, each, joint, refused.tolist(), singles, strict=True)
     )
     low, high = _range(tested)
     return Verdict(
@@ -113,8 +114,9 @@ def judge(tested: Sequence[Tested]) -> Verdict:
 
 
 def _test(
-    name: Name, x_m: float, d: Deviations, p_each: FloatArray, p: float, refused: bool, single: BoolArray
+    known: tuple[Name, float, Deviations, BoolArray], p_each: FloatArray, p: float, refused: bool, single: BoolArray
 ) -> Test:
+    name, x_m, d, certain = known
     worst = int(np.argmin(p_each))
     ratio = complex(1.0 + d.z[worst] / d.predicted[worst])
     return Test(
@@ -125,6 +127,7 @@ def _test(
         f_hz=d.f_hz,
         p_each=p_each,
         refused_hz=d.f_hz[single],
+        certain_hz=d.f_hz[certain],
         worst_hz=float(d.f_hz[worst]),
         worst_gain=abs(ratio),
         worst_phase_deg=float(np.degrees(np.angle(ratio))),
@@ -183,8 +186,12 @@ def _sentence(tests: Sequence[Test], low: float, high: float, heights: int) -> s
             f"smallest p of a response {smallest:.2g}."
         )
     first = min(failed, key=lambda test: (ORDER.index(test.name), test.p))
-    more = sorted({WORDS[test.name] for test in failed} - {WORDS[first.name]})
-    also = f" It is refused in {' and '.join(more)}, too." if more else ""
+    also = ""
+    if names := [name for name in ORDER if name != first.name and any(test.name == name for test in failed)]:
+        also = f" It is refused in {' and '.join(WORDS[name] for name in names)}, too."
+        total = min((test for test in failed if test.name == "plant"), key=lambda test: test.p, default=first)
+        if total is not first and total.forms[0].p_left > LEVEL:
+            also += f" From u_c to x the difference is as {total.forms[0].text} would give."
     return f"The model does not explain the loop {where}: {clause(first)}.{also}"
 
 
@@ -206,16 +213,17 @@ def clause(test: Test) -> str:
 
 def _where(test: Test) -> str:
     """The frequencies that are refused one by one; '' if only all together are."""
-    wrong, every = test.refused_hz, test.f_hz
+    wrong = test.refused_hz
     if not len(wrong):
         return "no single frequency stands out, but together "
-    if len(wrong) == len(every):
+    every = np.union1d(test.certain_hz, wrong)  # what is not measured cannot be refused
+    if len(np.unique(wrong)) == len(every):
         return f"at {every[0]:.2g} to {every[-1]:.2g} Hz "
     low, high = float(wrong.min()), float(wrong.max())
     between = np.count_nonzero((every >= low) & (every <= high))
-    if between > 2 * len(wrong):  # scattered
+    if between > 2 * len(np.unique(wrong)):  # scattered
         return f"at {', '.join(f'{f:.3g}' for f in wrong)} Hz "
-    if high >= every[-1] or not (every > high).any():
+    if high >= every[-1]:
         return f"above {low:.2g} Hz "
     if low <= every[0]:
         return f"below {high:.2g} Hz "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,18 @@ from twin.validation.residuals import Channel
 from twin.validation.verdict import Validation
 
 MAX_LOOPS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """A part of the page that another room gives."""
+
+    title: str
+    answer: str
+    tested: bool  # False: the answer is the reason why not
+    head: tuple[str, ...]
+    rows: list[list[str | Mark]]
+    pictures: list[Picture]
 
 
 def to_dict(result: Validation) -> dict[str, Any]:
@@ -61,8 +73,8 @@ def to_dict(result: Validation) -> dict[str, Any]:
     return plain(parts)
 
 
-def to_html(result: Validation, *, title: str) -> str:
-    """The page."""
+def to_html(result: Validation, *, title: str, further: Section | None = None) -> str:
+    """The page; `further` is its last section."""
     p, loop, failures = result.model.parameters, result.loop, result.failures()
     plant = result.model.plant
     return render(
@@ -83,6 +95,7 @@ def to_html(result: Validation, *, title: str) -> str:
         expected="" if isinstance(loop, str) else _expected(loop.expected_m),
         recordings=len({run.name for run in result.measured}),
         rig_figures=[_rig_row(row) for row in result.rig_figures],
+        further=further,
     )
 
 

@@ -204,10 +204,17 @@ def validate(
     Raises:
         DataError: a recording is missing, unreadable or implausible, or the model is of another rig.
     """
+    sources, messages = sources_of_rig(campaign, model, data=data, progress=progress)
+    return validate_sources(sources, model, messages=messages, progress=progress)
+
+
+def sources_of_rig(
+    campaign: Campaign, model: Model, *, data: Path | None = None, progress: Callable[[str], None] = lambda _: None
+) -> tuple[list[Source], list[str]]:
+    """Return `sources_of` a campaign of the model's rig; arguments and errors as `validate`."""
     check_same_rig(campaign, model)
     progress("reading the recordings")
-    sources, messages = sources_of(campaign, model, data=data)
-    return validate_sources(sources, model, messages=messages, progress=progress)
+    return sources_of(campaign, model, data=data)
 
 
 def check_same_rig(campaign: Campaign, model: Model) -> None:

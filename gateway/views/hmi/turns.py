@@ -25,7 +25,7 @@ WAITING = 8
 
 
 class Output(NamedTuple):
-    """What a command printed, and its exit code."""
+    """The printed text of a command, and its exit code."""
 
     text: str
     code: int | None  # None: it was ended after LIMIT_S, or its browser left

@@ -36,7 +36,7 @@ async def exported(turns: Turns, model: ModelFile, to: str, leaving: Coroutine[A
         leaving: ends when the browser leaves, and the command with it.
     """
     with TemporaryDirectory() as folder:
-        path = os.path.abspath(model.path)
+        path = _absolute(model)
         output = await turns.run("export-model", path, "--to", to, memory=MEMORY, leaving=leaving, folder=folder)
         if output is None:
             return None
@@ -44,6 +44,11 @@ async def exported(turns: Turns, model: ModelFile, to: str, leaving: Coroutine[A
             lines = output.text.strip().splitlines() or [text_of("models.not_exported")]
             return Download("", b"", lines[-1].replace(path, model.name))
         return await asyncio.to_thread(_download, Path(folder))
+
+
+def _absolute(model: ModelFile) -> str:
+    """The path of a model for a command that runs in another folder."""
+    return os.path.abspath(model.path)
 
 
 def _download(folder: Path) -> Download:
