@@ -93,7 +93,7 @@ def test_a_log_gives_a_report_that_needs_nothing_else(
     assert answer.startswith("The model explains these recordings")
     assert page.index(answer.split(":")[0]) < page.index("<img")  # the answer first
     assert 'alt="error over the horizon"' in page
-    assert page.count("data:image/svg+xml;base64,") == 6  # 7, 8, horizon, residuals, 11 and 12, steps
+    assert page.count("data:image/svg+xml;base64,") == 7  # 7, 8, horizon, residuals, 11 and 12, steps, bode
     assert not re.findall(r'(?:src|href)="(?!data:)', page)
     assert "Not testable" not in page
     drawn = sorted((tmp_path / "report" / "figures").iterdir())
