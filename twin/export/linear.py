@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from protocol.errors import UsageError
 from twin.control import discrete, linearise
 from twin.control_design.gains import without_lags
 from twin.estimation.record import FloatArray
@@ -26,9 +29,18 @@ class Linear:
 
 
 def linear(model: Model, controller: Controller) -> Linear:
-    """Linearise and discretise a model about the operating point of its controller."""
+    """Linearise and discretise a model about the operating point of its controller.
+
+    Raises:
+        UsageError: the model has no equilibrium there.
+    """
     x, T_s = controller.point.x_m, controller.sample_time_s
     A, B = linearise(model, x)
+    if not np.isfinite(A).all():
+        raise UsageError(
+            f"the model has no equilibrium at x = {x:g} m, the operating point of the controller",
+            remedy="Give a controller that was designed for this model",
+        )
     whole = discrete(model, x, T_s)
     prompt = discrete(without_lags(model), x, T_s)
     return Linear(

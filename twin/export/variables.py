@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -56,6 +57,11 @@ _OF_LAW = {
     "u_high": ("V", "upper end of the range of u_c"),
     "s_max": ("m s", "largest integral of x_ref - x"),
 }
+
+
+def title(model: Model) -> str:
+    """The title of an export.  The name is a stranger's text: what could end a comment or a string is replaced."""
+    return f"Magnetic levitation: {re.sub(r'[^A-Za-z0-9 .,+_-]', '_', model.plant.name)}"
 
 
 def variables(model: Model, law: LawNumbers) -> list[Variable]:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 from xml.etree import ElementTree
 
 import pytest
 
 import board51
 from tests.harness.twin.exported import with_causes
+from twin import export_model
+from twin.export.formats import Format
 from twin.model.parameters import Model
 
 
@@ -97,6 +102,26 @@ def test_a_placeholder_is_not_exported(tmp_path: Path, capsys: pytest.CaptureFix
     assert board51.main(["export-model", str(path), "--to", "fmu"]) == 2
 
     assert "K_c" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("to", get_args(Format))
+def test_a_name_is_a_name_in_every_language(to: Format, tmp_path: Path) -> None:
+    """A model file may come from a stranger: its name must not become code."""
+    name = 'a*/ stolen(); /* """ \n} end \\ % $x$ <b>'
+    model = Model.load("ce152")
+    model = replace(model, plant=replace(model.plant, name=name))
+
+    files = export_model(model, to, compiler="").files
+
+    text = zip_text(*files.values()) if to == "fmu" else "".join(data.decode() for data in files.values())
+    assert not any(part in text for part in ("*/ stolen", '""" \n}', "stolen()", "<b>"))
+    if to == "python":
+        compile(files["rig.py"], "rig.py", "exec")
+
+
+def zip_text(content: bytes) -> str:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return "".join(archive.read(name).decode() for name in archive.namelist())
 
 
 def test_a_compiler_that_fails_is_named(capsys: pytest.CaptureFixture[str]) -> None:

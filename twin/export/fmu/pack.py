@@ -26,7 +26,7 @@ from twin.control import LawNumbers
 from twin.export.fmu.description import SOURCES, Description, build3, fmi2, fmi3
 from twin.export.fmu.model_c import header, source
 from twin.export.rig import rig
-from twin.export.variables import variables
+from twin.export.variables import title, variables
 from twin.model.parameters import Model, model_text
 from twin.model.simulate import left_out
 
@@ -45,7 +45,6 @@ class Fmu:
     content: bytes
     identifier: str
     platform: str | None  # folder of the binary; None: sources only
-    left_out: tuple[str, ...]  # sentences on the causes that a simulation leaves out
 
 
 def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None = None) -> Fmu:
@@ -64,12 +63,11 @@ def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None
     T_s = law.sample_time_s
     program, listed = rig(model, T_s), variables(model, law)
     absent = tuple(left_out(model))
-    title = f"Magnetic levitation: {model.plant.name}"
     token = str(UUID(bytes=sha256(repr((model_text(model), law, fmi, _tool())).encode()).digest()[:16]))
     description = Description(
         identifier=identifier(model.plant.name),
-        title=title,
-        text=". ".join((f"{title}, {len(model.causes)} causes, T_s = {T_s:g} s", *absent)),
+        title=title(model),
+        text=". ".join((f"{title(model)}, {len(model.causes)} causes, T_s = {T_s:g} s", *absent)),
         token=f"{{{token}}}",
         sample_time_s=T_s,
         variables=tuple(listed),
@@ -77,7 +75,7 @@ def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None
     )
     sources = {
         "model.h": header(program, listed, T_s, description.token),
-        "model.c": source(program, listed, title),
+        "model.c": source(program, listed, description.title),
         **{name: _shipped(name) for name in ("slave.h", "slave.c", INTERFACES[fmi])},
     }
     content = {f"sources/{name}": text.encode() for name, text in sources.items()}
@@ -92,7 +90,7 @@ def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None
         folder, suffix = platform_folder(fmi)
         binary = f"binaries/{folder}/{description.identifier}.{suffix}"
         content[binary] = compiled(sources, [*SOURCES, INTERFACES[fmi]], chosen)
-    return Fmu(content=_zipped(content), identifier=description.identifier, platform=folder, left_out=absent)
+    return Fmu(content=_zipped(content), identifier=description.identifier, platform=folder)
 
 
 def identifier(name: str) -> str:

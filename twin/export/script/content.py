@@ -9,7 +9,7 @@ from twin.export.linear import Linear, linear
 from twin.export.rig import MEMORY, law, plant, variables_of
 from twin.export.translate.specialise import Function, Program
 from twin.export.translate.values import Cells, Code, Known, name
-from twin.export.variables import Variable, of_law, parameters
+from twin.export.variables import Variable, of_law, parameters, title
 from twin.mirror.loop import advance
 from twin.model.parameters import Model
 from twin.model.rates import rates, readings, without_equation
@@ -70,7 +70,7 @@ def content(model: Model, controller: Controller) -> Content:
     return Content(
         model=model,
         controller=controller,
-        title=f"Magnetic levitation: {model.plant.name}",
+        title=title(model),
         listed=(*parameters(model), *of_law(controller.numbers)),
         delays=tuple((key, getattr(numbers, key)) for key in names),
         places=places(numbers),

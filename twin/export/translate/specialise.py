@@ -150,11 +150,6 @@ class Program:
         return free
 
 
-def parameters_of(function: Callable[..., Any]) -> list[str]:
-    """The names of a function's parameters."""
-    return [key for key, _ in _parameters(getattr(function, "py_func", function))]
-
-
 def _parameters(function: Callable[..., Any]) -> list[tuple[str, Any]]:
     return [(arg.arg, arg.annotation) for arg in _definition(getattr(function, "py_func", function)).args.args]
 
