@@ -16,6 +16,7 @@ from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, renamed, same_as, steepness, within_range
 from twin.diagnosis.search.candidate_starts import substitute_start
 from twin.diagnosis.search.score_test import screen
+from twin.diagnosis.search.sensor_line import line_scores
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
 from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit, climb
@@ -191,6 +192,8 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
     # A cause with the same effect on the samples is an equal without a fit.
     same = same_as(cause.name) & {entry.name for entry in remaining}
     scores = screen(criterion, current.theta, current.free, [*remaining, cause])
+    if "line" in cause.detector:
+        scores += line_scores(criterion, current, remaining)
     gain = next((score.gain for score in scores if score.cause == cause.name), 0.0)
     similar = {score.cause for score in scores if score.gain > settings.SIMILAR_SCORE * gain}
     # Causes of one family are similar by their physics, whatever their scores at this fit are.

@@ -13,6 +13,7 @@ from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, steepness, within_range
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import Score, probed, screen
+from twin.diagnosis.search.sensor_line import line_scores
 from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
@@ -51,6 +52,8 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
         scores = screen(criterion, current.theta, current.free, search.candidates)
         if any(cause.name == periodic.CAUSE.name for cause in search.candidates):
             scores = _with_line(criterion, current, scores)
+        lines = line_scores(criterion, current, search.candidates)
+        scores = sorted([*scores, *lines], key=lambda entry: -entry.gain) if lines else scores
         scores = _with_dead_time(criterion, current, scores)
         floor = search.floor.under(criterion, current.theta)
     excess, material, gained = (

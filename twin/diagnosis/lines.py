@@ -1,0 +1,88 @@
+"""The lines in the spectra of a diagnosis: the channel of each, its frequency and its size.
+
+Rule 1: a line that a cause explains is in the sensor or in the force, as its likelihood decided.  A line of the
+        innovations that no cause explains is said with its channel alone.
+Rule 2: the size of a line of a sensor is the mean of its states in the filter over each recording, and its error is
+        their scatter.  The likelihood knows it as the variance at the beginning of a recording, from two values each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnosis.report.sentences import quantity
+from twin.diagnosis.result import Finding, SpectralLine
+from twin.diagnosis.search.sensor_line import CHANNELS, find_line
+from twin.estimation.ekf.filter import filtered
+from twin.estimation.innovations import whitened
+from twin.inference.fisher_scoring import Fit
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import Theta
+from twin.model.causes.catalogue import BY_NAME, cause_of_detector
+from twin.model.extended import I_LINES, X_LINES
+from twin.model.parameters import Parameter
+from twin.settings import diagnosis as settings
+
+_UNITS = {"i_c": "A", "x": "m"}
+
+
+def with_sizes(criterion: Criterion, fit: Fit) -> tuple[Fit, dict[str, float]]:
+    """The fit with the measured amplitudes of the sensors' lines, and their standard errors by coordinate."""
+    errors: dict[str, float] = {}
+    theta = fit.theta
+    for cause, column in CHANNELS.items():
+        name = f"{cause}.{BY_NAME[cause].strength.name}"
+        if theta.value(name) > 0.0:
+            sizes = _sizes(criterion, theta, (I_LINES, X_LINES)[column])
+            if len(sizes) > 1:
+                fit = replace(fit, theta=fit.theta.having(name, float(np.mean(sizes))))
+                errors[name] = float(np.std(sizes, ddof=1)) / math.sqrt(len(sizes))
+    return fit, errors
+
+
+def lines_of(findings: Sequence[Finding], criterion: Criterion, theta: Theta) -> tuple[SpectralLine, ...]:
+    """The lines of the named causes, then those that the model `theta` leaves in the innovations."""
+    force = cause_of_detector("spectral-line").name
+    lines = [
+        SpectralLine(
+            channel="force" if finding.name == force else ("i_c", "x")[CHANNELS[finding.name]],
+            cause=finding.name,
+            frequency_hz=finding.parameters["frequency_hz"],
+            amplitude=finding.parameters[BY_NAME[finding.name].strength.name],
+            sentence=finding.sentence,
+        )
+        for finding in findings
+        if finding.name in (force, *CHANNELS)
+    ]
+    out = criterion.outputs(theta)
+    for column, (channel, unit) in enumerate(_UNITS.items()):
+        line = find_line(criterion.evidence.series, whitened(out), column, criterion.tick_s)
+        if line is not None:
+            size = line.amplitude * math.sqrt(float(np.nanmedian(out[:, (2, 4)[column]])))
+            lines.append(
+                SpectralLine(
+                    channel=channel,
+                    cause="",
+                    frequency_hz=Parameter(value=line.frequency_hz, unit="Hz"),
+                    amplitude=Parameter(value=size, unit=unit),
+                    sentence=f"the error of {channel} one sample ahead has a line of {quantity(size, unit)} at"
+                    f" {line.frequency_hz:.2f} Hz that no cause explains",
+                )
+            )
+    return tuple(lines)
+
+
+def _sizes(criterion: Criterion, theta: Theta, first: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """The amplitude of a line in each recording that is long enough; `first`: of its states."""
+    series = criterion.evidence.series
+    samples = theta.samples(criterion.evidence.samples, series.recording)
+    state = filtered(theta.system(criterion.plant, criterion.tick_s), samples, state=True).state
+    squares = state[:, first] ** 2 + state[:, first + 1] ** 2
+    known = np.isfinite(squares)
+    counts = np.bincount(series.recording[known])
+    means = np.bincount(series.recording[known], squares[known]) / np.maximum(counts, 1)
+    return np.asarray(np.sqrt(means[counts >= settings.LINE_SAMPLES]))
