@@ -19,9 +19,10 @@ from twin.diagnosis.result import Finding, SpectralLine
 from twin.diagnosis.search.sensor_line import CHANNELS, find_line
 from twin.estimation.ekf.filter import filtered
 from twin.estimation.innovations import whitened
+from twin.estimation.record import FloatArray
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import Theta
+from twin.inference.theta import Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME, cause_of_detector
 from twin.model.extended import I_LINES, X_LINES
 from twin.model.parameters import Parameter
@@ -35,13 +36,24 @@ def with_sizes(criterion: Criterion, fit: Fit) -> tuple[Fit, dict[str, float]]:
     errors: dict[str, float] = {}
     theta = fit.theta
     for cause, column in CHANNELS.items():
-        name = f"{cause}.{BY_NAME[cause].strength.name}"
-        if theta.value(name) > 0.0:
-            sizes = _sizes(criterion, theta, (I_LINES, X_LINES)[column])
-            if len(sizes) > 1:
-                fit = replace(fit, theta=fit.theta.having(name, float(np.mean(sizes))))
-                errors[name] = float(np.std(sizes, ddof=1)) / math.sqrt(len(sizes))
+        strength, _, *ratios = coordinates_of(cause)
+        if theta.value(strength) == 0.0:
+            continue
+        first = _sizes(criterion, theta, (I_LINES, X_LINES)[column])
+        if len(first) < 2:
+            continue
+        fit, errors[strength] = _measured(fit, strength, first)
+        for k, name in enumerate(ratios, 1):
+            if theta.value(name) > 0.0:
+                sizes = _sizes(criterion, theta, (I_LINES, X_LINES)[column] + 2 * k)
+                fit, errors[name] = _measured(fit, name, sizes / float(np.mean(first)))
     return fit, errors
+
+
+def _measured(fit: Fit, name: str, values: FloatArray) -> tuple[Fit, float]:
+    """The fit with the mean of the values of the recordings, shape (n,), and its standard error."""
+    fit = replace(fit, theta=fit.theta.having(name, float(np.mean(values))))
+    return fit, float(np.std(values, ddof=1)) / math.sqrt(len(values))
 
 
 def lines_of(findings: Sequence[Finding], criterion: Criterion, theta: Theta) -> tuple[SpectralLine, ...]:
@@ -76,7 +88,7 @@ def lines_of(findings: Sequence[Finding], criterion: Criterion, theta: Theta) ->
     return tuple(lines)
 
 
-def _sizes(criterion: Criterion, theta: Theta, first: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _sizes(criterion: Criterion, theta: Theta, first: int) -> FloatArray:
     """The amplitude of a line in each recording that is long enough; `first`: of its states."""
     series = criterion.evidence.series
     samples = theta.samples(criterion.evidence.samples, series.recording)

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.diagnosis.search.score_test import Score, probed
-from twin.estimation.innovations import FOLLOWS, Series, whitened
-from twin.estimation.periodogram import Periodogram, periodogram
-from twin.estimation.record import FloatArray, runs
+from twin.estimation.innovations import Series, whitened
+from twin.estimation.periodogram import TRIED, highest_hz, spectrum_of
+from twin.estimation.record import FloatArray
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
-from twin.model.causes.sensor_line import FIRST, HARMONICS
+from twin.model.causes.sensor_line import FIRST
 from twin.settings import diagnosis as settings
 
 # Column of the channel that has the line, 0 for i_c, 1 for x.
@@ -39,8 +39,6 @@ class Line:
     frequency_hz: float
     amplitude: float  # of the whitened innovations
     harmonics: tuple[float, ...]  # amplitudes of the second and third over that of the first; 0: not significant
-    log_chance: float  # ln of the probability that noise makes it
-    tried: int  # frequencies
 
 
 def find_line(series: Series, white: FloatArray, column: int, step_s: float) -> Line | None:
@@ -52,28 +50,17 @@ def find_line(series: Series, white: FloatArray, column: int, step_s: float) -> 
         column: 0 for i_c, 1 for x.
         step_s: the sampling interval, s.
     """
-    spectrum = periodogram(_stretches(series, white[:, column], step_s), step_s)
+    spectrum = spectrum_of(series, white[:, column], np.isfinite(white[:, column]), step_s)
     if spectrum is None:
         return None
-    highest = settings.LINE_NYQUIST_SHARE * 0.5 / step_s
-    at = spectrum.strongest(settings.LINE_LOWEST_HZ, highest)
-    tried = int(np.count_nonzero(spectrum.frequency_hz <= highest))
-    if at is None or spectrum.log_chance(at, tried=tried) > math.log(settings.LINE_CHANCE):
+    at = spectrum.harmonics(settings.LINE_LOWEST_HZ, highest_hz(step_s))
+    if not at or at[0] is None:
         return None
-    log_chance = spectrum.log_chance(at, tried=tried)
-    for divisor in range(HARMONICS, 1, -1):  # the strongest may be a harmonic itself
-        below = _significant(spectrum, float(spectrum.frequency_hz[at]) / divisor)
-        if below is not None and spectrum.frequency_hz[below] > settings.LINE_LOWEST_HZ:
-            at = below
-            break
-    first, size = float(spectrum.frequency_hz[at]), spectrum.amplitude(at)
-    multiples = [_significant(spectrum, k * first) if k * first < highest else None for k in range(2, HARMONICS + 1)]
+    size = spectrum.amplitude(at[0])
     return Line(
-        frequency_hz=first,
+        frequency_hz=float(spectrum.frequency_hz[at[0]]),
         amplitude=size,
-        harmonics=tuple(0.0 if k is None else spectrum.amplitude(k) / size for k in multiples),
-        log_chance=log_chance,
-        tried=tried,
+        harmonics=tuple(0.0 if k is None else spectrum.amplitude(k) / size for k in at[1:]),
     )
 
 
@@ -116,20 +103,6 @@ def _score(criterion: Criterion, current: Fit, cause: Cause, line: Line, size: f
         detectable=z * strength.probes[0] / sizes[best],
         visible=1.0,
         moves=(),
-        chance=math.log(line.tried),
+        chance=math.log(TRIED),
         other_values=other,
     )
-
-
-def _significant(spectrum: Periodogram, frequency_hz: float) -> int | None:
-    """The significant ordinate at a multiple or a fraction of a frequency that is known to a hundredth of a hertz."""
-    at = spectrum.strongest(frequency_hz - settings.LINE_WIDTH_HZ, frequency_hz + settings.LINE_WIDTH_HZ)
-    if at is None or spectrum.log_chance(at, tried=HARMONICS * 16) > math.log(settings.LINE_CHANCE):
-        return None
-    return at
-
-
-def _stretches(series: Series, values: FloatArray, step_s: float) -> list[FloatArray]:
-    """The unbroken stretches of a channel at the usual interval."""
-    usual = np.isfinite(values) & (series.flags & FOLLOWS != 0) & (np.abs(series.step - step_s) < 0.02 * step_s)
-    return [values[piece] for piece in runs(usual, settings.LINE_SAMPLES)]
