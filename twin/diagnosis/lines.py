@@ -2,7 +2,8 @@
 
 Rule 1: a line that a cause explains is in the sensor or in the force, as its likelihood decided.  A line of the
         innovations that no cause explains is said with its channel alone.
-Rule 2: the size of a line of a sensor is the mean of its states in the filter over each recording, and its error is
+Rule 2: a line of u_c is the answer of the loop to one of these: u_c is computed, and has no noise of its own.
+Rule 3: the size of a line of a sensor is the mean of its states in the filter over each recording, and its error is
         their scatter.  The likelihood knows it as the variance at the beginning of a recording, from two values each.
 """
 
@@ -18,7 +19,8 @@ from twin.diagnosis.report.sentences import quantity
 from twin.diagnosis.result import Finding, SpectralLine
 from twin.diagnosis.search.sensor_line import CHANNELS, find_line
 from twin.estimation.ekf.filter import filtered
-from twin.estimation.innovations import whitened
+from twin.estimation.innovations import FLIES, whitened
+from twin.estimation.periodogram import spectrum_of
 from twin.estimation.record import FloatArray
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
@@ -28,6 +30,7 @@ from twin.model.extended import I_LINES, X_LINES
 from twin.model.parameters import Parameter
 from twin.settings import diagnosis as settings
 
+FORCE = cause_of_detector("spectral-line").name
 _UNITS = {"i_c": "A", "x": "m"}
 
 
@@ -57,35 +60,50 @@ def _measured(fit: Fit, name: str, values: FloatArray) -> tuple[Fit, float]:
 
 
 def lines_of(findings: Sequence[Finding], criterion: Criterion, theta: Theta) -> tuple[SpectralLine, ...]:
-    """The lines of the named causes, then those that the model `theta` leaves in the innovations."""
-    force = cause_of_detector("spectral-line").name
-    lines = [
-        SpectralLine(
-            channel="force" if finding.name == force else ("i_c", "x")[CHANNELS[finding.name]],
-            cause=finding.name,
-            frequency_hz=finding.parameters["frequency_hz"],
-            amplitude=finding.parameters[BY_NAME[finding.name].strength.name],
-            sentence=finding.sentence,
-        )
-        for finding in findings
-        if finding.name in (force, *CHANNELS)
-    ]
+    """The lines of the named causes and of the loop's answer, then those that `theta` leaves in the innovations."""
+    lines: list[SpectralLine] = []
+    for finding in findings:
+        if finding.name in (FORCE, *CHANNELS):
+            line = SpectralLine(
+                channel="force" if finding.name == FORCE else ("i_c", "x")[CHANNELS[finding.name]],
+                cause=finding.name,
+                frequency_hz=finding.parameters["frequency_hz"],
+                amplitude=finding.parameters[BY_NAME[finding.name].strength.name],
+                sentence=finding.sentence,
+            )
+            lines += [line, *_answer(criterion, line)]
     out = criterion.outputs(theta)
     for column, (channel, unit) in enumerate(_UNITS.items()):
-        line = find_line(criterion.evidence.series, whitened(out), column, criterion.tick_s)
-        if line is not None:
-            size = line.amplitude * math.sqrt(float(np.nanmedian(out[:, (2, 4)[column]])))
+        left = find_line(criterion.evidence.series, whitened(out), column, criterion.tick_s)
+        if left is not None:
+            size = left.amplitude * math.sqrt(float(np.nanmedian(out[:, (2, 4)[column]])))
             lines.append(
                 SpectralLine(
                     channel=channel,
                     cause="",
-                    frequency_hz=Parameter(value=line.frequency_hz, unit="Hz"),
+                    frequency_hz=Parameter(value=left.frequency_hz, unit="Hz"),
                     amplitude=Parameter(value=size, unit=unit),
                     sentence=f"the error of {channel} one sample ahead has a line of {quantity(size, unit)} at"
-                    f" {line.frequency_hz:.2f} Hz that no cause explains",
+                    f" {left.frequency_hz:.2f} Hz that no cause explains",
                 )
             )
     return tuple(lines)
+
+
+def _answer(criterion: Criterion, line: SpectralLine) -> list[SpectralLine]:
+    """The line of u_c in flight at the frequency of a cause; empty where none stands out."""
+    series, frequency_hz = criterion.evidence.series, line.frequency_hz.value
+    spectrum = spectrum_of(series, series.u, series.flags & FLIES != 0, criterion.tick_s)
+    if spectrum is None:
+        return []
+    width_hz = settings.LINE_WIDTH_HZ
+    at = spectrum.line(frequency_hz - width_hz, frequency_hz + width_hz)
+    if at is None:
+        return []
+    size_v = spectrum.amplitude(at)
+    sentence = f"the loop answers to it: u_c swings by {quantity(size_v, 'V')} at {frequency_hz:.2f} Hz"
+    amplitude = Parameter(value=size_v, unit="V")
+    return [replace(line, channel="u_c", amplitude=amplitude, sentence=sentence)]
 
 
 def _sizes(criterion: Criterion, theta: Theta, first: int) -> FloatArray:

@@ -77,7 +77,7 @@ class Finding:
 class SpectralLine:
     """A line in a spectrum."""
 
-    channel: str  # x or i_c: an error of its sensor, or unexplained; force
+    channel: str  # x or i_c: an error of its sensor, or unexplained; force; u_c: the loop's answer to one of these
     cause: str  # that explains it; "": none does
     frequency_hz: Parameter
     amplitude: Parameter

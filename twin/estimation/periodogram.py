@@ -21,7 +21,7 @@ from scipy.stats import beta
 
 from twin.estimation.innovations import FOLLOWS, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
-from twin.model.causes.sensor_line import HARMONICS
+from twin.model.causes.sensor_line import HARMONICS, LARGEST_RATIO
 from twin.settings import diagnosis as settings
 
 _PAD = 1 << 16
@@ -65,7 +65,7 @@ class Periodogram:
             return ()
         for divisor in range(HARMONICS, 1, -1):  # the strongest may be a harmonic itself
             below = self._near(float(self.frequency_hz[at]) / divisor, low_hz, high_hz)
-            if below is not None:
+            if below is not None and LARGEST_RATIO * self.amplitude(below) > self.amplitude(at):
                 at = below
                 break
         first_hz = float(self.frequency_hz[at])

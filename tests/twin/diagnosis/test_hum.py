@@ -28,8 +28,9 @@ def test_mains_in_x_are_named_and_predicted(tmp_path: Path, octave_m: float) -> 
 
     assert found.verdict == "causes-found"
     assert [cause.name for cause in found.causes] == [LINE]
-    (line,) = found.lines
+    line, answer = found.lines
     assert (line.channel, line.cause) == ("x", LINE)
+    assert (answer.channel, answer.cause, answer.amplitude.unit) == ("u_c", LINE, "V")
     assert line.frequency_hz.value == pytest.approx(HUM_HZ, abs=3e-3)
     assert line.amplitude.value == pytest.approx(HUM_M, rel=0.03)
     assert line.amplitude.ci95 is not None

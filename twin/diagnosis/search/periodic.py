@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.diagnosis.search.score_test import Score
 from twin.estimation.innovations import FLIES
 from twin.estimation.periodogram import TRIED, spectrum_of
+from twin.estimation.record import FloatArray
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import Theta
@@ -48,12 +50,9 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     if frequency is None:
         return None
     probe = CAUSE.strength.probes[0]
-    at = theta.having(FREQUENCY, frequency).having(AMPLITUDE, probe)
     count = len(criterion.evidence.records)
-    quarter = 0.25 / frequency
     base = criterion.outputs(theta)
-    # The phases of an earlier line are not used: the two signatures would not be a quarter of a period apart.
-    sine, cosine = (criterion.outputs(replace(at, phases_s=(shift_s,) * count)) for shift_s in (0.0, quarter))
+    sine, cosine = shaken(criterion, theta, frequency)
     scale = np.sqrt(base[:, 4])
     residual = base[:, 1] / scale
     columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
@@ -87,6 +86,35 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         gain=gain,
         chance=math.log(TRIED) + phases,
         phases_s=tuple(phases_s),
+    )
+
+
+def shaken(criterion: Criterion, theta: Theta, frequency_hz: float) -> list[FloatArray]:
+    """The outputs under a small force of this frequency, as a sine and as a cosine of the time."""
+    at = theta.having(FREQUENCY, frequency_hz).having(AMPLITUDE, CAUSE.strength.probes[0])
+    count = len(criterion.evidence.records)
+    # The phases of an earlier line are not used: the two signatures would not be a quarter of a period apart.
+    return [criterion.outputs(replace(at, phases_s=(s,) * count)) for s in (0.0, 0.25 / frequency_hz)]
+
+
+def score(criterion: Criterion, theta: Theta) -> Score | None:
+    """The score of the strongest line as a force; None where there is none, or where the model has it."""
+    line = None if any(name == AMPLITUDE for name, _ in theta.causes) else find_line(criterion, theta)
+    if line is None:
+        return None
+    z = math.sqrt(2.0 * line.gain)
+    return Score(
+        cause=CAUSE.name,
+        probe=line.amplitude_n,
+        gain=line.gain,
+        step=1.0,
+        z=z,
+        detectable=z * CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
+        visible=1.0,
+        moves=(),
+        chance=line.chance,
+        other_values=((FREQUENCY, line.frequency_hz),),
+        phases_s=line.phases_s,
     )
 
 

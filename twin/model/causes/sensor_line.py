@@ -13,6 +13,7 @@ from __future__ import annotations
 from twin.model.causes.cause import CauseParameter, Form, Vector
 
 HARMONICS = 3
+LARGEST_RATIO = 3.0  # of a harmonic to the first: a larger one is a line of its own
 FIRST = 115, 111  # place of the amplitude in the vector c: of i_c, of x
 MEMORY_S = 2.0
 USUAL = "a pure sinusoid"
@@ -51,7 +52,13 @@ def line_parameters(column: int, *, unit: str, high: float, probe: float) -> tup
         ),
         *(
             CauseParameter(
-                name=f"harmonic_{k}", symbol=f"h_{k}", index=first + k, low=0.0, high=3.0, probes=(0.3,), spread=0.5
+                name=f"harmonic_{k}",
+                symbol=f"h_{k}",
+                index=first + k,
+                low=0.0,
+                high=LARGEST_RATIO,
+                probes=(0.3,),
+                spread=0.5,
             )
             for k in range(2, HARMONICS + 1)
         ),

@@ -1,0 +1,80 @@
+"""A line of x: in the force, in the reading, or either, as the data tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.harness.diagnose.known_diagnosis import QUIET, steps
+from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S, rig_of, strong
+from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnosis.search.candidate_fits import Trial
+from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, placed
+from twin.estimation.record import Record
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, Theta, coordinates_of
+from twin.settings import diagnosis as settings
+
+SIZES = {SENSOR: 5e-6, FORCE: 0.005}  # the force moves the ball by 6 um at 50 Hz
+
+
+def rig_with(cause: str, frequency_hz: float = 50.0) -> Theta:
+    return strong(cause, SIZES[cause], QUIET).having(f"{cause}.frequency_hz", frequency_hz)
+
+
+def hover(theta: Theta, seed: int) -> Record:
+    """A flight at one height."""
+    held = Schedule(name=f"hold_{seed}", kind="closed-loop", command=np.full(4000, MIDDLE_M), closed_loop=True)
+    (record,) = simulate(rig_of(theta), held, seed=seed)
+    return record
+
+
+def criterion_of(records: list[Record]) -> Criterion:
+    return Criterion(gather(records, PLANT), PLANT, TICK_S, workers=1)
+
+
+def leads(rig: Theta, records: list[Record], cause: str) -> bool:
+    criterion = criterion_of(records)
+    try:
+        gains = place_gains(criterion, rig)
+    finally:
+        criterion.close()
+    return gains[cause] > gains[FORCE if cause == SENSOR else SENSOR] + settings.EQUIVALENT_GAIN
+
+
+@pytest.mark.parametrize("cause", SIZES)
+def test_a_ball_at_rest_tells_a_force_from_a_reading(cause: str) -> None:
+    rig = rig_with(cause)
+    rest = Schedule(name="rest", kind="free", command=np.full(1500, 1.5), closed_loop=False)
+
+    assert leads(rig, [hover(rig, 1), *simulate(rig_of(rig), rest, seed=2)], cause)
+
+
+@pytest.mark.parametrize("cause", SIZES)
+def test_flights_over_the_travel_tell_a_slow_force_from_a_reading(cause: str) -> None:
+    """The force gradient changes with the height, and a slow force moves the ball as far as the gradient lets it."""
+    rig = rig_with(cause, 8.0)
+
+    assert leads(rig, [steps(rig, seed=3), steps(rig, seed=4)], cause)
+
+
+@pytest.mark.parametrize("cause", SIZES)
+def test_at_one_height_a_force_and_a_reading_are_one_class(cause: str) -> None:
+    rig, other = rig_with(cause), FORCE if cause == SENSOR else SENSOR
+    criterion = criterion_of([hover(rig, 1), hover(rig, 2)])
+    try:
+        base = climb(criterion, QUIET, BASE)
+        selected = Trial(cause=cause, fit=_fit(criterion, rig, base, cause), gain=1000.0)
+        behind = Trial(cause=other, fit=_fit(criterion, rig_with(other), base, other), gain=900.0)
+        (compared,) = placed(criterion, selected, [behind])
+    finally:
+        criterion.close()
+
+    assert compared.cause == other
+    assert compared.gain == pytest.approx(1000.0, abs=settings.EQUIVALENT_GAIN)
+
+
+def _fit(criterion: Criterion, theta: Theta, base: Fit, cause: str) -> Fit:
+    return climb(criterion, theta, (*base.free, *coordinates_of(cause)), passes=1)
