@@ -1,4 +1,4 @@
-"""Whether a line of x is in the force or in the reading: both as a sinusoid with a phase in each recording.
+"""The place of a line of x, the force or the reading: each as a sinusoid with a phase in each recording.
 
 The fits of the two are not comparable where the data hardly tell them apart.  A force has one size and a phase for
 each recording, at their best; the states of a sensor's line have both integrated out, and lose ln(1 + gain) for each
@@ -70,7 +70,7 @@ def place_gains(criterion: Criterion, theta: Theta) -> Mapping[str, float]:
 
 
 def _misread(criterion: Criterion, theta: Theta, white: FloatArray, frequency_hz: float) -> list[FloatArray]:
-    """How a sine and a cosine in the readings of x move the whitened innovations, each of shape (n, 2)."""
+    """The changes of the whitened innovations by a sine and a cosine in the readings of x, each of shape (n, 2)."""
     evidence, size_m = criterion.evidence, BY_NAME[SENSOR].strength.probes[0]
     moves = []
     for phase in (0.0, 0.5 * math.pi):
