@@ -109,8 +109,8 @@ PHASE_CANDIDATES = 2
 
 # --- Lines in a spectrum: a periodic force, an error of a sensor ---
 
-# Level.  Chance that noise makes a line in a spectrum, over all frequencies; what a wrong model leaves is not noise, and
-# the likelihood judges it.
+# Level.  Chance that noise makes a line in a spectrum, over all frequencies; what a wrong model leaves is not noise,
+# and the likelihood judges it.
 LINE_CHANCE = 1e-4
 LINE_LOWEST_HZ = 10.0  # reasoned: below, the reference moves the ball, and what a model lacks has lines, too
 LINE_NYQUIST_SHARE = 0.98  # reasoned: a line at the end of the spectrum has no neighbours
