@@ -17,7 +17,8 @@ import numpy as np
 
 from twin.diagnosis.report.sentences import quantity
 from twin.diagnosis.result import Finding, SpectralLine
-from twin.diagnosis.search.sensor_line import CHANNELS, find_line
+from twin.diagnosis.search.line_place import reading_leads
+from twin.diagnosis.search.sensor_line import CHANNELS, Line, find_line
 from twin.estimation.ekf.filter import filtered
 from twin.estimation.innovations import FLIES, whitened
 from twin.estimation.periodogram import spectrum_of
@@ -84,10 +85,17 @@ def lines_of(findings: Sequence[Finding], criterion: Criterion, theta: Theta) ->
                     frequency_hz=Parameter(value=left.frequency_hz, unit="Hz"),
                     amplitude=Parameter(value=size, unit=unit),
                     sentence=f"the error of {channel} one sample ahead has a line of {quantity(size, unit)} at"
-                    f" {left.frequency_hz:.2f} Hz that no cause explains",
+                    f" {left.frequency_hz:.2f} Hz that no cause explains{_current(criterion, theta, left, column)}",
                 )
             )
     return tuple(lines)
+
+
+def _current(criterion: Criterion, theta: Theta, line: Line, column: int) -> str:
+    """Say of an unexplained line of i_c whether the ball shows that the current flows; "" of x, and if it does not."""
+    if column or reading_leads(criterion, theta, line.frequency_hz) > -settings.EQUIVALENT_GAIN:
+        return ""
+    return ": the ball follows it, so this current flows, as behind a supply with a ripple"
 
 
 def _answer(criterion: Criterion, line: SpectralLine) -> list[SpectralLine]:

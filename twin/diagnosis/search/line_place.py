@@ -9,7 +9,8 @@ whitened innovations of a recording and A how a sine and a cosine move them, A' 
 
 Rule 1: the sinusoid of a force goes through the dynamics of the ball, in flight alone.  That of a reading does not, and
         is there at rest, too.
-Rule 2: the noise is that of the fit with the line: without it, process noise would take up a part of the line.
+Rule 2: a line of i_c is a reading's error if a current that flows explains the motion of the ball less well.
+Rule 3: the noise is that of the fit with the line: without it, process noise would take up a part of the line.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, refine
-from twin.estimation.innovations import whitened
+from twin.estimation.innovations import Series, whitened
 from twin.estimation.record import FloatArray
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import Theta
@@ -33,6 +35,7 @@ from twin.settings import diagnosis as settings
 FORCE = periodic.CAUSE.name
 SENSOR = next(c.name for c in CATALOGUE if c.detector == "sensor-line" and c.strength.index == FIRST[1])
 _LINEAR = 1e-3  # share of a gain within which least squares decide nothing: a large line is not quite linear
+_CURRENT_A = 0.002
 _MIN_SAMPLES = 50  # of a recording, for two numbers
 
 
@@ -69,15 +72,36 @@ def place_gains(criterion: Criterion, theta: Theta) -> Mapping[str, float]:
     }
 
 
+def reading_leads(criterion: Criterion, theta: Theta, frequency_hz: float) -> float:
+    """The lead of log-likelihood of a line of i_c as an error of its reading over one as a current that flows.
+
+    A current that flows moves the ball, as behind a supply with a ripple.  The catalogue does not have it.
+    """
+    white = whitened(criterion.outputs(theta))
+    misread = _moved(criterion, theta, white, _waves(criterion, "i", _CURRENT_A, frequency_hz))
+    flows = _moved(criterion, theta, white, _waves(criterion, "u", _CURRENT_A / theta.K_A, frequency_hz))
+    return _gain(criterion, white, misread) - _gain(criterion, white, flows)
+
+
 def _misread(criterion: Criterion, theta: Theta, white: FloatArray, frequency_hz: float) -> list[FloatArray]:
     """The changes of the whitened innovations by a sine and a cosine in the readings of x, each of shape (n, 2)."""
-    evidence, size_m = criterion.evidence, BY_NAME[SENSOR].strength.probes[0]
-    moves = []
-    for phase in (0.0, 0.5 * math.pi):
-        wave = size_m * np.sin(2.0 * np.pi * frequency_hz * evidence.t + phase)
-        part = criterion.over(replace(evidence, series=replace(evidence.series, x=evidence.series.x + wave)))
-        moves.append(whitened(part.outputs(theta)) - white)
-    return moves
+    size_m = BY_NAME[SENSOR].strength.probes[0]
+    return _moved(criterion, theta, white, _waves(criterion, "x", size_m, frequency_hz))
+
+
+def _waves(criterion: Criterion, channel: Literal["u", "i", "x"], size: float, frequency_hz: float) -> list[Series]:
+    """The series with a sine and with a cosine of this size in a channel."""
+    series = criterion.evidence.series
+    turns = frequency_hz * criterion.evidence.t
+    values: dict[str, FloatArray] = {"u": series.u, "i": series.i, "x": series.x}
+    moved = [values[channel] + size * np.sin(2.0 * np.pi * (turns + phase)) for phase in (0.0, 0.25)]
+    changes: list[dict[str, Any]] = [{channel: wave} for wave in moved]
+    return [replace(series, **change) for change in changes]
+
+
+def _moved(criterion: Criterion, theta: Theta, white: FloatArray, waves: Sequence[Series]) -> list[FloatArray]:
+    parts = [criterion.over(replace(criterion.evidence, series=series)) for series in waves]
+    return [whitened(part.outputs(theta)) - white for part in parts]
 
 
 def _gain(criterion: Criterion, white: FloatArray, moves: Sequence[FloatArray]) -> float:

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from protocol.campaign import load
+from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S, rig_of, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.search.candidate_fits import Trial
-from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, placed
+from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, placed, reading_leads
+from twin.diagnosis.search.sensor_line import line_scores
 from twin.estimation.record import Record
 from twin.evidence.gather import gather
 from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.initial_guess import start_theta
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import BASE, Theta, coordinates_of
+from twin.model.causes.catalogue import BY_NAME
+from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
 
 SIZES = {SENSOR: 5e-6, FORCE: 0.005}  # the force moves the ball by 6 um at 50 Hz
@@ -78,3 +86,20 @@ def test_at_one_height_a_force_and_a_reading_are_one_class(cause: str) -> None:
 
 def _fit(criterion: Criterion, theta: Theta, base: Fit, cause: str) -> Fit:
     return climb(criterion, theta, (*base.free, *coordinates_of(cause)), passes=1)
+
+
+def test_a_current_that_flows_is_no_error_of_its_reading(tmp_path: Path) -> None:
+    """The supply of this rig has a ripple, which the catalogue does not know."""
+    make_campaign(tmp_path, effects={}, seed=3, plant="independent", outside={"supply-ripple": 0.04}, quick=True)
+    campaign = load(tmp_path / "campaign.toml")
+    records = read_campaign(campaign)
+    criterion = Criterion(gather(records, campaign.plant), campaign.plant, TICK_S, workers=1)
+    try:
+        base = climb(criterion, start_theta(records, campaign.plant), BASE)
+        lead = reading_leads(criterion, base.theta, 100.0)
+        scores = line_scores(criterion, base, [BY_NAME["current-sensor-line"]])
+    finally:
+        criterion.close()
+
+    assert lead < -settings.EQUIVALENT_GAIN
+    assert scores == []
