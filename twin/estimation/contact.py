@@ -51,7 +51,9 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
     sigma = max(scatter(x), 1e-4 * plant.travel_m)
     # A line of the sensor is no motion, either: 20 um of mains would hide a ball at rest, and with it the noise.
-    core = spread <= HELD_SCALES * sigma + 2.0 * _swing(x, record.interval_s)
+    # Not under a random input, which shakes a ball on its stop: that may look like a line.
+    swing_m = 0.0 if record.kind == "prbs" else _swing(x, record.interval_s)
+    core = spread <= HELD_SCALES * sigma + 2.0 * swing_m
     held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # all samples of a still window are held
     held &= known
     for piece in _rests(held, x, HELD_SCALES * sigma):

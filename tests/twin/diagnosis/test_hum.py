@@ -39,3 +39,17 @@ def test_mains_in_x_are_named_and_predicted(tmp_path: Path, octave_m: float) -> 
     assert "in its sensor, not in the force" in found.sentence
     assert found.gain is not None
     assert found.gain.removed > 0.9
+
+
+@pytest.mark.slow
+def test_a_cause_beside_mains_is_named_with_its_size(tmp_path: Path) -> None:
+    lag_s = 2e-3
+    effects, mains = {"position-sensor-lag": lag_s}, {"sensor-hum": HUM_M}
+    make_campaign(tmp_path, effects=effects, seed=5, plant="independent", outside=mains)
+
+    found = diagnose(load(tmp_path / "campaign.toml"))
+
+    assert found.verdict == "causes-found"
+    by_name = {cause.name: cause.parameters for cause in found.causes}
+    assert set(by_name) == {LINE, "position-sensor-lag"}
+    assert by_name["position-sensor-lag"]["tau_s"].value == pytest.approx(lag_s, rel=0.05)
