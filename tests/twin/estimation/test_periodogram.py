@@ -54,3 +54,22 @@ def test_a_line_has_its_frequency_and_its_size(frequency_hz: float) -> None:
 
 def test_short_stretches_have_no_spectrum() -> None:
     assert periodogram([np.ones(100)], STEP_S) is None
+
+
+def test_missing_readings_change_neither_noise_nor_line() -> None:
+    rng = np.random.default_rng(5)
+    stretches = noise(5)
+    for part in stretches:
+        part[rng.random(len(part)) < 0.2] = np.nan
+        part[300:500] = np.nan
+    line = [part + 0.3 * np.sin(2.0 * np.pi * 50.0 * STEP_S * np.arange(len(part))) for part in stretches]
+
+    without, with_line = periodogram(stretches, STEP_S), periodogram(line, STEP_S)
+
+    assert without is not None
+    assert with_line is not None
+    assert log_chance(without) > CHANCE
+    at = with_line.line(LOWEST_HZ, HIGHEST_HZ)
+    assert at is not None
+    assert with_line.frequency_hz[at] == pytest.approx(50.0, abs=0.01)
+    assert with_line.amplitude(at) == pytest.approx(0.3, abs=0.04)
