@@ -12,15 +12,17 @@ from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S, rig_of, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnosis.search.candidate_fits import Trial
-from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, placed, reading_leads
+from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, reading_leads
 from twin.diagnosis.search.sensor_line import line_scores
+from twin.diagnosis.search.stepwise import select
+from twin.diagnosis.search.task import Search
 from twin.estimation.record import Record
 from twin.evidence.gather import gather
-from twin.inference.fisher_scoring import Fit, climb
+from twin.inference.fisher_scoring import climb
 from twin.inference.initial_guess import start_theta
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import BASE, Theta, coordinates_of
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
@@ -70,22 +72,18 @@ def test_flights_over_the_travel_tell_a_slow_force_from_a_reading(cause: str) ->
 
 @pytest.mark.parametrize("cause", SIZES)
 def test_at_one_height_a_force_and_a_reading_are_one_class(cause: str) -> None:
-    rig, other = rig_with(cause), FORCE if cause == SENSOR else SENSOR
+    rig = rig_with(cause)
     criterion = criterion_of([hover(rig, 1), hover(rig, 2)])
     try:
         base = climb(criterion, QUIET, BASE)
-        selected = Trial(cause=cause, fit=_fit(criterion, rig, base, cause), gain=1000.0)
-        behind = Trial(cause=other, fit=_fit(criterion, rig_with(other), base, other), gain=900.0)
-        (compared,) = placed(criterion, selected, [behind])
+        candidates = BY_NAME[SENSOR], BY_NAME[FORCE]
+        search = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=candidates)
+        found = select(search, base)
     finally:
         criterion.close()
 
-    assert compared.cause == other
-    assert compared.gain == pytest.approx(1000.0, abs=settings.EQUIVALENT_GAIN)
-
-
-def _fit(criterion: Criterion, theta: Theta, base: Fit, cause: str) -> Fit:
-    return climb(criterion, theta, (*base.free, *coordinates_of(cause)), passes=1)
+    (name,) = found.causes
+    assert {name, *(member.cause for member in found.classes[name])} == {SENSOR, FORCE}
 
 
 def test_a_current_that_flows_is_no_error_of_its_reading(tmp_path: Path) -> None:
