@@ -17,6 +17,7 @@ from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_f
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
 from twin.diagnosis.judge.judgement import Judgement
 from twin.diagnosis.judge.prediction_gain import Bench, Gain
+from twin.diagnosis.lines import lines_of, with_sizes
 from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
 from twin.diagnosis.remainder.rivals import Rival, rivals_of
@@ -119,6 +120,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         verdict = "unknown-cause"
     findings = findings_of(selection, account, names.spread, proposals, verdict, lost, plant)
     findings = [_qualified(finding, search, names) for finding in findings]
+    lines = lines_of(findings, search.criterion, selection.fit.theta)
     where = _where(search, names, outcome, verdict)
     is_whole = search.is_adequate and search.change is None
     minor_effects = tuple(minor_effects_of(search.criterion, selection)) if is_whole else ()
@@ -138,7 +140,10 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         baseline=baseline,
         extended=extended,
         choice=choice,
-        warnings=tuple(_warnings(search, names, outcome, where, harms=harms)),
+        warnings=(
+            *_warnings(search, names, outcome, where, harms=harms),
+            *(line.sentence for line in lines if not line.cause),
+        ),
         quick=options.quick or options.share < settings.MIN_SHARE,
         stages_s=stages,
         selection=selection,
@@ -150,6 +155,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         tick_s=search.criterion.tick_s,
         remainder=remainder,
         budget=search.budget,
+        lines=lines,
     )
     sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
     return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
@@ -174,6 +180,8 @@ def _examined(search: SearchResult, options: Options, stages: dict[str, float]) 
     with timed(stages, "stated values"):
         stated = _stated_values(search)
         selection = with_members(selection, stated)
+        fit, line_errors = with_sizes(criterion, selection.fit)
+        selection = replace(selection, fit=fit)
     with timed(stages, "rivals"):
         rivals = _rivals(search, options)
     with timed(stages, "what is left"):
@@ -185,7 +193,7 @@ def _examined(search: SearchResult, options: Options, stages: dict[str, float]) 
             under=under,
             account=account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals),
             where="" if search.is_adequate else where_left(criterion, selection.fit, under),
-            spread=spreads(criterion, selection.fit, stated.slopes),
+            spread=spreads(criterion, selection.fit, stated.slopes) | line_errors,
         )
 
 
@@ -237,7 +245,7 @@ def _inconsistent(search: SearchResult) -> list[str]:
     """Return the warnings about effects that are not the same in all recordings, or begin in the middle of one."""
     criterion, fit = search.criterion, search.selection.fit
     always = [
-        name for name in search.selection.causes if BY_NAME[name].detector != "spectral-line" and search.change is None
+        name for name in search.selection.causes if "line" not in BY_NAME[name].detector and search.change is None
     ]
     return [contradiction_sentence(contradiction) for contradiction in contradictions(criterion, fit)] + [
         beginning_sentence(beginning) for beginning in beginnings(criterion, fit, always)

@@ -74,6 +74,17 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SpectralLine:
+    """A line in a spectrum."""
+
+    channel: str  # x or i_c: an error of its sensor, or unexplained; force; u_c: the loop's answer to one of these
+    cause: str  # that explains it; "": none does
+    frequency_hz: Parameter
+    amplitude: Parameter
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Excluded:
     """A cause that these data cannot show, or that was tried and did not earn its place."""
 
@@ -119,6 +130,7 @@ class Diagnosis:
     remainder: Remainder | None = None  # what is left, modelled; `extended` has it
     budget: Budget = field(default_factory=Budget)
     choice: Choice | None = None  # how `extended` was chosen
+    lines: tuple[SpectralLine, ...] = ()  # in the spectra of the recordings for fitting
 
     @property
     def offered(self) -> bool:
@@ -165,6 +177,15 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "noise": noise_json(diagnosis.fit_evidence.noise, (diagnosis.floor.sigma_i_c_a, diagnosis.floor.sigma_x_m)),
         **({"noise_colour": colours} if (colours := colours_json(diagnosis.fit_evidence.noise)) else {}),
+        "lines": [
+            {
+                "channel": line.channel,
+                "cause": line.cause or None,
+                **parameters_json({"frequency_hz": line.frequency_hz, "amplitude": line.amplitude}),
+                "sentence": line.sentence,
+            }
+            for line in diagnosis.lines
+        ],
         "remainder": None if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.extended),
         "extended_model": _extended_model(diagnosis),
         "plant_assumed": diagnosis.extended.plant.assumed,

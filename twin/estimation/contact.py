@@ -2,6 +2,7 @@
 
 Rule: the data show contact, not the nominal position of a stop: a sensor with an offset or a wrong scale shows the
       stops elsewhere.  In open loop the ball is unstable: if it stays within its noise for 50 ms, something holds it.
+      A line in the spectrum of the reading, as of the mains, counts as noise.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from protocol.campaign import Plant
+from twin.estimation.periodogram import highest_hz, periodogram
 from twin.estimation.prepare import scatter
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
 
@@ -48,7 +50,10 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     # The range within a window, not its standard deviation: a slow rise of an unstable ball has a small one at first.
     spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
     sigma = max(scatter(x), 1e-4 * plant.travel_m)
-    core = spread <= HELD_SCALES * sigma
+    # A line of the sensor is no motion, either: 20 um of mains would hide a ball at rest, and with it the noise.
+    # Not under a random input, which shakes a ball on its stop: that may look like a line.
+    swing_m = 0.0 if record.kind == "prbs" else _swing(x, record.interval_s)
+    core = spread <= HELD_SCALES * sigma + 2.0 * swing_m
     held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # all samples of a still window are held
     held &= known
     for piece in _rests(held, x, HELD_SCALES * sigma):
@@ -58,6 +63,22 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     if record.kind == "free" and record.has("x_ref") and np.mean(follows_reference) > 0.5:
         held[:] = False
     return np.asarray(held)
+
+
+def _swing(x: FloatArray, step_s: float) -> float:
+    """The amplitude of the line in the readings x that stands out most, with its harmonics, m; 0 without one."""
+    if not step_s > 0.0:
+        return 0.0
+    # Differences, and none of a ball that moves: they would hide the line of one at rest, or be one.
+    steps = np.diff(x)
+    moves = np.abs(steps) > CLEAR_STEP * 1.4826 * float(np.median(np.abs(steps)))
+    spectrum = periodogram([np.where(maximum_filter1d(moves, HELD_SAMPLES), np.nan, steps)], step_s)
+    if spectrum is None:
+        return 0.0
+    lowest_hz = 1.0 / (HELD_SAMPLES * step_s)  # of a slower line, a window sees a part only
+    lines = [at for at in spectrum.harmonics(lowest_hz, highest_hz(step_s)) if at is not None]
+    gain = 2.0 * np.sin(np.pi * spectrum.frequency_hz[lines] * step_s)  # of a difference
+    return float(sum(spectrum.amplitude(at) / g for at, g in zip(lines, gain, strict=True)))
 
 
 def _rests(held: BoolArray, x: FloatArray, tolerance_m: float) -> list[slice]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from twin.compiled import kernel
 from twin.estimation.contact import STOP_SHARE
 from twin.estimation.ekf.filter import filtered
+from twin.estimation.ekf.lines import lines_of_position
 from twin.estimation.ekf.memory import Memory, memory_for
 from twin.estimation.ekf.predict import advance
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
@@ -136,6 +137,7 @@ def _roll(
             x_hat[n] = y[SENSOR]
             if f.x_colour >= 0:
                 x_hat[n] += y[X_COLOUR] * (math.sqrt(noise_ratio[n, 1]) if noise_ratio.shape[0] > 0 else 1.0)
+            x_hat[n] += lines_of_position(f, y, f.h_x[:])
 
 
 @kernel
@@ -144,8 +146,8 @@ def _roll_once(
 ) -> None:
     y, f.first = f.y[:], first
     copy(y, state[begin])
-    x_hat[0] = y[SENSOR]
+    x_hat[0] = y[SENSOR] + lines_of_position(f, y, f.h_x[:])
     for k in range(1, len(x_hat)):
         n = begin + k
         advance(f, y, samples.u, n, samples.t[n - 1], samples.step[n], True)
-        x_hat[k] = y[SENSOR]
+        x_hat[k] = y[SENSOR] + lines_of_position(f, y, f.h_x[:])

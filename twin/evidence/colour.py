@@ -27,6 +27,7 @@ from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X, 
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import RESTS, Colour
+from twin.evidence.rest_lines import without_lines
 from twin.model.extended import SHORT_S
 from twin.settings import diagnosis as settings
 
@@ -62,8 +63,9 @@ class _Fit:
 
 def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | None, Colour | None]:
     """The colours of i_c, x, and i_c in captures; None: white, or not known."""
+    calm = [without_lines(evidence.series) for evidence in evidences]
     i_c, x, captured = (
-        [entry for evidence in evidences for entry in _windows(evidence.series, column, captures=captures)]
+        [entry for series in calm for entry in _windows(series, column, captures=captures)]
         for column, captures in ((0, False), (1, False), (0, True))
     )
     i_c_colour, captured_colour = _colour(i_c), _colour(captured)

@@ -37,6 +37,7 @@ from twin.estimation.structures import EQUAL_NOISE
 from twin.evidence.colour import colours_of, expected_gain, is_fast
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import RESTS, Channel, Colour, Level, Noise, parts_of
+from twin.evidence.rest_lines import without_lines
 from twin.settings import diagnosis as settings
 
 IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
@@ -85,7 +86,7 @@ def _windows(
 ) -> _Windows:
     rows: list[tuple[float, float, int, bool, bool]] = []
     for evidence in evidences:
-        series, captured = evidence.series, is_fast(evidence.series)
+        series, captured = without_lines(evidence.series), is_fast(evidence.series)
         flies = series.flags & FLIES != 0
         rests = series.flags & RESTS != 0
         for name, part in parts_of(evidence.records, evidence.series):

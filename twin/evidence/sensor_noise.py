@@ -11,6 +11,7 @@ from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, USE_I, USE_X, Ser
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import RESTS
+from twin.evidence.rest_lines import without_lines
 from twin.settings import diagnosis as settings
 
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
@@ -48,7 +49,7 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
 
     Windows far noisier than the others are left out: the current still settles there, or the rig was touched.
     """
-    series = evidence.series
+    series = without_lines(evidence.series)
     whole = _not_cut(series, series.i, USE_I), _not_cut(series, series.x, USE_X)
     rest = series.flags & RESTS != 0
     squares: tuple[list[float], list[float]] = ([], [])

@@ -25,6 +25,7 @@ from twin.estimation.ekf.correct import (
     start_recording,
     take_readings,
 )
+from twin.estimation.ekf.lines import doubt_lines, turn_covariance, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, memory_for
 from twin.estimation.ekf.predict import add_process_noise, advance, carry, differences
 from twin.estimation.prepare import CONTACT_SHARE
@@ -148,6 +149,10 @@ def observe(
     n_i = n_x = nis = math.nan
     valid = False
     if first or not o.low_m <= position <= o.high_m:
+        if not first and f.lines_count > 0:
+            turn_state(f, f.y[:], o.sample_time_s)
+            turn_covariance(f, o.sample_time_s)
+            doubt_lines(f, o.sample_time_s)
         _begin(o, i, x, u, first)
     else:
         nis = _predict_and_correct(o, i, x)

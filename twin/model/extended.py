@@ -5,7 +5,8 @@
 
 The state y has shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2),
 rate of the sensor s' (m/s).  Then follows how far each of `OFFSETS` has wandered, in its unit; the caller adds it to c.
-Last is the coloured noise of the readings of i_c (A) and x (m), which the caller adds to them.
+Then comes the coloured noise of the readings of i_c (A) and x (m), and last their lines, a pair for each harmonic.  The
+caller advances these and adds them to the readings.
 
 Rule 1: with `catalogue.neutral()` the model is exactly (1) and (6), and f = i_c, s = x.
 Rule 2: within a substep the amplifier is integrated exactly for any T_A and slew rate.  The ball is integrated by
@@ -54,11 +55,14 @@ from twin.model.causes import (
 )
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import Vector
+from twin.model.causes.sensor_line import HARMONICS
 
 I_C, X, V, FIELD, SENSOR, WARMTH, RATE = range(7)
 WANDER = 7  # of the first of `OFFSETS`
 I_COLOUR, X_COLOUR = WANDER + len(OFFSETS), WANDER + len(OFFSETS) + 1
-STATES = X_COLOUR + 1
+I_LINES = X_COLOUR + 1
+X_LINES = I_LINES + 2 * HARMONICS
+STATES = X_LINES + 2 * HARMONICS
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
 SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
 SLOW_SHARE = 1.0 / 16.0  # of T_A: within a shorter interval the current hardly bends, and it is one substep, too

@@ -107,8 +107,15 @@ SIMILAR_SCORE = 0.8
 PHASE_SHARE = 0.5
 PHASE_CANDIDATES = 2
 
-# --- A periodic force ---
+# --- Lines in a spectrum: a periodic force, an error of a sensor ---
 
+# Level.  Chance that noise makes a line in a spectrum, over all frequencies; what a wrong model leaves is not noise,
+# and the likelihood judges it.
+LINE_CHANCE = 1e-4
+LINE_LOWEST_HZ = 10.0  # reasoned: below, the reference moves the ball, and what a model lacks has lines, too
+LINE_NYQUIST_SHARE = 0.98  # reasoned: a line at the end of the spectrum has no neighbours
+LINE_SAMPLES = 500  # reasoned: of a stretch for a spectrum
+LINE_WIDTH_HZ = 0.06  # reasoned: error of three times a frequency from stretches of ten seconds
 LINE_NEIGHBOURS_HZ = 3.0  # reasoned: the spectrum on either side that a line is compared with
 PHASE_GAIN = EQUIVALENT_GAIN  # phases that gain less say the same
 

@@ -1,4 +1,6 @@
-"""Effects that the catalogue of causes does not know: the honest answer to each is `unknown-cause`.
+"""Effects of the second plant alone.  The catalogue does not know them, and the honest answer is `unknown-cause`.
+
+One that the catalogue has learnt keeps its seeds here; its answer is then that `cause`.
 
 Each is physically plausible, clearly above the noise at its strength, and leaves the ball flying
 (`test_hidden_campaigns.py`).  The equations are in `second_plant.py`.
@@ -18,6 +20,7 @@ class Outside:
     strength: float
     unit: str
     about: str
+    cause: str = ""  # of the catalogue that is right for it
     may_be_adequate: bool = False  # a diagnosis that leaves the damaged samples out finds a right model
 
 
@@ -45,7 +48,10 @@ OUTSIDE: Mapping[str, Outside] = MappingProxyType(
             about="the ball swings sideways at 35 Hz, driven by its acceleration, and the sensor takes it for height",
         ),
         "sensor-hum": Outside(
-            strength=20e-6, unit="m", about="the reading of x swings by this much at 50 Hz, the mains"
+            strength=20e-6,
+            unit="m",
+            about="the reading of x swings by this much at 50 Hz, the mains",
+            cause="position-sensor-line",
         ),
         "spring-of-a-cable": Outside(
             strength=5.0, unit="N/m", about="the cable of the rig hangs on the ball: a force down, in proportion to x"

@@ -4,7 +4,8 @@ Rule 1: a single cause is right if it is named first, or is in the class (name a
         first, and that class has at most 3 members.
 Rule 2: a composite is scored by the share of its truths that any named cause or its class (at most 3) contains.
 Rule 3: a null is right if the verdict is `model-adequate`; an effect outside the catalogue if it is `unknown-cause`,
-        whatever was named besides (it may explain a part); named without that reserve it is a false name.
+        whatever was named besides (it may explain a part); named without that reserve it is a false name.  One that
+        the catalogue has learnt is right by rule 1.
 Rule 4: where the catalogue lacks the hidden effect, every name that holds is false.  The curve, or the first candidate,
         is at the right place if it is of the effect's family.
 Rule 5: a cause that the diagnosis lists as not testable is neither right nor wrong: it is counted by itself.  So is a
@@ -151,7 +152,8 @@ def judge(
         may_be_adequate: Of an effect outside: leaving the damaged samples out is an honest answer, too.
         in_the_data: Of a single cause: whether the recordings would be others without it.
     """
-    known = set(truths) if part in ("causes", "composites", "gateway", "forms") else set()
+    learnt = part == "outside" and set(truths) <= FAMILIES.keys()
+    known = set(truths) if part in ("causes", "composites", "gateway", "forms") or learnt else set()
     found = {truth for truth in known if any(truth in _class(cause) for cause in answer.causes)}
     false_names = sum(not (known & set(_class(cause))) for cause in answer.causes)
     confidence = answer.causes[0].confidence if answer.causes else math.nan
@@ -159,7 +161,7 @@ def judge(
     right: bool | None
     if part == "nulls":
         right = answer.verdict == ADEQUATE and not answer.causes
-    elif part == "outside":
+    elif part == "outside" and not learnt:
         right = answer.verdict == UNKNOWN or (may_be_adequate and answer.verdict == ADEQUATE and not answer.causes)
     elif part == "knock-out":
         right = not answer.causes

@@ -109,6 +109,7 @@ class Numbers(NamedTuple):
     spring: float
     sag: float
     hum: float
+    octave: float
 
 
 def njit(function: Callable[P, R]) -> Callable[P, R]:
@@ -126,6 +127,7 @@ def reading(x: float, i: float, t: float, c: Numbers) -> float:
     bowed = x + c.bow * math.sin(math.pi * min(max(x / c.travel, 0.0), 1.0))
     warm = c.warm_up * (1.0 - math.exp(-t / DRIFT_TIME_S)) if c.warm_up != 0.0 else 0.0
     hum = c.hum * math.sin(2.0 * math.pi * HUM_HZ * t) if c.hum != 0.0 else 0.0
+    hum += c.octave * math.sin(4.0 * math.pi * HUM_HZ * t + 1.0) if c.octave != 0.0 else 0.0
     return c.x_gain * bowed + c.x_offset + c.crosstalk * i + warm + hum
 
 
@@ -507,6 +509,7 @@ def numbers(
         spring=outside.get("spring-of-a-cable", 0.0),
         sag=outside.get("supply-sag", 0.0),
         hum=outside.get("sensor-hum", 0.0),
+        octave=outside.get("sensor-hum-octave", 0.0),
     )
 
 

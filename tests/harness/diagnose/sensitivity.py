@@ -101,7 +101,8 @@ def play(hidden: Hidden, *, full: bool) -> dict[str, Any]:
 
 def _judged(hidden: Hidden, answer: Answer) -> dict[str, Any]:
     lenient = any(OUTSIDE[name].may_be_adequate for name in hidden.outside)
-    judged = judge(hidden.part, tuple({**hidden.effects, **hidden.outside}), answer, may_be_adequate=lenient)
+    truths = (*hidden.effects, *(OUTSIDE[name].cause or name for name in hidden.outside))
+    judged = judge(hidden.part, truths, answer, may_be_adequate=lenient)
     return {
         "verdict": answer.verdict,
         "named": [cause.name for cause in answer.causes],

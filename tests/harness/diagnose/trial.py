@@ -116,6 +116,7 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
     asked = hidden.part == "causes" and answer.verdict == ADEQUATE and not answer.causes
     present = not asked or in_the_data(hidden, folder / "again")
     lenient = any(OUTSIDE[name].may_be_adequate for name in hidden.outside)
+    truths = tuple(OUTSIDE[name].cause or name if name in OUTSIDE else name for name in effects)
     return outcome(
         "answered",
         **took,
@@ -123,5 +124,5 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         named=tuple(cause.name for cause in answer.causes),
         not_testable=answer.not_testable,
         minor_effects=answer.minor_effects,
-        judgement=judge(hidden.part, tuple(effects), answer, may_be_adequate=lenient, in_the_data=present),
+        judgement=judge(hidden.part, truths, answer, may_be_adequate=lenient, in_the_data=present),
     )

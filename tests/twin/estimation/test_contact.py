@@ -195,3 +195,15 @@ def test_noise_that_is_cut_off_is_not_measured() -> None:
     assert sensor_noise(whole)[1] == pytest.approx(REST_M, rel=0.05)
     assert sensor_noise(cut)[1] is None
     assert (cut.series.flags & (RESTS_LOW | USE_X) == RESTS_LOW | USE_X).mean() > 0.9
+
+
+@pytest.mark.parametrize("hum_m", [30e-6, 100e-6])
+def test_mains_in_the_reading_do_not_hide_a_ball_at_rest(hum_m: float) -> None:
+    n = 2000
+    mains = hum_m * np.sin(2.0 * np.pi * 50.0 * TICK_S * np.arange(n) + 0.4)
+    x = np.concatenate((np.zeros(n - 200), np.linspace(0.0, 5e-3, 200)))
+
+    held = held_samples(record(noisy(x + mains, 1), "sawtooth"), PLANT)
+
+    assert held[: n - 200].all()
+    assert not held[n - 180 :].any()

@@ -30,9 +30,11 @@ RIG = replace(QUIET, T_A=5e-3, process_i_c_a=2e-3)
 STRENGTHS = {
     "coulomb-friction": 1e-3,
     "current-limit": 0.8,
+    "current-sensor-line": 8e-3,
     "freewheel-diode": 0.5,
     "lost-samples": 0.03,
     "motional-emf": 0.2,
+    "position-sensor-line": 20e-6,
     "slew-rate-limit": 10.0,
 }
 NOTHING = "nothing"

@@ -108,7 +108,7 @@ def find_change(search: Search, selection: Selection, *, workers: int = 2) -> Ch
         return None
     order = in_time(records)
     # A periodic force has a phase in each recording anyway.
-    candidates = [cause for cause in search.candidates if cause.detector != "spectral-line"]
+    candidates = [cause for cause in search.candidates if "line" not in cause.detector]
     # Only cuts between recordings: within one, `consistency.beginnings` looks.  A fit for each cause and cut would be
     # far too many; the score sums of the recordings give the promising ones from one set of derivatives.
     for cut, begins in _promising_cuts(criterion, selection, candidates, order):

@@ -22,6 +22,7 @@ from twin.control import LawNumbers, law, rounded
 from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.inference.theta import Theta
+from twin.model.causes.sensor_line import harmonics
 from twin.model.equilibrium import holding_current
 from twin.model.extended import (
     I_C,
@@ -83,7 +84,7 @@ def run(
         rig: the rig.
         course: the commands, n samples.
         y: the state at the first sample, shape (STATES,), changed in place.
-        rng: random generator of 4 n normal numbers.
+        rng: random generator of 4 n normal numbers, and of the phases of the sensors' lines.
         s: the integral of the law at the first sample, m s.
         speed: of the reading at the first sample, m/s.
 
@@ -98,6 +99,10 @@ def run(
     scale = np.empty((4, len(t)))
     scale[0], scale[1] = _without_step(theta.sigma_i_c_a, steps.i_lsb_a), _without_step(theta.sigma_x_m, steps.x_lsb_m)
     scale[2], scale[3] = theta.process_i_c_a * np.sqrt(step / rig.tick_s), theta.process_a_m_s2
+    noise = scale * rng.standard_normal((4, len(t)))
+    for column in range(2):
+        for frequency, amplitude in harmonics(c, column):
+            noise[column] += amplitude * np.sin(2.0 * math.pi * (frequency * t + rng.random()))
     out = np.empty((len(t), 4))
     play(
         tuple(theta.base(plant)),
@@ -110,7 +115,7 @@ def run(
         t,
         step,
         course.command,
-        scale * rng.standard_normal((4, len(t))),
+        noise,
         y,
         s,
         speed,

@@ -37,6 +37,7 @@ def errors(diagnosis: Diagnosis, summary: Summary) -> dict[str, Any]:
     steps = summary.steps
     return {
         "by_group": group_pictures,
+        "lines": [f"{capital(line.sentence)}." for line in diagnosis.lines],
         "steps": steps,
         "fitted": len(diagnosis.fit_evidence.records),
         "step_pictures": []

@@ -15,7 +15,9 @@ from functools import partial
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, renamed, same_as, steepness, within_range
 from twin.diagnosis.search.candidate_starts import substitute_start
+from twin.diagnosis.search.line_place import placed
 from twin.diagnosis.search.score_test import screen
+from twin.diagnosis.search.sensor_line import line_scores
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
 from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit, climb
@@ -135,7 +137,7 @@ def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selecti
     if is_needless and len(selection.causes) > 1:
         search.report(f"dropped: {cause} (the others explain it)")
         return selection.dropping(cause, current), True
-    trials = _rivals(search, selection, current, selected, fit_all=fit_all)
+    trials = placed(criterion, selected, _rivals(search, selection, current, selected, fit_all=fit_all))
     # Fair to both: the selected cause, too, may be at a worse maximum, so it is fitted from the candidate's parameters
     # before the candidate replaces it.
     if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
@@ -191,6 +193,11 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
     # A cause with the same effect on the samples is an equal without a fit.
     same = same_as(cause.name) & {entry.name for entry in remaining}
     scores = screen(criterion, current.theta, current.free, [*remaining, cause])
+    if "line" in cause.detector:
+        scores += line_scores(criterion, current, remaining)
+        asks_force = any(entry.name == periodic.CAUSE.name for entry in remaining)
+        if asks_force and (force := periodic.score(criterion, current.theta)) is not None:
+            scores.append(force)
     gain = next((score.gain for score in scores if score.cause == cause.name), 0.0)
     similar = {score.cause for score in scores if score.gain > settings.SIMILAR_SCORE * gain}
     # Causes of one family are similar by their physics, whatever their scores at this fit are.

@@ -13,6 +13,7 @@ from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, steepness, within_range
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import Score, probed, screen
+from twin.diagnosis.search.sensor_line import line_scores
 from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
@@ -50,7 +51,10 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
     with criterion.budget.question("what else of the catalogue explains what is left"):
         scores = screen(criterion, current.theta, current.free, search.candidates)
         if any(cause.name == periodic.CAUSE.name for cause in search.candidates):
-            scores = _with_line(criterion, current, scores)
+            force = periodic.score(criterion, current.theta)
+            scores = sorted([*scores, force], key=lambda entry: -entry.gain) if force is not None else scores
+        lines = line_scores(criterion, current, search.candidates)
+        scores = sorted([*scores, *lines], key=lambda entry: -entry.gain) if lines else scores
         scores = _with_dead_time(criterion, current, scores)
         floor = search.floor.under(criterion, current.theta)
     excess, material, gained = (
@@ -188,26 +192,3 @@ def _with_dead_time(criterion: Criterion, current: Fit, scores: list[Score]) -> 
                 other_values=(("T_A", T_A),),
             )
     return sorted((raised.get(score.cause, score) for score in scores), key=lambda entry: -entry.gain)
-
-
-def _with_line(criterion: Criterion, current: Fit, scores: list[Score]) -> list[Score]:
-    """Add the score of the strongest spectral line."""
-    if any(name == periodic.AMPLITUDE for name, _ in current.theta.causes):
-        return scores
-    line = periodic.find_line(criterion, current.theta)
-    if line is None:
-        return scores
-    score = Score(
-        cause=periodic.CAUSE.name,
-        probe=line.amplitude_n,
-        gain=line.gain,
-        step=1.0,
-        z=math.sqrt(2.0 * line.gain),
-        detectable=math.sqrt(2.0 * line.gain) * periodic.CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
-        visible=1.0,
-        moves=(),
-        chance=line.chance,
-        other_values=((periodic.FREQUENCY, line.frequency_hz),),
-        phases_s=line.phases_s,
-    )
-    return sorted([*scores, score], key=lambda entry: -entry.gain)

@@ -2,7 +2,8 @@
 
 Rule 1: the clock of a periodic force is not the board's, so each recording has its own phase.  Least squares over two
         signatures a quarter of a period apart gives it.  Phases enter the filter as shifts of time.
-Rule 2: a line counts against the spectrum around it, so that coloured innovations of a wrong model are not a line.
+Rule 2: a line must stand out of the spectrum around it (`twin/estimation/periodogram.py`), so that coloured innovations
+        of a wrong model are not a line.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.diagnosis.search.score_test import Score
 from twin.estimation.innovations import FLIES
-from twin.estimation.record import runs
+from twin.estimation.periodogram import TRIED, spectrum_of
+from twin.estimation.record import FloatArray
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import Theta
@@ -22,11 +25,10 @@ from twin.settings import diagnosis as settings
 
 CAUSE = cause_of_detector("spectral-line")
 AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
-_PAD = 1 << 16
 _MAX_ROUNDS = 4  # of the phases, at most
 _STEP = 0.1  # rad, to take the slope of a phase by
 _FAR_STEPS = 4.0  # of these at once
-_LONG_SAMPLES = 500  # for a spectrum
+_HIGHEST = 0.4  # of the sampling frequency: beyond it a force hardly moves the ball
 _MIN_SAMPLES = 50  # for a phase: a recording without one would be shaken at a wrong time
 
 
@@ -42,18 +44,15 @@ class Line:
 
 
 def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None) -> Line | None:
-    """The strongest line, or the one at `frequency`, as a force; None where no recording is long enough."""
+    """The strongest line, or the one at `frequency`, as a force; None where there is none."""
     series = criterion.evidence.series
     frequency = frequency or _strongest(criterion, theta)
     if frequency is None:
         return None
     probe = CAUSE.strength.probes[0]
-    at = theta.having(FREQUENCY, frequency).having(AMPLITUDE, probe)
     count = len(criterion.evidence.records)
-    quarter = 0.25 / frequency
     base = criterion.outputs(theta)
-    # The phases of an earlier line are not used: the two signatures would not be a quarter of a period apart.
-    sine, cosine = (criterion.outputs(replace(at, phases_s=(shift_s,) * count)) for shift_s in (0.0, quarter))
+    sine, cosine = shaken(criterion, theta, frequency)
     scale = np.sqrt(base[:, 4])
     residual = base[:, 1] / scale
     columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
@@ -85,8 +84,37 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         frequency_hz=frequency,
         amplitude_n=probe * weighted / weight,
         gain=gain,
-        chance=math.log(_PAD) + phases,
+        chance=math.log(TRIED) + phases,
         phases_s=tuple(phases_s),
+    )
+
+
+def shaken(criterion: Criterion, theta: Theta, frequency_hz: float) -> list[FloatArray]:
+    """The outputs under a small force of this frequency, as a sine and as a cosine of the time."""
+    at = theta.having(FREQUENCY, frequency_hz).having(AMPLITUDE, CAUSE.strength.probes[0])
+    count = len(criterion.evidence.records)
+    # The phases of an earlier line are not used: the two signatures would not be a quarter of a period apart.
+    return [criterion.outputs(replace(at, phases_s=(s,) * count)) for s in (0.0, 0.25 / frequency_hz)]
+
+
+def score(criterion: Criterion, theta: Theta) -> Score | None:
+    """The score of the strongest line as a force; None where there is none, or where the model has it."""
+    line = None if any(name == AMPLITUDE for name, _ in theta.causes) else find_line(criterion, theta)
+    if line is None:
+        return None
+    z = math.sqrt(2.0 * line.gain)
+    return Score(
+        cause=CAUSE.name,
+        probe=line.amplitude_n,
+        gain=line.gain,
+        step=1.0,
+        z=z,
+        detectable=z * CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
+        visible=1.0,
+        moves=(),
+        chance=line.chance,
+        other_values=((FREQUENCY, line.frequency_hz),),
+        phases_s=line.phases_s,
     )
 
 
@@ -147,27 +175,11 @@ def _without_whole_periods(shift_s: float, middle_s: float, frequency_hz: float)
 
 
 def _strongest(criterion: Criterion, theta: Theta) -> float | None:
-    """The frequency whose power stands out most from that of its neighbours, all recordings together."""
-    series = criterion.evidence.series
+    """The frequency of the line of x in flight that stands out most, all recordings together; None without one."""
+    series, step_s = criterion.evidence.series, criterion.tick_s
     _, white = criterion.white(theta)
     flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
-    values = np.where(flying, white[:, 1], 0.0)
-    interval = criterion.tick_s
-    frequencies = np.fft.rfftfreq(_PAD, interval)
-    power = np.zeros(len(frequencies))
-    count = 0
-    for number in np.unique(series.recording):
-        in_recording = series.recording == number
-        for piece in runs(in_recording & (np.abs(series.step - interval) < 0.02 * interval), _LONG_SAMPLES):
-            if flying[piece].sum() < _LONG_SAMPLES:
-                continue
-            part = values[piece][:_PAD]
-            power += np.abs(np.fft.rfft(part, _PAD)) ** 2 / flying[piece].sum()
-            count += 1
-    if not count:
-        return None
-    low, high = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, 0.4 / interval)
-    in_range = (frequencies >= low) & (frequencies <= high)
-    width = max(round(settings.LINE_NEIGHBOURS_HZ / float(frequencies[1])), 3)
-    local_mean = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), mode="same")
-    return float(frequencies[in_range][int(np.argmax((power / np.maximum(local_mean, 1e-12))[in_range]))])
+    spectrum = spectrum_of(series, white[:, 1], flying, step_s)
+    low_hz, high_hz = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, _HIGHEST / step_s)
+    at = None if spectrum is None else spectrum.line(low_hz, high_hz)
+    return None if spectrum is None or at is None else float(spectrum.frequency_hz[at])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from twin.compiled import inlined, kernel
+from twin.estimation.ekf.lines import lines_of_current, lines_of_position, share_of_lines, variance_of_lines
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.innovations import SPEED_STD_M_S
 from twin.model.causes import position_sensor_lag
@@ -53,9 +54,11 @@ def measure_current(f: Memory, reading: float) -> None:
     _forget(f, 0)
     if f.i_colour >= 0:
         reading -= f.h_i[f.i_colour] * f.y[I_COLOUR]
+    if f.lines_count > 0:
+        reading -= lines_of_current(f, f.y[:])
     f.y[I_C] = current_of_reading(f.c[:], reading)
     f.P[0, 0] = f.r_i / (f.h_i[0] * f.h_i[0])
-    if f.i_colour >= 0:
+    if f.i_colour >= 0 or f.lines_count > 0:
         _share_error(f)
         return
     if f.i_offset >= 0:
@@ -93,6 +96,8 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
         f.y[f.places[k]] = 0.0
         if k < f.coloured:
             f.P[k, k] = f.q_w[k - f.wandering] * MINUTE_S
+        elif k >= f.lines:
+            f.P[k, k] = f.v_line[(k - f.lines) // 2]
         else:
             f.P[k, k] = f.v_i if k == f.i_colour else f.v_x
     wandered(f, f.y)
@@ -118,6 +123,9 @@ def start_flight(f: Memory, reading: float) -> None:
         share = f.share_x
         reading -= share * y[X_COLOUR]
         r_x += share * share * P[f.x_colour, f.x_colour]
+    if f.lines_count > 0:
+        reading -= lines_of_position(f, y, f.h_x[:])
+        r_x += variance_of_lines(f)
     y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
     y[SENSOR], y[RATE] = reading, 0.0
     f.in_flight, f.readings = True, 0
@@ -151,6 +159,10 @@ def start_flight(f: Memory, reading: float) -> None:
         for k in range(f.lasting, f.m):
             P[1, k] -= f.share_x * P[f.x_colour, k]
             P[k, 1] = P[1, k]
+    if f.lines_count > 0:
+        for k in range(f.lasting, f.m):
+            P[1, k] -= share_of_lines(f, k)
+            P[k, 1] = P[1, k]
     if f.sensor >= 0:
         # Behind a lagging sensor the position depends on the unknown speed.
         tau = c[position_sensor_lag.TAU]
@@ -163,6 +175,9 @@ def start_flight(f: Memory, reading: float) -> None:
         if f.x_colour >= 0:
             P[f.sensor, f.x_colour] = -f.share_x * P[f.x_colour, f.x_colour]
             P[f.x_colour, f.sensor] = P[f.sensor, f.x_colour]
+        for k in range(f.lines, f.m):
+            P[f.sensor, k] = -share_of_lines(f, k)
+            P[k, f.sensor] = P[f.sensor, k]
     if f.rate >= 0:
         # The sensor's output moves as the ball did a time constant ago.
         for k in range(f.m):
@@ -202,6 +217,8 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
                         s_ix += P[f.i_offset, a] * f.h_x[a]
                     if f.i_colour >= 0:
                         s_ix += f.h_i[f.i_colour] * P[f.i_colour, a] * f.h_x[a]
+                    for k in range(f.lines, m):
+                        s_ix += f.h_i[k] * P[k, a] * f.h_x[a]
                 out[3] = s_ix
         f.readings += 1
     if use_i:
@@ -223,10 +240,12 @@ def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool
     out[1], out[4] = x - position_reading(Base(*base_of(f)), f.c[:], stop_m, f.y[I_C]), f.r_x
     if use_i:
         out[3] = 0.0
-    if f.x_colour >= 0:
-        out[1] -= f.share_x * f.y[X_COLOUR]
+    if f.x_colour >= 0 or f.lines_count > 0:
         for a in range(f.m):
             f.h_x[a] = f.share_x if a == f.x_colour else 0.0
+        out[1] -= lines_of_position(f, f.y[:], f.h_x[:])
+        if f.x_colour >= 0:
+            out[1] -= f.share_x * f.y[X_COLOUR]
         out[4] = correct(f, f.h_x[:], f.r_x, out[1])
 
 
@@ -236,6 +255,8 @@ def expected_current_reading(f: Memory) -> float:
     reading = current_reading(f.c[:], f.y[I_C])
     if f.i_colour >= 0:
         reading += f.h_i[f.i_colour] * f.y[I_COLOUR]
+    if f.lines_count > 0:
+        reading += lines_of_current(f, f.y[:])
     return float(reading)
 
 
@@ -248,6 +269,8 @@ def position_slopes(f: Memory, y: Floats, h: Floats) -> float:
     if f.x_colour >= 0:
         h[f.x_colour] = f.share_x
         noise = f.share_x * y[X_COLOUR]
+    if f.lines_count > 0:
+        noise += lines_of_position(f, y, h)
     if f.sensor >= 0:
         h[f.sensor] = 1.0
         return float(y[SENSOR] + noise)

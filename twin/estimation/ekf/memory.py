@@ -25,8 +25,24 @@ from twin.model.causes import (
 )
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import PLACES
+from twin.model.causes.sensor_line import HARMONICS, MEMORY_S, harmonics
 from twin.model.causes.wander import MINUTE_S
-from twin.model.extended import FIELD, I_C, I_COLOUR, RATE, SENSOR, STATES, WANDER, WARMTH, X_COLOUR, Base, V, X
+from twin.model.extended import (
+    FIELD,
+    I_C,
+    I_COLOUR,
+    I_LINES,
+    RATE,
+    SENSOR,
+    STATES,
+    WANDER,
+    WARMTH,
+    X_COLOUR,
+    X_LINES,
+    Base,
+    V,
+    X,
+)
 
 Floats = NDArray[np.float64]
 _WANDERS = {offset: WANDER + k for k, (offset, _) in enumerate(OFFSETS)}
@@ -75,6 +91,12 @@ class Memory(Protocol):
     lasting: int  # place of the first state that a flight leaves as it is: warmth, what wanders, coloured noise
     wandering: int  # place of the first that wanders
     coloured: int  # place of the first of coloured noise
+    lines: int  # place of the first of the lines, which are last
+    lines_count: int
+    pulse: Floats  # angular frequency of each line, rad/s
+    v_line: Floats  # variance at the beginning of a recording
+    q_line: Floats  # its growth per s
+    h_line: Floats  # derivatives of the reading of x by the lines, 0 elsewhere, shape (STATES,)
     usual: Floats  # c without what has wandered, shape (PLACES,)
     offsets: NDArray[np.int64]  # place in c of each state that wanders
     q_w: Floats  # of the wandering, in the square of its unit per s
@@ -95,13 +117,22 @@ class Memory(Protocol):
 
 def states_in(c: Floats, noise: NoiseLevels) -> int:
     """The number m of active states under the causes c, shape (PLACES,), and this noise."""
-    return len(active_states(c)) + len(_colours(noise))
+    return len(active_states(c)) + len(_colours(noise)) + 2 * len(_lines(c))
 
 
 def _colours(noise: NoiseLevels) -> list[int]:
     """The states of coloured noise."""
     coloured = noise.tau_i_c_s > 0.0 or noise.tau_i_c_captured_s > 0.0, noise.tau_x_s > 0.0
     return [state for state, lives in zip((I_COLOUR, X_COLOUR), coloured, strict=True) if lives]
+
+
+def _lines(c: Floats) -> list[tuple[int, float, float]]:
+    """The lines under the causes c: (first of the two states, frequency in Hz, amplitude in A or m)."""
+    return [
+        (first + 2 * k, *line)
+        for column, first in enumerate((I_LINES, X_LINES))
+        for k, line in enumerate(harmonics(c, column))
+    ]
 
 
 def active_states(c: Floats) -> list[int]:
@@ -121,11 +152,13 @@ def _fields() -> np.dtype[np.void]:
     vector, square = (STATES,), (STATES, STATES)
     numbers = ("moments_s", "r_i", "r_x", "v_i", "v_x", "tau_i", "tau_x", "share_x", "q_i", "q_a", "low_m", "high_m")
     counts = ("m", *_NAMED, "lasting", "wandering", "coloured", "first", "readings")
-    vectors = ("y", "previous", "moved", "back", "K", "h_i", "h_x")
+    counts += ("lines", "lines_count")
+    vectors = ("y", "previous", "moved", "back", "K", "h_i", "h_x", "h_line")
     fields: list[Any] = [("base", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
     fields += [("places", np.int64, vector), ("offsets", np.int64, vector), ("q_w", float, vector)]
     fields += [("moments", float, (9,)), ("noise_i_c", float, (6,))]
+    fields += [(name, float, (2 * HARMONICS,)) for name in ("pulse", "v_line", "q_line")]
     fields += [(name, np.bool_) for name in ("closed_form", "in_flight")]
     fields += [(name, float, vector) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
     return np.dtype(fields, align=True)
@@ -138,6 +171,9 @@ def memory_for(system: System) -> Memory:
     c, noise, places = system.c, system.noise, active_states(system.c)
     coloured = len(places)
     places += _colours(noise)
+    lines = _lines(c)
+    record["lines"], record["lines_count"] = len(places), len(lines)
+    places += [state for first, _, _ in lines for state in (first, first + 1)]
     record["base"], record["closed_form"] = system.base, system.closed_form
     record["c"] = record["usual"] = c
     record["noise_i_c"][:3] = _split(noise.sigma_i_c_a, noise.white_i_c, noise.tau_i_c_s)
@@ -164,6 +200,11 @@ def memory_for(system: System) -> Memory:
         record["h_i"][record["i_offset"]] = 1.0
     if record["i_colour"] >= 0:
         record["h_i"][record["i_colour"]] = 1.0
+    for n, (state, frequency, amplitude) in enumerate(lines):
+        is_current, place = state < X_LINES, record["lines"] + 2 * n
+        record["h_i" if is_current else "h_line"][place] = 1.0
+        record["pulse"][n], record["v_line"][n] = 2.0 * math.pi * frequency, 0.5 * amplitude**2
+        record["q_line"][n] = record["r_i" if is_current else "r_x"] * noise.tick_s / MEMORY_S**2
     return cast(Memory, records.view(np.recarray)[0])
 
 

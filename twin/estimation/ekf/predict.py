@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from twin.compiled import inlined, kernel
+from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_covariance, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.ekf.transition import moments, transit
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
@@ -59,20 +60,24 @@ def remembered(tau_s: float, T_s: float) -> float:
 
 @inlined
 def fade(f: Memory, y: Floats, T_s: float) -> None:
-    """Advance the coloured noise of the state y in place by T_s."""
+    """Advance coloured noise and lines of the state y in place by T_s."""
     if f.i_colour >= 0:
         y[I_COLOUR] *= remembered(f.tau_i, T_s)
     if f.x_colour >= 0:
         y[X_COLOUR] *= remembered(f.tau_x, T_s)
+    if f.lines_count > 0:
+        turn_state(f, y, T_s)
 
 
 @inlined
 def slopes_of_colour(f: Memory, T_s: float) -> None:
-    """Fill the rows and columns of F that belong to coloured noise."""
-    for k in range(f.coloured, f.m):
+    """Fill the rows and columns of F that belong to coloured noise and lines."""
+    for k in range(f.coloured, f.lines):
         for j in range(f.m):
             f.F[k, j], f.F[j, k] = 0.0, 0.0
         f.F[k, k] = remembered(f.tau_i if k == f.i_colour else f.tau_x, T_s)
+    if f.lines_count > 0:
+        slopes_of_lines(f, T_s)
 
 
 @inlined
@@ -172,6 +177,8 @@ def wander_on(f: Memory, T_s: float) -> None:
     if f.x_colour >= 0:
         left = remembered(f.tau_x, T_s)
         f.P[f.x_colour, f.x_colour] += (1.0 - left * left) * f.v_x
+    if f.lines_count > 0:
+        doubt_lines(f, T_s)
 
 
 @kernel
@@ -230,10 +237,12 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         if f.warmth >= 0:
             P[0, k] += f_iw * P[f.warmth, k]
         P[k, 0] = P[0, k]
-    for k in range(f.coloured, f.m):
+    for k in range(f.coloured, f.lines):
         left = remembered(f.tau_i if k == f.i_colour else f.tau_x, T_s)
         for j in range(f.m):
             P[k, j] *= left
             P[j, k] *= left
+    if f.lines_count > 0:
+        turn_covariance(f, T_s)
     fade(f, y, T_s)
     wander_on(f, T_s)

@@ -21,11 +21,11 @@ Trait = Literal[
     "of-the-gap",  # its equation has the distance of ball and coil in it
     "warms",  # comes and goes with the warmth of the coil
 ]
-# In innovations, in their spectrum, in the times of samples; no causes are a curve, found in what is left, and an error
-# of what the campaign states, which only competes with a named cause.
-Detector = Literal["score-test", "spectral-line", "gaps", "remainder", "stated"]
+# In innovations, in their spectrum (a force, or an error of a sensor), in the times of samples; no causes are a curve,
+# found in what is left, and an error of what the campaign states, which only competes with a named cause.
+Detector = Literal["score-test", "spectral-line", "sensor-line", "gaps", "remainder", "stated"]
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 111
+PLACES = 119
 NO_PLACE = -1  # of a parameter that acts before the kernels
 
 

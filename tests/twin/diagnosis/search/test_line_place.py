@@ -1,0 +1,103 @@
+"""A line of x: in the force, in the reading, or either, as the data tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.campaign import load
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.known_diagnosis import QUIET, steps
+from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S, rig_of, strong
+from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, reading_leads
+from twin.diagnosis.search.sensor_line import line_scores
+from twin.diagnosis.search.stepwise import select
+from twin.diagnosis.search.task import Search
+from twin.estimation.record import Record
+from twin.evidence.gather import gather
+from twin.inference.fisher_scoring import climb
+from twin.inference.initial_guess import start_theta
+from twin.inference.likelihood import Criterion
+from twin.inference.noise_floor import floor_of
+from twin.inference.theta import BASE, Theta
+from twin.model.causes.catalogue import BY_NAME
+from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
+
+SIZES = {SENSOR: 5e-6, FORCE: 0.005}  # the force moves the ball by 6 um at 50 Hz
+
+
+def rig_with(cause: str, frequency_hz: float = 50.0) -> Theta:
+    return strong(cause, SIZES[cause], QUIET).having(f"{cause}.frequency_hz", frequency_hz)
+
+
+def hover(theta: Theta, seed: int) -> Record:
+    """A flight at one height."""
+    held = Schedule(name=f"hold_{seed}", kind="closed-loop", command=np.full(4000, MIDDLE_M), closed_loop=True)
+    (record,) = simulate(rig_of(theta), held, seed=seed)
+    return record
+
+
+def criterion_of(records: list[Record]) -> Criterion:
+    return Criterion(gather(records, PLANT), PLANT, TICK_S, workers=1)
+
+
+def leads(rig: Theta, records: list[Record], cause: str) -> bool:
+    criterion = criterion_of(records)
+    try:
+        gains = place_gains(criterion, rig)
+    finally:
+        criterion.close()
+    return gains[cause] > gains[FORCE if cause == SENSOR else SENSOR] + settings.EQUIVALENT_GAIN
+
+
+@pytest.mark.parametrize("cause", SIZES)
+def test_a_ball_at_rest_tells_a_force_from_a_reading(cause: str) -> None:
+    rig = rig_with(cause)
+    rest = Schedule(name="rest", kind="free", command=np.full(1500, 1.5), closed_loop=False)
+
+    assert leads(rig, [hover(rig, 1), *simulate(rig_of(rig), rest, seed=2)], cause)
+
+
+@pytest.mark.parametrize("cause", SIZES)
+def test_flights_over_the_travel_tell_a_slow_force_from_a_reading(cause: str) -> None:
+    """The force gradient changes with the height, and a slow force moves the ball as far as the gradient lets it."""
+    rig = rig_with(cause, 8.0)
+
+    assert leads(rig, [steps(rig, seed=3), steps(rig, seed=4)], cause)
+
+
+@pytest.mark.parametrize("cause", SIZES)
+def test_at_one_height_a_force_and_a_reading_are_one_class(cause: str) -> None:
+    rig = rig_with(cause)
+    criterion = criterion_of([hover(rig, 1), hover(rig, 2)])
+    try:
+        base = climb(criterion, QUIET, BASE)
+        candidates = BY_NAME[SENSOR], BY_NAME[FORCE]
+        search = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=candidates)
+        found = select(search, base)
+    finally:
+        criterion.close()
+
+    (name,) = found.causes
+    assert {name, *(member.cause for member in found.classes[name])} == {SENSOR, FORCE}
+
+
+def test_a_current_that_flows_is_no_error_of_its_reading(tmp_path: Path) -> None:
+    """The supply of this rig has a ripple, which the catalogue does not know."""
+    make_campaign(tmp_path, effects={}, seed=3, plant="independent", outside={"supply-ripple": 0.04}, quick=True)
+    campaign = load(tmp_path / "campaign.toml")
+    records = read_campaign(campaign)
+    criterion = Criterion(gather(records, campaign.plant), campaign.plant, TICK_S, workers=1)
+    try:
+        base = climb(criterion, start_theta(records, campaign.plant), BASE)
+        lead = reading_leads(criterion, base.theta, 100.0)
+        scores = line_scores(criterion, base, [BY_NAME["current-sensor-line"]])
+    finally:
+        criterion.close()
+
+    assert lead < -settings.EQUIVALENT_GAIN
+    assert scores == []
