@@ -29,6 +29,7 @@ from twin.frequency.responses import Curve, Name, Setting, curves, linear_respon
 from twin.frequency.simulated import simulated
 from twin.frequency.spectra import ComplexArray, Spectra, spectra
 from twin.frequency.verdict import Verdict, judge
+from twin.identification.pipeline import grouped
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
 from twin.validation.source import Source, filtered, sources_of
@@ -122,7 +123,7 @@ def bode_of(sources: Sequence[Source], model: Model, *, messages: Sequence[str] 
         heights=heights,
         residuals=residual_spectra(runs),
         verdict=verdict,
-        notes=tuple(dict.fromkeys(notes)),
+        notes=tuple(grouped(list(dict.fromkeys(notes)), [s.record.name for s in sources])),
     )
 
 

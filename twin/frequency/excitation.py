@@ -70,7 +70,15 @@ def _within(x_ref: FloatArray, piece: slice, tolerance: float, shortest: int, lo
 def _periodic(x_ref: FloatArray, piece: slice, tolerance: float, shortest: int, longest_period: int) -> Part | None:
     r, best = x_ref[piece], None
     longest = shortest - 1
+    changes = np.concatenate(([0], np.cumsum(np.abs(np.diff(r)) > tolerance)))
     for period in range(SHORTEST_PERIOD, min(len(r) // REPEATS, longest_period) + 1):
+        # A stretch long enough has two neighbours of a coarse grid; most periods fail there, at little cost.
+        needed = max(longest + 1, REPEATS * period) - period
+        grid = np.arange(0, len(r) - period, max(needed // 2, 1))
+        equal = np.abs(r[grid + period] - r[grid]) <= tolerance
+        moving = changes[np.minimum(grid[1:] + period, len(r) - 1)] > changes[grid[:-1]]
+        if not (equal[1:] & equal[:-1] & moving).any():
+            continue
         breaks = np.flatnonzero(np.abs(r[period:] - r[:-period]) > tolerance)
         ends = np.concatenate(([-1], breaks, [len(r) - period]))
         for k in np.flatnonzero(np.diff(ends) - 1 + period > longest):

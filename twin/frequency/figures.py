@@ -76,7 +76,8 @@ def residual_figure(spectra: Sequence[ResidualSpectrum]) -> Figure:
         ax.set_title(f"residual of {item.channel}")
         ax.set(xlabel="frequency [Hz]", ylabel="power / stated power [-]")
         _plain_ticks(ax.xaxis)
-        _plain_ticks(ax.yaxis)
+        if item.power.max() < 100.0 * item.power.min():
+            _plain_ticks(ax.yaxis)
     _legend_outside(figure, max(axes[0], key=lambda ax: len(ax.get_legend_handles_labels()[1])))
     return figure
 
