@@ -24,9 +24,9 @@ from twin.estimation.record import FloatArray, Record
 from twin.identification.horizon import HORIZONS_S
 from twin.model.parameters import Model
 from twin.prediction import Prediction, predict
+from twin.settings.diagnosis import ERROR_BLOCK_S
 
-BLOCK_S = 1.0  # 25 times the longest horizon
-MIN_BLOCKS = 8  # fewer: the spread of the blocks is not known
+MIN_BLOCKS = 6  # fewer: the spread of the blocks is not known
 WHOLE = "whole travel"
 REGIONS = ("lower third", "middle third", "upper third")  # of the travel, by the measured x
 
@@ -131,7 +131,7 @@ def _totals(flights: Sequence[tuple[FloatArray, FloatArray, FloatArray]], region
             third = np.clip(np.floor(3.0 * x / travel_m), 0, 2)
             t, error = (values[third == REGIONS.index(region)] for values in (t, error))
         if len(t):
-            block = np.floor((t - t[0]) / BLOCK_S).astype(np.int64)
+            block = np.floor((t - t[0]) / ERROR_BLOCK_S).astype(np.int64)
             squares.append(np.bincount(block, error**2))
             counts.append(np.bincount(block).astype(float))
     total, count = (np.concatenate(parts) if parts else np.zeros(0) for parts in (squares, counts))

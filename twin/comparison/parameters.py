@@ -71,7 +71,7 @@ def _course(name: str, estimates: Sequence[Parameter | None]) -> Course:
         first, last = known[0], known[-1]
         if values[first]:
             change = float(values[last] / values[first] - 1.0)
-            half = 1.96 * math.hypot(stds[last], stds[first] * (1.0 + change)) / abs(float(values[first]))
+            half = 1.96 * math.hypot(stds[last], stds[first]) / abs(float(values[first]))
     return Course(
         name=name,
         unit=next(parameter.unit for parameter in estimates if parameter is not None),

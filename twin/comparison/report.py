@@ -36,7 +36,7 @@ def to_text(result: Comparison) -> str:
         lines.append(f"on {', '.join(result.flights)}")
     tables = [(list(ERROR_HEAD), [_error_row(change) for change in result.changes])] if result.changes else []
     if result.parameters:
-        tables.append((_parameter_head(result), [_parameter_row(course) for course in result.parameters]))
+        tables.append((_parameter_head(result), [_parameter_row(course, result.kind) for course in result.parameters]))
     for head, rows in tables:
         cells = [head, *[[cell if isinstance(cell, str) else cell.text for cell in row] for row in rows]]
         widths = [max(len(row[n]) for row in cells) for n in range(len(head))]
@@ -57,7 +57,7 @@ def to_html(result: Comparison) -> str:
         error_head=ERROR_HEAD,
         errors=[_error_row(change) for change in result.changes],
         parameter_head=_parameter_head(result),
-        parameters=[_parameter_row(course) for course in result.parameters],
+        parameters=[_parameter_row(course, result.kind) for course in result.parameters],
     )
 
 
@@ -100,7 +100,7 @@ def _parameter_head(result: Comparison) -> list[str]:
     return ["", *(f"{n + 1}" for n in range(len(result.names))), "last against first", "95 % interval", ""]
 
 
-def _parameter_row(course: Course) -> list[str | Mark]:
+def _parameter_row(course: Course, kind: str) -> list[str | Mark]:
     cells: list[str | Mark] = [f"{course.name} [{course.unit or '-'}]"]
     for value, std in zip(course.values, course.stds, strict=True):
         spread = f" ± {1.96 * std:.2g}" if math.isfinite(std) else ""
@@ -108,5 +108,5 @@ def _parameter_row(course: Course) -> list[str | Mark]:
     if not math.isfinite(course.chance):
         return [*cells, "-", "-", "not testable"]
     low, high = (f"{100.0 * end:+.3g}" for end in course.change_ci95)
-    verdict = Mark("changed", good=False) if course.significant else "no difference"
+    verdict = Mark("changed" if kind == "time" else "differs", good=False) if course.significant else "no difference"
     return [*cells, f"{100.0 * course.change:+.3g} %", f"{low} .. {high} %", verdict]

@@ -76,8 +76,11 @@ def test_a_rig_that_changed_between_two_flights_is_seen() -> None:
     assert unlike.answer().startswith("The model predicts flight-1 better. ")
 
 
-def test_two_flights_of_one_rig_do_not_differ() -> None:
-    assert not compare_flights(true_model(), [fly({}, 1), fly({}, 2)]).differs
+def test_flights_of_one_rig_seldom_differ() -> None:
+    """Three pairs: at 5 % for each, two that differ have a chance of 0.7 %."""
+    flights = [fly({}, seed, ticks=2500) for seed in range(1, 7)]
+    pairs = zip(flights[::2], flights[1::2], strict=True)
+    assert sum(compare_flights(true_model(), pair).differs for pair in pairs) < 2
 
 
 def test_the_interval_of_a_ratio_holds_the_truth_as_often_as_stated() -> None:
@@ -102,7 +105,7 @@ def test_a_drift_is_found_and_dated() -> None:
     assert found.days == ("2026-09-03", "2026-10-03", "2026-11-03")
     assert [one.name for one in found.parameters if one.significant] == ["K_c"]
     assert found.answer() == (
-        "K_c changed by -6 % from first to last (-8.69 .. -3.31 %). No other parameter changed significantly."
+        "K_c changed by -6 % from first to last (-8.77 .. -3.23 %). No other parameter changed significantly."
     )
 
 
