@@ -115,13 +115,13 @@ def test_another_law_gives_the_flight_that_is_then_flown() -> None:
 
 @pytest.mark.slow
 def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
-    """Twenty pairs of flights, half of them of a rig with an effect; parameters off by their standard errors.
+    """Ten pairs of flights, half of them of a rig with an effect; parameters off by their standard errors.
 
-    Of 95 % intervals for about 120 figures, correlated within a flight, at least 85 % hold.
+    Of 95 % intervals for about 55 figures, correlated within a flight, at least 85 % hold.
     """
     rng = np.random.default_rng(11)
     inside = total = 0
-    for n in range(20):
+    for n in range(10):
         effects = {"motional-emf": 0.3} if n % 2 else {}
         exact = true_model(effects=effects)
         parameters = {
@@ -139,7 +139,7 @@ def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
             if math.isfinite(value) and figure.draws and figure.name != "at_limit":
                 total += 1
                 inside += figure.ci95[0] <= value <= figure.ci95[1]
-    assert total > 80
+    assert total > 40
     assert inside >= 0.85 * total
 
 
