@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from twin.validation.source import Source
 
 
+SAME_T_S = 0.05  # share: a T_s nearer than that is the same
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = (
@@ -76,18 +79,24 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _law(args: argparse.Namespace, source: Source) -> LawNumbers:
+    from twin.control_design.controller_file import numbers_of, read_controller
     from twin.evidence.checks.control_law import WIDE_V
-    from twin.what_if.controller import read_controller
 
-    flown = source.law
+    flown, T_s = source.law, source.record.interval_s
     low, high = (0.0, args.u_max) if flown is None else (flown.u_low, flown.u_high)
     limits = (max(low, 0.0) if low <= -WIDE_V else low, min(high, args.u_max) if high >= WIDE_V else high)
-    if args.gains is not None:
-        lsb = source.record.lsb[1]
-        return read_controller(args.gains, sample_time_s=source.record.interval_s, u_range_v=limits, x_lsb_m=lsb)
-    if flown is None:
-        raise DataError(f"{source.record.name}: its law is not known: {source.without_law}", remedy="Give --gains")
-    return flown._replace(u_low=limits[0], u_high=limits[1])
+    if args.gains is None:
+        if flown is None:
+            raise DataError(f"{source.record.name}: its law is not known: {source.without_law}", remedy="Give --gains")
+        return flown._replace(u_low=limits[0], u_high=limits[1])
+    file = read_controller(args.gains)
+    if abs(file.sample_time_s - T_s) > SAME_T_S * T_s:
+        raise UsageError(
+            f"{args.gains} is designed for T_s = {file.sample_time_s:g} s, the flight is sampled every {T_s:g} s",
+            remedy=f"Design with --sample-time {T_s:g}",
+        )
+    lsb = source.record.lsb[1]
+    return numbers_of(file.law, file.gains, file.operating_point, T_s, u_range_v=limits, x_lsb_m=lsb)
 
 
 def _reference(path: Path, sample_time_s: float) -> FloatArray:

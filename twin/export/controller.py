@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
 
-from protocol.bus import board51_pb2 as pb
-from protocol.checked import KEYS, Number, checked, key
-from protocol.errors import DataError, UsageError
-from protocol.files import parse_json, read_small
-from twin.control import LawNumbers, law_numbers
+from protocol.errors import UsageError
+from twin.control import LawNumbers
 from twin.control_design.board import Converters
+from twin.control_design.controller_file import Point, numbers_of, read_controller
 from twin.control_design.design import Design
 from twin.control_design.gains import Law, OperatingPoint, Weights
-
-_REMEDY = "Give a controller.json as `design --out` writes it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,37 +29,6 @@ class Controller:
         return self.numbers.sample_time_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Point:
-    __pydantic_config__ = KEYS
-
-    i_0_a: Number
-    x_0_m: Number
-    u_0_v: Number
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Weights:
-    __pydantic_config__ = KEYS
-
-    Q: tuple[Number, Number, Number, Number]
-    R: Number
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _File:
-    __pydantic_config__ = KEYS
-
-    law: Law
-    gains: tuple[Number, Number, Number, Number]
-    operating_point: _Point
-    sample_time_s: Annotated[Number, key("T_s, s", 1e-4, 2e-2)]
-    weights: _Weights
-    gain_names: Any = None
-    gain_units: Any = None
-    observer: Any = None
-
-
 def of_design(design: Design, *, u_max_v: float) -> Controller:
     """The law with the gains of a design and an input from 0 to `u_max_v`, V."""
     return _controller(
@@ -78,11 +42,9 @@ def of_file(path: Path, *, u_max_v: float) -> Controller:
     Raises:
         DataError: the file is missing, or is no controller file; the message names the key.
     """
-    data = parse_json(read_small(path, remedy=_REMEDY), where=str(path), remedy=_REMEDY)
-    file: _File = checked(_File, data, where=str(path), error=DataError)
-    point = OperatingPoint(
-        i_a=file.operating_point.i_0_a, x_m=file.operating_point.x_0_m, u_v=file.operating_point.u_0_v
-    )
+    file = read_controller(path)
+    at = file.operating_point
+    point = OperatingPoint(i_a=at.i_0_a, x_m=at.x_0_m, u_v=at.u_0_v)
     weights = Weights(Q=file.weights.Q, R=file.weights.R)
     return _controller(file.law, file.gains, point, weights, file.sample_time_s, Converters(), u_max_v)
 
@@ -101,18 +63,6 @@ def _controller(
             f"the input at the operating point is {point.u_v:.3g} V, and the range is 0 to {u_max_v:g} V",
             remedy="Give the end of the range with --u-max",
         )
-    numbers = law_numbers(
-        pb.Parameters(
-            law=pb.LAW_PID if law == "pid" else pb.LAW_LQI,
-            gains=gains,
-            i_0_a=point.i_a,
-            x_0_m=point.x_m,
-            u_0_v=point.u_v,
-            u_min_v=0.0,
-            u_max_v=u_max_v,
-            sample_time_s=sample_time_s,
-            x_lsb_m=converters.x_lsb_m,
-        )
-    )
-    assert numbers is not None  # all of them are there, and finite
+    at = Point(i_0_a=point.i_a, x_0_m=point.x_m, u_0_v=point.u_v)
+    numbers = numbers_of(law, gains, at, sample_time_s, u_range_v=(0.0, u_max_v), x_lsb_m=converters.x_lsb_m)
     return Controller(law=law, gains=gains, point=point, weights=weights, numbers=numbers)
