@@ -43,10 +43,10 @@ demo: setup
 test: setup
 	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow"
 
-# The rest, half an hour: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a
+# The rest, 25 minutes: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a
 # failing network.
 test-slow: setup
-	$(ALONE) $(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m slow
+	$(ALONE) $(BIN)/pytest -n 3 --dist loadgroup $(PYTEST_ARGS) -m slow
 
 # Half an hour: see tests/README.md.
 mutants: setup
