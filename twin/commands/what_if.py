@@ -7,6 +7,7 @@ settling time, effort and time at the limit with intervals, and says whether the
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
     print(as_text(report.to_dict(result)) if args.json else report.to_text(result))
     if args.out is not None and not args.json:
         print(f"\n{args.out / 'what_if.html'}")
+    for note in result.notes:
+        print(f"! {note}", file=sys.stderr)
     return 1 if result.lost else 0
 
 

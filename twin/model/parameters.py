@@ -211,7 +211,8 @@ class Model:
     @property
     def name(self) -> str:
         """Return the name that a person chose, else plant, causes and day: "ce152 + air-gap-offset, 24 Nov 2026"."""
-        if isinstance(chosen := self.provenance.get("name"), str) and chosen:
+        chosen = self.provenance.get("name")
+        if isinstance(chosen, str) and chosen and not name_problem(chosen):  # it goes onto terminals
             return chosen
         causes = [cause.name for cause in self.causes]
         if len(causes) > MAX_LISTED:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from twin.control import LawNumbers
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import FIGURES, LoopRun, find_steps, measure
+from twin.model.assumed import assumption_warning
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import PARAMETERS, Model, Parameter
 from twin.validation.source import Source
@@ -140,8 +141,19 @@ def forecast(
         steps=len(find_steps(run, model.noise.sigma_x_m)),
         lost=draws - len(flights),
         draws=draws,
-        notes=tuple(recorded.notes),
+        notes=(*recorded.notes, *_cautions(source, model)),
     )
+
+
+def _cautions(source: Source, model: Model) -> list[str]:
+    """Return the sentences on what makes the forecast doubtful."""
+    notes = [assumption_warning(model.plant)] if model.plant.assumed else []
+    if source.unknown_delay:
+        notes.append(
+            f"u_c acts {source.unknown_delay} sample(s) later than recorded, which the model does not include: a law "
+            "with higher gains may lose the ball although this forecast does not"
+        )
+    return notes
 
 
 def drawn(model: Model, rng: np.random.Generator) -> Model:

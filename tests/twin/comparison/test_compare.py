@@ -177,6 +177,7 @@ def test_the_name_of_a_model() -> None:
     assert model.name == "emulated + air-gap-offset"
     assert replace(model, provenance={"measured": "2026-11-24"}).name == "emulated + air-gap-offset, 24 Nov 2026"
     assert replace(model, provenance={"name": "cold Monday", "measured": "2026-11-24"}).name == "cold Monday"
+    assert replace(model, provenance={"name": "a\x1b[2J"}).name == "emulated + air-gap-offset"
     many = true_model(
         effects={name: 0.01 for name in ("motional-emf", "air-gap-offset", "quadratic-drag", "constant-force")}
     )

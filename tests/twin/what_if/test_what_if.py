@@ -143,6 +143,13 @@ def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
     assert inside >= 0.85 * total
 
 
+def test_a_delay_that_the_model_lacks_is_a_caution() -> None:
+    model = true_model()
+    late = replace(source(flight(FLOWN, 1), model), unknown_delay=2)
+    (note,) = forecast(late, model, law_of(FLOWN), draws=2).notes
+    assert note.startswith("u_c acts 2 sample(s) later than recorded, which the model does not include")
+
+
 def test_a_law_that_loses_the_ball_is_refused_in_words() -> None:
     model = true_model()
     expected = forecast(source(flight(FLOWN, 1), model), model, law_of((0.0, 300.0, 1.0, -100.0)), draws=4)
