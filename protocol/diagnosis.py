@@ -49,6 +49,7 @@ class Diagnosis:
 
     verdict: str
     sentence: str
+    headline: str = ""  # the same in at most two short sentences
     causes: tuple[Cause, ...] = ()
     candidates: tuple[Cause, ...] = ()
     calibrated: bool = True
@@ -92,6 +93,7 @@ def read_diagnosis(table: Mapping[str, Any], *, where: str, remedy: str = _REMED
         show = table.get("show") or {}
         return Diagnosis(
             verdict=str(table["verdict"]),
+            headline=str(table.get("headline", table["sentence"])),
             sentence=str(table["sentence"]),
             causes=tuple(map(_cause, table.get("causes", ()))),
             candidates=tuple(map(_cause, table.get("candidates", ()))),

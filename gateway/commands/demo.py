@@ -124,7 +124,7 @@ def _demo(out: Path, effects: list[str]) -> int:
         _step(began, "7/8 diagnose: which physical cause is it? the extended model to the twin, a third flight")
         finish(diagnose, out, "diagnose", good=NOT_ALL, limit_s=DIAGNOSIS_LIMIT_S)
         diagnosed = load_diagnosis(diagnosis / "diagnosis.json")
-        _wrap(diagnosed.sentence)
+        _wrap(diagnosed.headline)
         if diagnosed.model_offered:
             _hand_over(out, diagnosis / "extended_model.json", endpoint)
             flights.append(_fly(rig, bus, "extended"))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from jinja2 import UndefinedError
 
-from twin.page.figures import grid, inline, styled
+from twin.page.figures import EXTENDED, MEASURED, MODEL, grid, inline, styled
 from twin.page.render import render
 
 VALUES = {
@@ -67,3 +69,13 @@ def test_the_same_numbers_give_the_same_bytes() -> None:
     first, second = drawn_twice()
 
     assert first == second
+
+
+def test_colours_differ_in_a_print_without_colour() -> None:
+    def luminance(colour: str) -> float:
+        red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+        return 0.299 * red + 0.587 * green + 0.114 * blue  # ITU-R BT.601
+
+    levels = sorted(map(luminance, (MEASURED, MODEL, EXTENDED)))
+
+    assert all(above - below > 30.0 for below, above in pairwise(levels))

@@ -22,6 +22,7 @@ from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.remainder import Remainder, remainder_of
 from twin.diagnosis.remainder.rivals import Rival, rivals_of
 from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model
+from twin.diagnosis.report.headline import headline_of
 from twin.diagnosis.report.model_file import model_of
 from twin.diagnosis.report.other_causes import (
     absorbed_suspect,
@@ -46,10 +47,11 @@ from twin.evidence.gather import Evidence
 from twin.evidence.sample_loss import lost_samples
 from twin.inference.adequacy import where_left
 from twin.inference.budget import Budget, Spent
-from twin.inference.fisher_scoring import Fit, spreads
+from twin.inference.fisher_scoring import Fit, spreads, with_covariance
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta
+from twin.inference.trade_offs import TradeOff, trade_offs
 from twin.model.causes.catalogue import BY_NAME, SEARCHED
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model
@@ -128,6 +130,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     baseline, extended = _models(inputs, search, options, names, choice, remainder)
     diagnosis = Diagnosis(
         verdict=verdict,
+        headline="",
         sentence="",
         causes=tuple(findings),
         not_testable=(*not_testable(selection, records), *map(absorbed_suspect, names.stated.absorbed)),
@@ -156,9 +159,19 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         remainder=remainder,
         budget=search.budget,
         lines=lines,
+        trade_offs=names.trade_offs,
     )
-    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
-    return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
+    return _with_answer(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
+
+
+def _with_answer(diagnosis: Diagnosis, *, blind: bool, off: str) -> Diagnosis:
+    """Return a copy with its headline and its sentence; the arguments as in `answer_sentence`."""
+    sentence = answer_sentence(diagnosis, blind=blind, off=off)
+    return replace(
+        diagnosis,
+        headline=headline_of(diagnosis, blind=blind, off=off),
+        sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,6 +185,7 @@ class _Names:
     account: Account
     where: str  # most is left; "" if nothing is
     spread: dict[str, float]  # standard errors of the parameters
+    trade_offs: tuple[TradeOff, ...]
 
 
 def _examined(search: SearchResult, options: Options, stages: dict[str, float]) -> _Names:
@@ -186,6 +200,7 @@ def _examined(search: SearchResult, options: Options, stages: dict[str, float]) 
         rivals = _rivals(search, options)
     with timed(stages, "what is left"):
         under = search.floor.under(criterion, selection.fit.theta)
+        maximum = with_covariance(criterion, selection.fit, stated.slopes)
         return _Names(
             selection=selection,
             stated=stated,
@@ -193,7 +208,8 @@ def _examined(search: SearchResult, options: Options, stages: dict[str, float]) 
             under=under,
             account=account_of(selection, under.excess(selection.fit.loglik), search.is_adequate, rivals),
             where="" if search.is_adequate else where_left(criterion, selection.fit, under),
-            spread=spreads(criterion, selection.fit, stated.slopes) | line_errors,
+            spread=spreads(maximum, criterion.plant) | line_errors,
+            trade_offs=trade_offs(criterion, maximum),
         )
 
 
@@ -236,7 +252,11 @@ def _models(
     final = choice.fit if remainder is None else remainder.fit
     if final is None:
         return baseline, written_model(choice, baseline)
-    spread = names.spread if final is names.selection.fit else spreads(search.criterion, final)
+    spread = (
+        names.spread
+        if final is names.selection.fit
+        else spreads(with_covariance(search.criterion, final), campaign.plant)
+    )
     extended = model_of(campaign, final, spread, records, under.excess(final.loglik), "")
     return baseline, written_model(choice, extended)
 

@@ -20,6 +20,7 @@ from twin.inference.budget import Budget
 from twin.inference.fisher_scoring import Fit
 from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta
+from twin.inference.trade_offs import TradeOff
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, Parameter
 from twin.page.plain import plain
@@ -106,7 +107,8 @@ class Diagnosis:
     """Everything that was found; what `twin/diagnosis/report/page.py` shows."""
 
     verdict: Verdict
-    sentence: str  # the answer, for people
+    headline: str  # the answer in at most two short sentences
+    sentence: str  # the answer with its numbers
     causes: tuple[Finding, ...]
     not_testable: tuple[Excluded, ...]
     minor_effects: tuple[MinorEffect, ...]
@@ -131,6 +133,7 @@ class Diagnosis:
     budget: Budget = field(default_factory=Budget)
     choice: Choice | None = None  # how `extended` was chosen
     lines: tuple[SpectralLine, ...] = ()  # in the spectra of the recordings for fitting
+    trade_offs: tuple[TradeOff, ...] = ()  # of the parameters with the named causes
 
     @property
     def offered(self) -> bool:
@@ -151,6 +154,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The contract of diagnosis.json; a number that is not finite is null."""
     content = {
         "verdict": diagnosis.verdict,
+        "headline": diagnosis.headline,
         "sentence": diagnosis.sentence,
         "calibrated": not diagnosis.quick,
         "causes": [_finding(cause) for cause in diagnosis.causes if diagnosis.holds(cause)],
@@ -185,6 +189,16 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
                 "sentence": line.sentence,
             }
             for line in diagnosis.lines
+        ],
+        "trade_offs": [
+            {
+                "parameters": list(pair.names),
+                "correlation": pair.correlation,
+                "std": list(pair.stds),
+                "determined": list(pair.weights),
+                "log_likelihood_drops": list(pair.drops),
+            }
+            for pair in diagnosis.trade_offs
         ],
         "remainder": None if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.extended),
         "extended_model": _extended_model(diagnosis),

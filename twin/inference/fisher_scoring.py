@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 from twin.inference import optimiser
@@ -21,15 +22,19 @@ TOLERANCE = 0.02  # of a standard error
 _ROUGH = 0.5  # log-likelihood that cheaper slopes leave: 0.1 to 2 in trials
 
 
-def spreads(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray] | None = None) -> dict[str, float]:
-    """Return the standard errors of all free parameters in their own units.
+def with_covariance(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray] | None = None) -> Fit:
+    """Return the fit with the covariance of its free coordinates at the maximum itself.
 
-    They come from `slopes`, (score, Fisher information) in the free coordinates, or from new derivatives.
+    It comes from `slopes`, (score, Fisher information) in the free coordinates, or from new derivatives.
     """
     score, fisher = slopes or criterion.gradient(fit.theta, fit.free)[1:]
     active = active_of(criterion.plant, fit.theta, fit.free, score)
-    at = replace(fit, covariance=covariance_of(fisher, active))
-    return {name: at.std(name, criterion.plant) for name in fit.free}
+    return replace(fit, covariance=covariance_of(fisher, active))
+
+
+def spreads(fit: Fit, plant: Plant) -> dict[str, float]:
+    """Return the standard errors of all free parameters in their own units."""
+    return {name: fit.std(name, plant) for name in fit.free}
 
 
 def climb(

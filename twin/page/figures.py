@@ -19,7 +19,8 @@ from matplotlib.ticker import NullLocator
 
 P = ParamSpec("P")
 R = TypeVar("R")
-MEASURED, MODEL, EXTENDED, REFERENCE, ALARM = "#1f77b4", "#d62728", "#2a7f3f", "#555555", "#b8860b"
+# Light enough apart that a print in grey tells them, too: luminances 47, 97, 132 of 255.
+MEASURED, MODEL, EXTENDED, REFERENCE, ALARM = "#0b3a5d", "#c8391f", "#4ca561", "#555555", "#b8860b"
 _STYLE: Any = {
     "axes.grid": True,
     "axes.axisbelow": True,

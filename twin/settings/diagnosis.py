@@ -91,6 +91,13 @@ MINOR_SHARE_AT_NOISE = 0.015
 MAX_CAUSES = 4
 MAX_TOGETHER = 3
 
+# --- Trade-offs: which parameters do these data not determine one by one? ---
+
+# Reasoned.  Correlation of two parameters from which they are reported: either interval is then at least 2.3 times as
+# wide as with the other known.
+MIN_TRADE_OFF = 0.9
+MAX_TRADE_OFFS = 3  # reasoned: pairs in a report, the strongest
+
 # --- Equivalence classes: which other cause would do as well? ---
 
 # Level.  Difference of log-likelihood below which two causes are one class: z = 3, so that the true one is left out of

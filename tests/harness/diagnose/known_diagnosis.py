@@ -14,6 +14,7 @@ from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S,
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.judge.account import account_of
 from twin.diagnosis.judge.prediction_gain import Yardstick
+from twin.diagnosis.report.headline import headline_of
 from twin.diagnosis.report.model_file import model_of
 from twin.diagnosis.report.sentences import finding_sentence, summary_sentence
 from twin.diagnosis.result import Diagnosis, Excluded, Finding, Member, Proposal, fit_parameters
@@ -97,6 +98,7 @@ def diagnosis(
         gains = [one for one in made if one is not None]
     found = Diagnosis(
         verdict="causes-found" if extended else "unknown-cause",
+        headline="",
         sentence="",
         causes=(_finding(cause, after_fit, spread, account.cause_shares[cause], account.gains[cause]),)
         if extended
@@ -123,7 +125,7 @@ def diagnosis(
         after=after,
         tick_s=TICK_S,
     )
-    return replace(found, sentence=summary_sentence(found))
+    return replace(found, headline=headline_of(found, blind=False, off=""), sentence=summary_sentence(found))
 
 
 def _finding(cause: str, fit: Fit, spread: dict[str, float], share: float, gain: float) -> Finding:

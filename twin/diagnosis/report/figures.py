@@ -33,7 +33,7 @@ _SCALES = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "N": (1e3, "mN")}
 @styled
 def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     """Draw the errors over the horizon."""
-    figure, ax = _panel()
+    figure, ax = panel()
     h = np.array([row.horizon_s for row in rows]) * 1e3
     for name, colour, estimates in _sides([row.baseline for row in rows], [row.extended for row in rows]):
         _bars(ax, h, estimates, 1e6, name, colour)
@@ -49,12 +49,12 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
 @styled
 def piece_figure(piece: Piece) -> Figure:
     """Draw x as measured and as both models predicted it."""
-    figure, ax = _panel()
+    figure, ax = panel()
     t = piece.t_s - piece.t_s[0]
+    ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=2.6, alpha=0.55, label="measured")
     ax.plot(t, piece.baseline_m * 1e3, color=BASELINE, lw=1.0, label="baseline")
     if not np.array_equal(piece.extended_m, piece.baseline_m):
         ax.plot(t, piece.extended_m * 1e3, color=EXTENDED, lw=1.0, label="extended")
-    ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=1.0, label="measured")
     label(ax, "time [s]", "position x [mm]")
     return figure
 
@@ -62,7 +62,7 @@ def piece_figure(piece: Piece) -> Figure:
 @styled
 def error_figure(piece: Piece, floor_m: float) -> Figure:
     """Draw the errors of both models over the same time."""
-    figure, ax = _panel()
+    figure, ax = panel()
     t = piece.t_s - piece.t_s[0]
     if np.isfinite(floor_m):
         ax.axhspan(-2e6 * floor_m, 2e6 * floor_m, color=FLOOR, alpha=0.2, lw=0, label="2 std of noise alone")
@@ -78,7 +78,7 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
     """Draw the errors in each group."""
     named = not regime.unit
     count = len(regime.bins)
-    figure, ax = _panel(height=max(2.4, 1.2 + 0.34 * count) if named else 3.4, left=0.36 if named else 0.15)
+    figure, ax = panel(height=max(2.4, 1.2 + 0.34 * count) if named else 3.4, left=0.36 if named else 0.15)
     factor, unit = _SCALES.get(regime.unit, (1.0, regime.unit))
     sides = _sides([bin_.baseline for bin_ in regime.bins], [bin_.extended for bin_ in regime.bins])
     for index, (name, colour, estimates) in enumerate(sides):
@@ -104,7 +104,7 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
 @styled
 def curve_figure(curve: Curve) -> Figure:
     """A mean residual over one quantity."""
-    figure, ax = _panel()
+    figure, ax = panel()
     factor, unit = _SCALES.get(curve.unit, (1.0, curve.unit))
     up, what = (1e3, "unexplained force [mN]") if curve.residual_unit == "N" else (1e3, "unforeseen current [mA]")
     at = np.array([point.at for point in curve.points]) * factor
@@ -118,7 +118,7 @@ def curve_figure(curve: Curve) -> Figure:
 @styled
 def spectrum_figure(spectrum: Spectrum) -> Figure:
     """Draw the densities of the error one sample ahead."""
-    figure, ax = _panel()
+    figure, ax = panel()
     for name, colour, density in _sides(spectrum.baseline, spectrum.extended):
         low, high = (density * factor * 1e6 for factor in spectrum.spread)
         ax.fill_between(spectrum.frequency_hz, low, high, color=colour, alpha=0.2, lw=0)
@@ -133,7 +133,7 @@ def spectrum_figure(spectrum: Spectrum) -> Figure:
 @styled
 def steps_figure(steps: Steps) -> Figure:
     """Draw the mean step of the rig and of both simulations."""
-    figure, ax = _panel()
+    figure, ax = panel()
     t = steps.t_s * 1e3
     ax.axhline(1.0, color=REFERENCE, lw=0.8, ls=":")
     for name, colour, trace in (("rig", MEASURED, steps.rig), *_sides(steps.baseline, steps.extended)):
@@ -145,7 +145,7 @@ def steps_figure(steps: Steps) -> Figure:
 @styled
 def step_difference_figure(steps: Steps) -> Figure:
     """Draw rig minus simulation."""
-    figure, ax = _panel()
+    figure, ax = panel()
     t = steps.t_s * 1e3
     ax.axhline(0.0, color="black", lw=0.6)
     for name, colour, trace in _sides(steps.baseline, steps.extended):
@@ -161,7 +161,7 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
     rows = [(cause, gain, True) for cause, gain in fitted.items()]
     rows += [(s.cause, s.gain, False) for s in step.scores if s.cause not in fitted and s.testable]
     rows = sorted(rows, key=lambda row: -row[1])[:MAX_BARS]
-    figure, ax = _panel(height=1.3 + 0.28 * max(len(rows), 3), left=0.4, top=0.35)
+    figure, ax = panel(height=1.3 + 0.28 * max(len(rows), 3), left=0.4, top=0.35)
     for row_index, (cause, gain, is_fitted) in enumerate(rows):
         colour = EXTENDED if cause == step.selected else BASELINE if is_fitted else FLOOR
         ax.barh(row_index, max(gain, 0.0), height=0.7, color=colour, alpha=1.0 if is_fitted else 0.35)
@@ -181,7 +181,7 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
 @styled
 def shape_figure(shape: Shape) -> Figure:
     """A curve through what is left, with its 95 % band."""
-    figure, ax = _panel()
+    figure, ax = panel()
     known = shape.curve.parameters[0]
     factor, unit = _SCALES.get(known.unit, (1.0, known.unit))
     at = shape.at * factor
@@ -221,7 +221,8 @@ def short_label(label: str) -> str:
     return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
 
 
-def _panel(*, height: float = 3.4, left: float = 0.15, top: float = 0.34) -> tuple[Figure, Axes]:
+def panel(*, height: float = 3.4, left: float = 0.15, top: float = 0.34) -> tuple[Figure, Axes]:
+    """Return a figure of one panel; sizes in inches, `left` as a share of the width."""
     figure = Figure(figsize=(5.6, height))
     figure.subplots_adjust(left=left, right=0.97, top=1.0 - top / height, bottom=0.6 / height)
     return figure, figure.subplots()

@@ -10,7 +10,7 @@ from twin.diagnosis.search.candidate_fits import within_range
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stated_values import Absorbed
 from twin.estimation.record import Record
-from twin.inference.fisher_scoring import spreads
+from twin.inference.fisher_scoring import spreads, with_covariance
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import parameter_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -76,6 +76,8 @@ def minor_effects_of(criterion: Criterion, selection: Selection) -> list[MinorEf
         is_significant = trial.gain >= settings.MIN_GAIN and within_range(trial) and trial.fit.converged
         # Where one cause took the place of another since, the round was about another model.
         if is_significant and trial.cause not in classes and other_causes == set(selection.causes):
-            parameters = fit_parameters(trial.fit, trial.cause, spreads(criterion, trial.fit))
+            parameters = fit_parameters(
+                trial.fit, trial.cause, spreads(with_covariance(criterion, trial.fit), criterion.plant)
+            )
             entries.append(MinorEffect(name=trial.cause, parameters=parameters, loglik_gain=trial.gain))
     return entries[:_MAX_MINOR_EFFECTS]

@@ -19,6 +19,7 @@ from twin.diagnosis.report.page_causes import causes
 from twin.diagnosis.report.page_errors import errors
 from twin.diagnosis.report.page_remainder import remainder
 from twin.diagnosis.report.sentences import capital, measured, quantity, sizes
+from twin.diagnosis.report.trade_offs import trade_off_cards
 from twin.diagnosis.residuals.regimes import Estimate
 from twin.diagnosis.residuals.summary import HORIZON_S, Ahead, Summary
 from twin.diagnosis.result import Diagnosis, Finding
@@ -64,7 +65,7 @@ def to_html(diagnosis: Diagnosis, summary: Summary, *, campaign: Path, out: Path
     return render(
         "diagnosis/report/page.html",
         title=f"What the simulation of {diagnosis.baseline.plant.name} gets wrong",
-        answer=diagnosis.sentence,
+        answer=diagnosis.headline,
         colour=_COLOUR[diagnosis.verdict],
         verdict=_VERDICT[diagnosis.verdict],
         names=[_row(diagnosis, cause) for cause in diagnosis.causes],
@@ -79,6 +80,7 @@ def to_html(diagnosis: Diagnosis, summary: Summary, *, campaign: Path, out: Path
         added=_price(sum(len(cause.parameters) for cause in diagnosis.extended.causes)),
         loglik_gain=f"{_extended_fit(diagnosis).loglik - diagnosis.selection.base.loglik:.0f}",
         numbers=[[row[0], row[2]] if unchanged else row for row in _numbers(diagnosis)],
+        trade_offs=trade_off_cards(diagnosis.trade_offs),
         floor=_floor(diagnosis),
         instruments=rows,
         over_height=over_height,

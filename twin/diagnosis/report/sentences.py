@@ -33,12 +33,13 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _SCALED = ("m", "A", "s", "N", "V", "m/A")
 LACKED = "the log-likelihood that the model lacks"  # on the recordings for fitting, against sensor noise alone
 ON_JUDGES = "on the judge recordings"
+BLIND = "For the amplifier only, because no recording has x:"
 _NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
 
 
 def quantity(value: float, unit: str) -> str:
     """A number with its unit at a readable power of ten."""
-    factor, scaled_unit = _scale(value, unit)
+    factor, scaled_unit = scale_of(value, unit)
     digits = ".3g" if factor != 1.0 else ".4g"
     return f"{value / factor:{digits}} {scaled_unit}".rstrip()
 
@@ -47,7 +48,7 @@ def measured(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple
     """Return (the number with its unit, its interval, or ""), with the digits that the interval leaves."""
     if ci95 is None:
         return quantity(value, unit), ""
-    factor, scaled_unit = _scale(value, unit)
+    factor, scaled_unit = scale_of(value, unit)
     half = 0.5 * (ci95[1] - ci95[0]) / factor
     if not 0.0 < half < math.inf or not 1e-4 <= abs(value / factor) < 1e5:
         return quantity(value, unit), f"{quantity(ci95[0], unit)} to {quantity(ci95[1], unit)}"
@@ -57,7 +58,8 @@ def measured(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple
     return f"{number} {scaled_unit}".rstrip(), f"{low} to {high} {scaled_unit}".rstrip()
 
 
-def _scale(value: float, unit: str) -> tuple[float, str]:
+def scale_of(value: float, unit: str) -> tuple[float, str]:
+    """Return (factor, unit with its prefix) in which the value is readable."""
     if unit in _SCALED and 0.0 < abs(value) < 0.1:
         factor, prefix = next(((f, p) for f, p in _PREFIXES if abs(value) >= 0.1 * f), _PREFIXES[-1])
         return factor, prefix + unit
@@ -186,15 +188,24 @@ def round_sentence(step: Round) -> str:
 def answer_sentence(diagnosis: Diagnosis, *, blind: bool, off: str) -> str:
     """Return `summary_sentence` for recordings without x (`blind`) or for a given model whose numbers are `off`."""
     if off and diagnosis.verdict == "model-adequate":
-        return f"The form of the model is adequate, but {off}."
+        return adequate_sentence(off)
     sentence = summary_sentence(diagnosis)
-    return f"For the amplifier only, because no recording has x: {sentence}" if blind else sentence
+    return f"{BLIND} {sentence}" if blind else sentence
+
+
+def adequate_sentence(off: str) -> str:
+    """Say that the model is adequate; `off`: which of its numbers are not, or ""."""
+    return (
+        f"The form of the model is adequate, but {off}."
+        if off
+        else "The model is adequate: its errors are sensor noise."
+    )
 
 
 def summary_sentence(diagnosis: Diagnosis) -> str:
     """The answer, first."""
     if diagnosis.verdict == "model-adequate":
-        return "The model is adequate: its errors are sensor noise." + _floor_clause(diagnosis.gain)
+        return adequate_sentence("") + _floor_clause(diagnosis.gain)
     gain = _gain_sentence(diagnosis)
     if diagnosis.verdict == "unfinished":
         return _unfinished(diagnosis) + gain

@@ -1,0 +1,67 @@
+"""Pairs of parameters that trade off, against fits with one of the two held."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.harness.diagnose.simulated_rig import PLANT, criterion_of, narrow, strong
+from twin.diagnosis.report.trade_offs import trade_off_sentences
+from twin.inference.fisher_scoring import Fit, climb, with_covariance
+from twin.inference.likelihood import Criterion
+from twin.inference.theta import BASE, coordinates_of
+from twin.inference.trade_offs import END_DROP, TradeOff, trade_offs
+
+CAUSE = "air-gap-offset"
+FREE = (*BASE, *coordinates_of(CAUSE))
+(D,) = coordinates_of(CAUSE)
+
+
+@pytest.fixture(scope="module")
+def criterion() -> Iterator[Criterion]:
+    one = criterion_of(narrow(strong(CAUSE, 1e-3), seconds=10.0))
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="module")
+def fit(criterion: Criterion) -> Fit:
+    return with_covariance(criterion, climb(criterion, strong(CAUSE, 1e-3), FREE))
+
+
+@pytest.fixture(scope="module")
+def pair(criterion: Criterion, fit: Fit) -> TradeOff:
+    """K_c and the gap: at few heights, a wider gap is a stronger magnet."""
+    return next(entry for entry in trade_offs(criterion, fit) if set(entry.names) == {"K_c", D})
+
+
+def test_a_fit_with_one_held_moves_the_other_as_the_pair_says(criterion: Criterion, fit: Fit, pair: TradeOff) -> None:
+    k = pair.names.index(D)
+    held = fit.theta.having(D, pair.values[k] + 1.96 * pair.stds[k])
+
+    refit = climb(criterion, held, BASE)
+
+    moved_by = refit.theta.K_c - fit.theta.K_c
+    assert moved_by == pytest.approx(pair.correlation * 1.96 * pair.stds[1 - k], rel=0.1)
+    assert criterion.value(fit.theta) - criterion.value(refit.theta) == pytest.approx(END_DROP, rel=0.15)
+    assert refit.std("K_c", PLANT) * pair.narrowing == pytest.approx(pair.stds[1 - k], rel=0.1)
+
+
+def test_the_ends_of_the_long_axis_are_as_unlikely_as_the_ellipse_says(pair: TradeOff) -> None:
+    assert pair.drops == pytest.approx((END_DROP, END_DROP), rel=0.15)
+    assert pair.parabolic
+
+
+def test_the_words_name_the_combination(pair: TradeOff) -> None:
+    text = " ".join(trade_off_sentences(pair))
+
+    assert "K_c and d of air-gap-offset" in text
+    assert "larger by" in text
+    assert "these data determine" in text
+    assert text.count("e-") == 0  # no number that a reader has to decode
+
+
+def test_a_parameter_without_a_partner_is_not_in_a_pair(criterion: Criterion, fit: Fit) -> None:
+    """K_A and T_A follow from i_c alone, so nothing of the ball takes their place."""
+    assert not {"K_A", "T_A"} & {name for entry in trade_offs(criterion, fit) for name in entry.names}
