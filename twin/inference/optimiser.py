@@ -118,7 +118,7 @@ def climb(surface: Surface, start: Theta, free: Sequence[str], *, passes: int, t
             break
         if slow >= 2 * patience:
             break
-        trial = _moved(surface.plant, point, free, step)
+        trial = shortened(surface.plant, point, free, step)
         value, trial_outputs = surface.visit(trial)
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
@@ -145,7 +145,7 @@ def climb(surface: Surface, start: Theta, free: Sequence[str], *, passes: int, t
     )
 
 
-def _moved(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:
+def shortened(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:
     """The point after a step, shortened to the largest that is allowed."""
     # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
     # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.

@@ -16,8 +16,8 @@ import numpy as np
 from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
 from twin.inference.likelihood import Criterion
-from twin.inference.optimiser import Fit
-from twin.inference.theta import PARAMETERS, Theta, moved
+from twin.inference.optimiser import Fit, shortened
+from twin.inference.theta import PARAMETERS, moved
 from twin.settings import diagnosis as settings
 
 REGION = math.sqrt(-2.0 * math.log(0.05))  # standard deviations: 95 % of two normal variables lie within
@@ -41,7 +41,7 @@ class TradeOff:
     @property
     def narrowing(self) -> float:
         """Return how many times narrower either interval were if the other parameter were known."""
-        return 1.0 / math.sqrt(1.0 - self.correlation**2)
+        return 1.0 / math.sqrt(max(1.0 - self.correlation**2, 1e-12))
 
     @property
     def parabolic(self) -> bool:
@@ -82,11 +82,12 @@ def _trade_off(criterion: Criterion, fit: Fit, pair: tuple[int, int]) -> TradeOf
     # In standard errors the long axis of two normal variables is the diagonal of the sign of their correlation.
     long_axis = std * np.array([1.0, math.copysign(1.0, correlation)]) * math.sqrt(0.5 * (1.0 + abs(correlation)))
     # All other parameters follow by their regression on the two: the ridge of the likelihood, not a cut through it.
-    follow = fit.covariance[:, pair] @ np.linalg.solve(block, long_axis)
-    ends = [_shifted(fit, sign * END * follow, plant) for sign in (-1.0, 1.0)]
+    follow = fit.covariance[:, pair] @ np.linalg.pinv(block) @ long_axis
+    ends = [shortened(plant, fit.theta, fit.free, sign * END * follow) for sign in (-1.0, 1.0)]
     here, low, high = criterion.values([fit.theta, *ends])
     angle = np.linspace(0.0, 2.0 * math.pi, _POINTS)
-    circle = REGION * np.linalg.cholesky(block) @ np.vstack([np.cos(angle), np.sin(angle)])
+    aside = math.sqrt(max(1.0 - correlation**2, 0.0)) * np.sin(angle)
+    circle = REGION * std[:, None] * np.vstack([np.cos(angle), correlation * np.cos(angle) + aside])
     contour = np.array(
         [[moved(fit.theta, a, x, plant).value(a), moved(fit.theta, b, y, plant).value(b)] for x, y in circle.T]
     )
@@ -102,13 +103,6 @@ def _trade_off(criterion: Criterion, fit: Fit, pair: tuple[int, int]) -> TradeOf
         contour=contour,
         drops=(here - low, here - high),
     )
-
-
-def _shifted(fit: Fit, step: FloatArray, plant: Plant) -> Theta:
-    theta = fit.theta
-    for name, change in zip(fit.free, step, strict=True):
-        theta = moved(theta, name, float(change), plant)
-    return theta
 
 
 def _sense(fit: Fit, name: str, plant: Plant) -> float:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.harness.diagnose.simulated_rig import PLANT, criterion_of, narrow, strong
@@ -65,3 +67,19 @@ def test_the_words_name_the_combination(pair: TradeOff) -> None:
 def test_a_parameter_without_a_partner_is_not_in_a_pair(criterion: Criterion, fit: Fit) -> None:
     """K_A and T_A follow from i_c alone, so nothing of the ball takes their place."""
     assert not {"K_A", "T_A"} & {name for entry in trade_offs(criterion, fit) for name in entry.names}
+
+
+def test_a_noise_level_that_the_recordings_do_not_show_and_a_pair_that_is_one_do_no_harm(
+    criterion: Criterion, fit: Fit, pair: TradeOff
+) -> None:
+    covariance = fit.covariance.copy()
+    i, j, unknown = (fit.free.index(name) for name in (*pair.names, "process_a_m_s2"))
+    covariance[i, j] = covariance[j, i] = np.sqrt(covariance[i, i] * covariance[j, j])
+    covariance[unknown, unknown] = 1e12
+    covariance[unknown, [i, j]] = covariance[[i, j], unknown] = 0.9e6 * np.sqrt(covariance[[i, j], [i, j]])
+
+    first, *_ = trade_offs(criterion, replace(fit, covariance=covariance))
+
+    assert first.names == pair.names
+    assert np.isfinite(first.contour).all()
+    assert np.isfinite(first.narrowing)
