@@ -45,15 +45,23 @@ def climb(
     passes: int = settings.PASSES,
     tolerance: float = TOLERANCE,
     approximate: bool = False,
+    goal: float = -math.inf,
 ) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay.
 
-    With `approximate`, cheaper slopes lead near the maximum, and the fit counts as not converged.
+    With `approximate`, cheaper slopes lead near the maximum, and the fit counts as not converged.  The climb ends early
+    where it will not come near the log-likelihood `goal`.
     """
     # An approximate fit stops at the looser tolerance: its slopes are not worth more.
     surface = _Surface(criterion, approximate=approximate)
     top = optimiser.climb(
-        surface, start, free, passes=passes, tolerance=SLOW_TOLERANCE if approximate else tolerance, patience=2
+        surface,
+        start,
+        free,
+        passes=passes,
+        tolerance=SLOW_TOLERANCE if approximate else tolerance,
+        patience=2,
+        goal=goal,
     )
     return replace(
         top,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
 from twin.inference.theta import COLOURS, NOISES, Theta, max_step, moved
+from twin.settings import diagnosis as settings
 
 SLOW_TOLERANCE = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
 CLOSE = 3.0  # decrement, standard errors, below which exact derivatives are used
@@ -88,7 +89,16 @@ class Fit:
         return spread * abs(shifted - value) / 1e-3
 
 
-def climb(surface: Surface, start: Theta, free: Sequence[str], *, passes: int, tolerance: float, patience: int) -> Fit:
+def climb(
+    surface: Surface,
+    start: Theta,
+    free: Sequence[str],
+    *,
+    passes: int,
+    tolerance: float,
+    patience: int,
+    goal: float = -math.inf,
+) -> Fit:
     """Climb to the maximum from `start`.
 
     Args:
@@ -99,6 +109,7 @@ def climb(surface: Surface, start: Theta, free: Sequence[str], *, passes: int, t
         tolerance: decrement of convergence, standard errors.
         patience: consecutive passes with little gain after which the decrement NEAR suffices; after twice as many it
             ends in any case, as slopes that promise more are those of a likelihood with kinks.
+        goal: log-likelihood; where the slope promises less than a part of the way there, nobody needs the maximum.
     """
     point, damping, converged = start, Damping(), False
     # Fisher scoring, not Gauss-Newton or BFGS: the noise levels are parameters, so the weights of the residuals change.
@@ -123,6 +134,9 @@ def climb(surface: Surface, start: Theta, free: Sequence[str], *, passes: int, t
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < _LITTLE else 0
+            if value + settings.GOAL_REACH * 0.5 * decrement**2 < goal:
+                point, loglik, outputs = trial, value, trial_outputs
+                break
             damping.accepted()
             point, loglik, outputs = trial, value, trial_outputs
             slopes = surface.slopes(point, outputs, free, slopes, decrement)

@@ -257,7 +257,10 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             after = acceleration(p, c, f_next, x, 0.0, t + h)
             v_next, path = coulomb_friction.turned(abs(brake), v, v_next, x_next - x, free, after, h)
             x_next = x + path
-        if stops and x_next <= 0.0:
+        if stops and max(x + 0.5 * h * v2, x + h * v3) > p.travel_m:
+            # The ball has arrived.  The pull so near to the coil makes the stages too fast for a drag to be integrated.
+            x_next, v_next = p.travel_m, 0.0
+        elif stops and x_next <= 0.0:
             x_next, v_next = 0.0, max(v_next, 0.0)
         elif stops and x_next >= p.travel_m:
             x_next, v_next = p.travel_m, min(v_next, 0.0)

@@ -45,7 +45,7 @@ def test_mains_in_x_are_named_and_predicted(tmp_path: Path, octave_m: float) -> 
 def test_a_cause_beside_mains_is_named_with_its_size(tmp_path: Path) -> None:
     lag_s = 2e-3
     effects, mains = {"position-sensor-lag": lag_s}, {"sensor-hum": HUM_M}
-    make_campaign(tmp_path, effects=effects, seed=5, plant="independent", outside=mains)
+    make_campaign(tmp_path, effects=effects, seed=5, plant="independent", outside=mains, quick=True)
 
     found = diagnose(load(tmp_path / "campaign.toml"))
 

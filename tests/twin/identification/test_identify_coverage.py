@@ -8,7 +8,7 @@ import pytest
 from tests.harness.twin.emulated_campaign import TRUTHS, campaign_of, random_rig, run_campaign, truth
 from twin.identification.pipeline import identify_records
 
-CAMPAIGNS = 60
+CAMPAIGNS = 40
 
 
 @pytest.mark.slow
@@ -34,8 +34,8 @@ def test_intervals_contain_the_truth_in_90_to_99_percent_and_bias_is_below_the_s
             f" relative bias {np.mean(relative[name]):+.1e}  rms {np.sqrt(np.mean(np.square(relative[name]))):.1e}"
         )
     together = np.mean([inside[name] for name in TRUTHS])
-    # 240 intervals at 95 %: one standard deviation is 1.4 %; of 60 per parameter, 2.8 %.
+    # 160 intervals at 95 %: one standard deviation is 1.7 %; of 40 per parameter, 3.4 %.
     assert 0.90 <= together <= 0.99
     for name in TRUTHS:
-        assert np.mean(inside[name]) >= 0.95 - 3 * 0.028
+        assert np.mean(inside[name]) >= 0.95 - 3 * 0.034
         assert abs(np.mean(z[name])) < 4.0 / np.sqrt(CAMPAIGNS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -103,10 +104,13 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
     return sorted(results, key=lambda curve_: -curve_.evidence)
 
 
-def roughly_fitted(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
-    """Fit `at` with a curve again, not to the end: near enough to decide which predicts better."""
+def roughly_fitted(criterion: Criterion, at: Fit, score: CurveScore, *, goal: float = -math.inf) -> Fit:
+    """Fit `at` with a curve again, not to the end: near enough to decide which predicts better.
+
+    The fit ends even earlier where it will not come near the log-likelihood `goal`.
+    """
     fit = approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
-    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, approximate=True)
+    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, approximate=True, goal=goal)
 
 
 def fully_fitted(criterion: Criterion, fit: Fit) -> Fit:

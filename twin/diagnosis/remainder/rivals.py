@@ -73,9 +73,10 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
     # A score is the gain of a parabola, which fits exceeded by a factor of up to 6.  Far behind is out.
     close = [score for score in scores(criterion, without, CURVES) if settings.RIVAL_SCORE * score.evidence > gain]
     for score in close[: settings.RIVALS_FITTED]:
-        fit = roughly_fitted(criterion, without, score)
         # Of those fits none was more than a tenth short of its maximum.
-        if fit.loglik - without.loglik < settings.FREE_FORM_SHARE * gain:
+        goal = without.loglik + settings.FREE_FORM_SHARE * gain
+        fit = roughly_fitted(criterion, without, score, goal=goal)
+        if fit.loglik < goal:
             continue
         fit = fully_fitted(criterion, fit)
         lead = fit.loglik - selection.fit.loglik + (len(names) - 1) * settings.MIN_GAIN
