@@ -129,6 +129,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         readers = Live(snapshots, sessions, page_jobs)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
+        sockets.append(WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum))
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
     requests = Requests(actions, work, users)
     static = Mount("/static", StaticFiles(directory=STATIC))

@@ -60,8 +60,10 @@ class Pages:
         """Return the page of one rig, with the controls that this session may use."""
         board = request.path_params["board"]
         reports = [entry for entry in await asyncio.to_thread(self._actions.reports.entries) if rig_of(entry) == board]
-        live = f"/live/{board}"
-        return self._page(request, "rig.html", live=live, title=board, board=board, chips=True, reports=reports[:1])
+        return self._page(
+            request, "rig.html", live=f"/live/{board}", title=board, board=board, chips=True, script="spectrum.js",
+            reports=reports[:1],
+        )  # fmt: skip
 
     async def model(self, request: Request) -> Response:
         """Return the page of a rig's model: from a campaign to an extended model."""
@@ -96,7 +98,9 @@ class Pages:
         """Return the page of one rig of a recording."""
         board = request.path_params["board"]
         title = text_of("title.replay_of", rig=board)
-        return self._page(request, "replay.html", live=f"{REPLAY}/{board}", title=title, board=board, chips=True)
+        return self._page(
+            request, "replay.html", live=f"{REPLAY}/{board}", title=title, board=board, chips=True, script="spectrum.js"
+        )
 
     async def logs(self, request: Request) -> Response:
         """Return the page of reports and logs."""
