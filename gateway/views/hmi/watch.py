@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import deque
+from array import array
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -23,7 +23,7 @@ from protocol.bus import board51_pb2 as pb
 
 SPAN_S = 10.0
 LEAST_S = 2.0  # of samples for a first spectrum
-_MAX_READINGS = 20_000  # of a topic; SPAN_S at 2 kHz
+_MAX_READINGS = 10_000  # of a topic: SPAN_S at 1 kHz; twice as many are kept before the older half goes
 _HIGHEST = {"x": "spectrum.highest_x", "e": "spectrum.highest_e", "i": "spectrum.highest_i"}
 _TWIN_LAG_S = 0.25  # by which the twin may be behind
 
@@ -37,21 +37,26 @@ class Readings:
 
     def __init__(self, values: Callable[[Any], tuple[float, ...]]) -> None:
         self._values = values
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=_MAX_READINGS)
+        self._numbers = array("d")  # row after row
+        self._newest: tuple[float, ...] = (math.nan, math.nan)
+        self._width = 0
         self._lock = threading.Lock()
 
     def push(self, message: Any) -> None:
         """Take in a message; called by the feed."""
         row = (message.session, message.t_s, *self._values(message))
         with self._lock:
-            if self._rows and (row[0] != self._rows[-1][0] or row[1] <= self._rows[-1][1]):  # another clock
-                self._rows.clear()
-            self._rows.append(row)
+            if row[0] != self._newest[0] or row[1] <= self._newest[1]:  # another clock
+                del self._numbers[:]
+            elif len(self._numbers) >= 2 * _MAX_READINGS * len(row):
+                del self._numbers[: _MAX_READINGS * len(row)]
+            self._newest, self._width = row, len(row)
+            self._numbers.extend(row)
 
     def table(self) -> FloatArray:
         """Return the readings of the newest session, shape (n, 2 + values)."""
         with self._lock:
-            return np.array(self._rows, np.float64)
+            return np.array(self._numbers, np.float64).reshape(-1, self._width) if self._width else np.empty((0, 2))
 
 
 class Watch:
@@ -92,8 +97,9 @@ class Watch:
                 at = int(np.argmax(amplitude))
                 highest.append(text_of(_HIGHEST[name], amplitude=f"{amplitude[at]:.3g}", hz=f"{frequency_hz[at]:.3g}"))
                 middle_hz, largest = in_bands(frequency_hz, amplitude)
-                shown["f_hz"] = [number(f, 5) for f in middle_hz]
-                shown[name] = [number(a, 4) for a in largest]
+                if "f_hz" not in shown:
+                    shown["f_hz"] = [number(f, 5) for f in middle_hz.tolist()]
+                shown[name] = [number(a, 3) for a in largest.tolist()]
         if highest:
             shown["highest"] = text_of("spectrum.highest", lines=" \u00b7 ".join(highest))
         return shown | _words(*words)

@@ -111,6 +111,17 @@ def test_another_clock_begins_anew() -> None:
     np.testing.assert_array_equal(readings.table(), [[2, 0, 0], [2, 0.002, 0.002]])
 
 
+def test_the_memory_of_a_reader_is_bounded_and_reaches_back_far_enough() -> None:
+    readings = Readings(lambda state: (state.x_m,))
+
+    for n in range(50_000):
+        readings.push(pb.State(session=1, t_s=n * STEP_S))
+
+    t_s = readings.table()[:, 1]
+    assert 10.0 / STEP_S < len(t_s) <= 20_000
+    assert t_s[-1] == 49_999 * STEP_S
+
+
 class Flight:
     """A board as a feed hears it, and a reader that looks at it."""
 
