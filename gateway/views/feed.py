@@ -30,7 +30,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, Protocol, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
@@ -85,6 +85,13 @@ class Link:
         return self.state == "live"
 
 
+class Tap(Protocol):
+    """Takes every message of one type."""
+
+    def push(self, message: Any) -> None:
+        """Take a message; called with the feed's lock, by the thread that receives."""
+
+
 class BoardFeed:
     """Messages of one board on the bus."""
 
@@ -95,7 +102,7 @@ class BoardFeed:
         self._at_s: dict[str, float] = {}
         self._events: deque[pb.Event] = deque(maxlen=RETAINED_EVENTS)
         self._commands: deque[pb.CommandRecord] = deque(maxlen=RETAINED_EVENTS)
-        self._taps: dict[str, list[TopicBins]] = {}
+        self._taps: dict[str, list[Tap]] = {}
         self._book = AlarmBook(name)
         self.alive = True  # the gateway's token, before any time-out; until one was seen, its absence says nothing
         self._period_s = 0.0
@@ -161,9 +168,18 @@ class BoardFeed:
         parameters = self.latest(pb.Parameters)
         period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
         tap = TopicBins(message, max(1, round(width_s / period_s)), self._lock)
+        self.attach(message, tap)
+        return tap
+
+    def attach(self, message: type[Message], tap: Tap) -> None:
+        """Push every message of this type into a tap."""
         with self._lock:
             self._taps.setdefault(message.DESCRIPTOR.full_name, []).append(tap)
-        return tap
+
+    def detach(self, message: type[Message], tap: Tap) -> None:
+        """Push nothing more into an attached tap."""
+        with self._lock:
+            self._taps[message.DESCRIPTOR.full_name].remove(tap)
 
     def take(self, message: Message, now_ns: int) -> None:
         """Process one message from the bus; the caller holds the feed's lock."""

@@ -36,7 +36,7 @@ _EVERYTHING = tuple(
 )  # a replay shows what was seen, the twin of then included
 _ENDED_AS = {  # the act that whoever ends a job of this kind must be allowed
     "record": "recording", "campaign": "stop", "replay": "read",
-    "identify": "diagnose", "diagnose": "diagnose", "hand-over": "use_model",
+    "identify": "diagnose", "diagnose": "diagnose", "bode": "diagnose", "hand-over": "use_model",
 }  # fmt: skip
 _logger = logging.getLogger("gateway.hmi")
 

@@ -110,7 +110,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         users,
         jobs=jobs,
         logs=Library({"logs": settings.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"),
-        reports=Library({str(n): path for n, path in enumerate(settings.reports)}, "report.html"),
+        reports=Library({str(n): path for n, path in enumerate(settings.reports)}, "report.html", "bode.html"),
         routes=settings.routes,
     )
     live, replay = Snapshots(feed), Snapshots(replayed)
@@ -129,6 +129,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         readers = Live(snapshots, sessions, page_jobs)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
+        sockets.append(WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum))
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
     requests = Requests(actions, work, users)
     static = Mount("/static", StaticFiles(directory=STATIC))

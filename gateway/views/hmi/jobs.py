@@ -23,6 +23,7 @@ from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
 from protocol.errors import UsageError
 
 LINES, WIDTH = 200, 400
+_ANSWERED = {"bode": (0, 1)}  # exit codes: 1 says that the model does not explain the responses
 END_S = 15.0  # a campaign parks the ball in this time
 
 
@@ -30,7 +31,7 @@ END_S = 15.0  # a campaign parks the ball in this time
 class Job:
     """A `board51` command that runs for a page."""
 
-    kind: str  # "record" | "campaign" | "replay" | "identify" | "diagnose" | "hand-over"
+    kind: str  # "record" | "campaign" | "replay" | "identify" | "diagnose" | "bode" | "hand-over"
     board: str
     title: str
     who: str
@@ -50,7 +51,7 @@ class Job:
         code = self.process.poll()
         if code is None:
             return text_of("job.running", seconds=f"{time.monotonic() - self.began_s:.0f}")
-        return text_of("job.done") if code == 0 else text_of("job.failed", code=code)
+        return text_of("job.done") if code in _ANSWERED.get(self.kind, (0,)) else text_of("job.failed", code=code)
 
 
 class Jobs:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 MAX_FILES = 500  # the newest are listed
@@ -35,12 +36,12 @@ class Library:
 
     Args:
         roots: name -> folder; a folder that is absent holds nothing.
-        pattern: of file names, e.g. *.mcap.
+        patterns: of file names, e.g. *.mcap.
     """
 
-    def __init__(self, roots: dict[str, Path], pattern: str) -> None:
+    def __init__(self, roots: dict[str, Path], *patterns: str) -> None:
         self._roots = {name: path.resolve() for name, path in roots.items()}
-        self._pattern = pattern
+        self._patterns = patterns
 
     @property
     def folders(self) -> list[Path]:
@@ -58,7 +59,7 @@ class Library:
 
     def _scan(self) -> Iterator[LibraryFile]:
         for root_name, root in self._roots.items():
-            for path in root.rglob(self._pattern):
+            for path in chain.from_iterable(map(root.rglob, self._patterns)):
                 relative = path.relative_to(root)
                 if any(part.startswith(".") for part in relative.parts):
                     continue

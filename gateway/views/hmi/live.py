@@ -26,6 +26,7 @@ from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.traces import Traces
+from gateway.views.hmi.watch import Watch
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 from protocol.files import parse_json
@@ -33,6 +34,7 @@ from protocol.files import parse_json
 FRAME_S = 1.0 / 30.0
 REST_S = 0.25  # lists and health are looked at so often, and sent when they changed
 OVERVIEW_S = 0.2
+SPECTRUM_S = 1.0
 STUCK_S = 10.0
 MAX_READERS = 64
 _MARGIN = 1.1  # of the drawing above the highest reference, if the travel is not known
@@ -131,6 +133,27 @@ class Live:
             return made
 
         await self._serve(socket, frame, FRAME_S)
+
+    async def spectrum(self, socket: WebSocket) -> None:
+        """The spectra of one board, named in the path."""
+        name = socket.path_params["board"]
+        watch: Watch | None = None
+
+        def frame(_: float) -> dict[str, Any]:
+            nonlocal watch
+            board = self._snapshots.feed.board(name)
+            if watch is not None and watch.board is not board:
+                watch.close()
+                watch = None
+            if watch is None and board is not None:
+                watch = Watch(board)
+            return {} if watch is None else {"spectra": watch.spectra()}
+
+        try:
+            await self._serve(socket, frame, SPECTRUM_S)
+        finally:
+            if watch is not None:
+                watch.close()
 
     async def overview(self, socket: WebSocket) -> None:
         """A line of each board."""

@@ -307,6 +307,7 @@ def _starts(
         "campaign": campaign,
         "identify": lambda session, board, table: work.identify(session, board, word(table, "campaign")),
         "diagnose": diagnose,
+        "bode": lambda session, board, table: work.bode(session, board, word(table, "campaign")),
         "hand-over": lambda session, board, table: work.hand_over(session, board, word(table, "model")),
         "replay": lambda session, _board, table: actions.start_replay(session, word(table, "log"), 1.0),
     }

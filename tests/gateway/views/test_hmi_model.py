@@ -213,12 +213,16 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
         rig = viewer.open("/rig/rig")
         posts = {
             name: viewer.post("/api/rig/job", {"kind": name, "act": "start", "campaign": CAMPAIGN, "model": "x"})
-            for name in ("campaign", "identify", "diagnose")
+            for name in ("campaign", "identify", "diagnose", "bode")
         }
         asked = {
             wrong: engineer.post("/api/rig/job", {"kind": "identify", "act": "start", "campaign": wrong}).json()
             for wrong in ("../" + CAMPAIGN, "other-20260102-030405", "none")
         }
+        bode = {"kind": "bode", "act": "start", "campaign": CAMPAIGN}
+        nowhere = engineer.post("/api/rig/job", {**bode, "campaign": "none"}).json()
+        (tmp_path / "data" / "campaigns" / CAMPAIGN / "model.json").unlink()
+        not_identified = engineer.post("/api/rig/job", bode).json()
         clamp = {"kind": "campaign", "act": "start", "campaign": CAMPAIGN, "experiment": "blocked-ball"}
         unclamped = engineer.post("/api/rig/job", clamp).json()
         (tmp_path / "data" / "campaigns" / CAMPAIGN / "run.json").write_text('{"left": []}')
@@ -238,6 +242,7 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
     assert "other-2026" not in rig, "a report of another rig"
     assert {name: answer.status_code for name, answer in posts.items()} == dict.fromkeys(posts, 403)
     assert {answer["reason"] for answer in asked.values()} == {"no-campaign"}
+    assert (nowhere["reason"], not_identified["reason"]) == ("no-campaign", "no-model")
     assert unclamped["reason"] == "person-needed"
     assert (finished["reason"], unnamed["reason"], forbidden.status_code) == ("no-campaign", "no-campaign", 403)
     assert unknown["reason"] == "no-model"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import board51
+from gateway.views.hmi.html.bode import bode_card
 from tests.harness.twin.linear_loops import LAW, TICK_S, Loop, multisine
 from tests.harness.twin.true_model import true_model
 from twin.model.equilibrium import equilibrium
@@ -54,6 +55,9 @@ def test_a_right_model_gives_a_page_with_the_answer_first(tmp_path: Path, capsys
     assert "&lt;b&gt;" in page
     numbers = json.loads((tmp_path / "report" / "bode.json").read_text())
     (height,) = numbers["heights"]
+    card = bode_card(numbers)
+    assert card is not None
+    assert len(card.heights[0][1]) == 4, "the control room draws gain and phase of plant and loop"
     assert set(height["measured"]) == {"amplifier", "ball", "plant", "loop", "S", "T"}
     for name in ("phase_deg", "modulus"):
         measured, model = height["margins"][name], height["model_margins"][name]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from pathlib import Path
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -18,9 +19,10 @@ from starlette.routing import Route
 from gateway.access.roles import MINIMUM_ROLE
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal, session_of
+from gateway.views.hmi.html.bode import bode_card
 from gateway.views.hmi.html.figure import errors_figure
 from gateway.views.hmi.html.render import render
-from gateway.views.hmi.model.campaigns import choose, parse_table, rig_of
+from gateway.views.hmi.model.campaigns import BODE, choose, parse_table, rig_of
 from gateway.views.hmi.model.exports import FORMATS
 from gateway.views.hmi.model.models import summary
 from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
@@ -60,8 +62,10 @@ class Pages:
         """Return the page of one rig, with the controls that this session may use."""
         board = request.path_params["board"]
         reports = [entry for entry in await asyncio.to_thread(self._actions.reports.entries) if rig_of(entry) == board]
-        live = f"/live/{board}"
-        return self._page(request, "rig.html", live=live, title=board, board=board, chips=True, reports=reports[:1])
+        return self._page(
+            request, "rig.html", live=f"/live/{board}", title=board, board=board, chips=True, script="spectrum.js",
+            reports=reports[:1],
+        )  # fmt: skip
 
     async def model(self, request: Request) -> Response:
         """Return the page of a rig's model: from a campaign to an extended model."""
@@ -77,16 +81,21 @@ class Pages:
                 diagnosis = load_diagnosis(chosen.diagnosis)
             except DataError as error:
                 problem = str(error)
-            page = (chosen.diagnosis.parent / "report.html").resolve()
-            report = next((entry.name for entry in self._actions.reports.entries() if entry.path == page), "")
+            report = self._report(chosen.diagnosis.parent / "report.html")
         now = parse_table(running.model_json, where="the twin's model") if running is not None else {}
         return self._page(
             request, "model.html", live=f"/live/{board}", title=text_of("title.model", rig=board), board=board,
             chips=True, script="model.js", campaigns=campaigns, chosen=chosen, diagnosis=diagnosis, problem=problem,
             report=report, figure=errors_figure(diagnosis.ahead) if diagnosis is not None else None, running=running,
             running_summary=summary(now), models=self._work.models(board), formats=FORMATS,
-            experiments=EXPERIMENT_OF_NAME, live_min=f"{LIVE_MIN:g}",
+            experiments=EXPERIMENT_OF_NAME, live_min=f"{LIVE_MIN:g}", bode=bode_card(chosen.bode) if chosen else None,
+            bode_report=self._report(chosen.path / BODE / "bode.html") if chosen else "",
         )  # fmt: skip
+
+    def _report(self, path: Path) -> str:
+        """Return the name of a report for requests; empty if there is none."""
+        page = path.resolve()
+        return next((entry.name for entry in self._actions.reports.entries() if entry.path == page), "")
 
     async def replays(self, request: Request) -> Response:
         """Return the page of all replayed rigs."""
@@ -96,7 +105,9 @@ class Pages:
         """Return the page of one rig of a recording."""
         board = request.path_params["board"]
         title = text_of("title.replay_of", rig=board)
-        return self._page(request, "replay.html", live=f"{REPLAY}/{board}", title=title, board=board, chips=True)
+        return self._page(
+            request, "replay.html", live=f"{REPLAY}/{board}", title=title, board=board, chips=True, script="spectrum.js"
+        )
 
     async def logs(self, request: Request) -> Response:
         """Return the page of reports and logs."""

@@ -3,6 +3,7 @@
     DATA/campaigns/<board>-<date>-<time>/    recordings, campaign.toml, model.json of `identify`, acts.jsonl
                              .../diagnosis/  diagnosis.json, report.html, extended_model.json; of a diagnosis of live
                                              data its recordings, too
+                             .../bode/       bode.json, bode.html: frequency responses
 
 Rule 1: a name from a browser is looked up among those found, never joined to a path.
 Rule 2: a campaign that failed or was interrupted is never shown in place of a finished one, unless it is asked for.
@@ -26,7 +27,7 @@ ACTS = "acts.jsonl"  # in the folder of a campaign: who did what, one line for e
 MAX_ACTS = 20
 _TAIL_BYTES = 65_536  # of the end of the file that is read
 MAX_CAMPAIGNS = 50  # the newest
-MODEL, DIAGNOSIS = "model.json", "diagnosis"
+MODEL, DIAGNOSIS, BODE = "model.json", "diagnosis", "bode"
 _NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
 
 
@@ -67,6 +68,11 @@ class CampaignFolder:
     def diagnosis(self) -> Path | None:
         """Return the diagnosis.json."""
         return _file(self.path / DIAGNOSIS / "diagnosis.json")
+
+    @property
+    def bode(self) -> dict[str, Any]:
+        """Return the content of bode.json; empty if it is missing or damaged."""
+        return read_table(self.path / BODE / "bode.json")
 
     @property
     def toml(self) -> Path | None:

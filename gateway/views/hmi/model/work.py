@@ -10,7 +10,15 @@ import time
 from pathlib import Path
 
 from gateway.views.hmi.actions import Actions, Routes, refusal
-from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign, write_act
+from gateway.views.hmi.model.campaigns import (
+    BODE,
+    DIAGNOSIS,
+    MODEL,
+    CampaignFolder,
+    campaigns_of,
+    find_campaign,
+    write_act,
+)
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.texts import text_of
@@ -119,6 +127,18 @@ class ModelWork:
                  "--next-experiment", "--out", str(folder / DIAGNOSIS), *self._routes.live(session.name)]  # fmt: skip
         entry = text_of("campaigns.was_diagnosed_live", minutes=f"{LIVE_MIN:g}")
         return self._start(session, "diagnose", "diagnose", board, words, folder, entry)
+
+    def bode(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
+        """Compare the frequency responses of a campaign with its extended model, or else with its identified one."""
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml is None:
+            return refusal("no-campaign", text_of("refusal.campaign_empty"))
+        model = next((file for file in self.models(board) if file.path.is_relative_to(chosen.path)), None)
+        if model is None:
+            return refusal("no-model", text_of("refusal.not_identified"))
+        words = ["bode", str(model.path), str(chosen.toml), "--out", str(chosen.path / BODE)]
+        entry = text_of("campaigns.was_bode", model=model.kind)
+        return self._start(session, "diagnose", "bode", board, words, chosen.path, entry)
 
     def hand_over(self, session: LoginSession, board: str, model: str) -> pb.CommandReply:
         """Give a model of the list to the running twin; what it replaces is kept."""

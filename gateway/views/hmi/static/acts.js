@@ -132,7 +132,7 @@ export function limits(rest) {
 // --- jobs, gains, summaries ---------------------------------------------------------------------------------------------
 
 const IDLE_WORDS = { record: textOf("recording.idle") };
-const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over"];
+const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over", "bode"];
 
 export function showJobs(jobs) {
   for (const kind of KINDS) {

@@ -14,7 +14,7 @@ export class Line {
     this.take = take;
     this.frameAt = performance.now();
     this.connect();
-    setInterval(() => performance.now() - this.heardAt > SILENT_S * 1000 && this.connect(), 500);
+    this.watch = setInterval(() => performance.now() - this.heardAt > SILENT_S * 1000 && this.connect(), 500);
   }
 
   // How long nothing has come, s.
@@ -27,6 +27,13 @@ export class Line {
     if (this.socket.readyState !== WebSocket.OPEN) return false;
     this.socket.send("acted");
     return true;
+  }
+
+  end() {
+    clearInterval(this.watch);
+    const socket = this.socket;
+    this.socket = null; // its end is not a loss
+    socket.close();
   }
 
   connect() {
