@@ -52,8 +52,8 @@
 #define TWI_HALF_CYCLES 32U /* 2 us: a clock made by hand, slower than the 400 kHz */
 #define DAC_ADDRESS 0x60
 
-/* Bytes, powers of two: what a tick of 1 ms brings at 250000, and what leaves during one at 115200. */
-#define RX_RING 32U
+/* Bytes, powers of two: what a tick of 2 ms brings at 250000, and what leaves within 1 ms at 115200. */
+#define RX_RING 64U
 #define TX_RING 16U
 
 #endif

@@ -90,6 +90,14 @@ bool hal_tick_due(void) {
     return true;
 }
 
+/* What `until_tick` has to be above: interrupts of the timer, with those of a full line in their time. */
+static const __code uint8_t PARTS_FOR[WORKS] = {0, PARTS(300), PARTS(800), PARTS(1200), PARTS(650), PARTS(200), PARTS(500)};
+
+/* The tick is looked at last: if it comes in between, there is no time. */
+bool hal_has_time(uint8_t work) {
+    return until_tick > PARTS_FOR[work] && ticks_due == 0U;
+}
+
 void hal_capture_timer(uint16_t us) {
     ET2 = 0; /* two bytes; an interrupt that comes now is served then */
     capture_us = us;
@@ -101,13 +109,15 @@ bool hal_capture_due(void) __critical {
     return TF2 && capture_us != 0U && capture_us <= CAPTURE_US;
 }
 
-bool hal_receive(uint8_t *byte) {
+int16_t hal_receive(void) {
+    uint8_t byte;
+
     if (received_out == received_in) {
-        return false;
+        return -1;
     }
-    *byte = received[received_out];
+    byte = received[received_out];
     received_out = (uint8_t)(received_out + 1U) & (RECEIVED - 1U);
-    return true;
+    return byte;
 }
 
 bool hal_send(uint8_t byte) {
@@ -252,7 +262,7 @@ void main(void) {
     TR2 = 1;
     EA = 1;
     for (;;) {
-        board_poll();
+        (void)board_poll();
     }
 }
 

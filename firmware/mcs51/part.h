@@ -37,6 +37,7 @@
  * ticks and samples keep their phase, and neither drifts. */
 #define TIMER_RELOAD (65536UL - CYCLES(CAPTURE_US))
 #define TICK_PARTS (TICK_US / CAPTURE_US)
+#define PARTS(us) ((us) / CAPTURE_US)
 #if TICK_US % CAPTURE_US != 0 || TICK_US / CAPTURE_US > 255
 #error "CAPTURE_US has to divide TICK_US into 255 parts at most"
 #endif
