@@ -165,17 +165,20 @@ bool hal_capture_due(void) {
 
 /* Converters. */
 
-/* The capture interrupt converts, too: it waits for a conversion that is under way.  The receiver holds two bytes. */
+/* The capture interrupt converts, too: it waits for a conversion that is under way.  The receiver holds two bytes.  What
+ * never ends is the top of the range: a fault after 50 ticks. */
 static uint16_t code_of(uint8_t channel) {
     uint8_t flags = SREG;
+    uint8_t patience = ADC_PATIENCE;
     uint16_t code;
 
     cli();
     ADMUX = (uint8_t)(ADC_REFERENCE | channel);
     ADCSRA |= 1 << ADSC;
-    while ((ADCSRA & (1 << ADSC)) != 0) {
+    while ((ADCSRA & (1 << ADSC)) != 0 && patience != 0U) {
+        patience--;
     }
-    code = ADC;
+    code = patience != 0U ? ADC : ADC_TOP;
     SREG = flags;
     return code;
 }

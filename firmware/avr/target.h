@@ -41,6 +41,8 @@
 /* 250 kHz: a conversion takes 52 us, its sample is taken 6 us after its start.  Up to 200 kHz give all 10 bits. */
 #define ADC_PRESCALER ((1 << ADPS2) | (1 << ADPS1)) /* 64 */
 #define ADC_REFERENCE 0                             /* the AREF pin, which the shield drives with 3.3 V */
+#define ADC_PATIENCE 250U /* looks at a conversion, 8 cycles each; it takes 832 cycles, the first one 1600 */
+#define ADC_TOP 1023U
 #define ADC_CURRENT 2
 #define ADC_POSITION 3
 
