@@ -74,14 +74,15 @@ static void start(void) {
     TCCR1B = (1 << WGM12) | (1 << CS11); /* 16 MHz / 8 */
 }
 
-/* Idle until an interrupt, unless one came during the turn: its work may be waiting. */
+/* Idle until an interrupt has work for the main loop; not at all if one had during the last turn. */
 static void rest(void) {
     cli();
-    if (!woken) {
+    while (!woken) {
         sleep_enable();
         sei(); /* in force after the next instruction, so that no interrupt comes before the sleep */
         sleep_cpu();
         sleep_disable();
+        cli();
     }
     woken = false;
     sei();
@@ -95,7 +96,8 @@ int main(void) {
     start();
     sei();
     for (;;) {
-        board_poll();
+        while (board_poll()) {
+        }
         rest();
     }
 }
@@ -119,6 +121,14 @@ bool hal_tick_due(void) {
         board_late();
     }
     return due != 0U;
+}
+
+/* Counts of timer 1 before its end, with the interrupts of a full line in their time. */
+static const __flash uint16_t COUNTS_FOR[WORKS] = {0, 2U * 150U, 2U * 250U, 2U * 550U, 2U * 300U, 2U * 100U, 2U * 200U};
+
+/* The tick is looked at last: if it comes in between, there is no time. */
+bool hal_has_time(uint8_t work) {
+    return TICK_COUNTS - TCNT1 > COUNTS_FOR[work] && ticks_due == 0U;
 }
 
 /* Bytes that come in while a sample is taken must not wait for it, but the next sample must: two would write to one bus.
@@ -155,17 +165,20 @@ bool hal_capture_due(void) {
 
 /* Converters. */
 
-/* The capture interrupt converts, too: it waits for a conversion that is under way.  The receiver holds two bytes. */
+/* The capture interrupt converts, too: it waits for a conversion that is under way.  The receiver holds two bytes.  What
+ * never ends is the top of the range: a fault after 50 ticks. */
 static uint16_t code_of(uint8_t channel) {
     uint8_t flags = SREG;
+    uint8_t patience = ADC_PATIENCE;
     uint16_t code;
 
     cli();
     ADMUX = (uint8_t)(ADC_REFERENCE | channel);
     ADCSRA |= 1 << ADSC;
-    while ((ADCSRA & (1 << ADSC)) != 0) {
+    while ((ADCSRA & (1 << ADSC)) != 0 && patience != 0U) {
+        patience--;
     }
-    code = ADC;
+    code = patience != 0U ? ADC : ADC_TOP;
     SREG = flags;
     return code;
 }
@@ -204,26 +217,33 @@ uint16_t between(const __flash uint16_t *table, uint16_t at, uint8_t bits) {
 
 /* UART. */
 
+/* Wakes the main loop at the end of a frame, and where half of the ring is full: a turn for each byte would take a third
+ * of T_s. */
 ISR(USART_RX_vect) {
     uint8_t byte = UDR0;
-    uint8_t next = (uint8_t)((rx_in + 1U) % RX_RING);
+    uint8_t at = rx_in;
+    uint8_t next = (uint8_t)((at + 1U) % RX_RING);
+    uint8_t out = rx_out;
 
-    if (next != rx_out) { /* else it is lost, and its frame's CRC shows it */
-        rx_ring[rx_in] = byte;
+    if (next != out) { /* else it is lost, and its frame's CRC shows it */
+        rx_ring[at] = byte;
         rx_in = next;
     }
-    woken = true;
+    if (byte == 0U || (uint8_t)(next - out) % RX_RING >= RX_RING / 2U) {
+        woken = true;
+    }
 }
 
-bool hal_receive(uint8_t *byte) {
+int16_t hal_receive(void) {
     uint8_t at = rx_out;
+    uint8_t byte;
 
     if (at == rx_in) {
-        return false;
+        return -1;
     }
-    *byte = rx_ring[at];
+    byte = rx_ring[at];
     rx_out = (uint8_t)((at + 1U) % RX_RING);
-    return true;
+    return byte;
 }
 
 /* Wakes the main loop for more when half is gone, and at the end: not for each byte. */

@@ -41,6 +41,8 @@
 /* 250 kHz: a conversion takes 52 us, its sample is taken 6 us after its start.  Up to 200 kHz give all 10 bits. */
 #define ADC_PRESCALER ((1 << ADPS2) | (1 << ADPS1)) /* 64 */
 #define ADC_REFERENCE 0                             /* the AREF pin, which the shield drives with 3.3 V */
+#define ADC_PATIENCE 250U /* looks at a conversion, 8 cycles each; it takes 832 cycles, the first one 1600 */
+#define ADC_TOP 1023U
 #define ADC_CURRENT 2
 #define ADC_POSITION 3
 
@@ -52,8 +54,8 @@
 #define TWI_HALF_CYCLES 32U /* 2 us: a clock made by hand, slower than the 400 kHz */
 #define DAC_ADDRESS 0x60
 
-/* Bytes, powers of two: what a tick of 1 ms brings at 250000, and what leaves during one at 115200. */
-#define RX_RING 32U
+/* Bytes, powers of two: what a tick of 2 ms brings at 250000, and what leaves within 1 ms at 115200. */
+#define RX_RING 64U
 #define TX_RING 16U
 
 #endif

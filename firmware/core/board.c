@@ -3,7 +3,7 @@
 
 #include "core.h"
 
-#define RECEIVE_AT_ONCE 16U /* bytes in a turn of the main loop */
+#define RECEIVE_AT_ONCE 8U /* bytes in a turn of the main loop */
 
 STATE_MEMORY struct board board;
 
@@ -67,14 +67,13 @@ static void queue_state(uint16_t i, uint16_t x, uint8_t flags) ON_STACK {
     queue_put(body);
 }
 
-/* The order is that of rule 4. */
+/* The order is that of rule 4: the law first, whatever else waits. */
 static void tick(void) {
     uint16_t i = hal_read_current();
     uint16_t x = hal_read_position();
     uint8_t flags;
 
     hal_feed_watchdog();
-    host_execute_pending();
     if (reset_is_due()) {
         hal_restart();
         return; /* on a chip it never comes here */
@@ -84,30 +83,55 @@ static void tick(void) {
     if (board.host.divider == 1U || (board.host.divider != 0U && board.next_tick % board.host.divider == 0U)) {
         queue_state(i, x, flags);
     }
-    loop_play_ahead();
     board.next_tick++;
+    board.host.commands_left = COMMANDS_PER_TICK;
     if (board.ticks_since_overrun < TICKS_PER_S) {
         board.ticks_since_overrun++;
     }
+    if (board.host.ticks_since_overload < TICKS_PER_S) {
+        board.host.ticks_since_overload++;
+    }
+    if (!hal_has_time(FOR_NOTHING)) {
+        board_late();
+    }
 }
 
-/* One turn of the main loop. */
-void board_poll(void) {
+/* Up to the end of a frame, so that its turn does not take longer for what follows it; whether there may be more. */
+static bool receive(void) {
     uint8_t n;
-    uint8_t byte;
+
+    for (n = 0; n < RECEIVE_AT_ONCE; n++) {
+        int16_t byte = hal_receive();
+        uint8_t size;
+
+        if (byte < 0) {
+            return false;
+        }
+        size = receiver_take((uint8_t)byte);
+        if (size != 0U) {
+            host_receive(board.receiver.data + 1, size);
+            return true;
+        }
+    }
+    return true;
+}
+
+/* One turn of the main loop; whether another one has something to do before an interrupt.  Nothing of it but the tick is
+ * begun that could delay the next one. */
+bool board_poll(void) {
+    bool again = true;
 
     if (capture_completed()) {
         output_write(board.loop.u);
         emit(CAPTURE_DONE, 0);
     }
-    for (n = 0; n < RECEIVE_AT_ONCE && hal_receive(&byte); n++) {
-        uint8_t size = receiver_take(byte);
-        if (size != 0U) {
-            host_receive(board.receiver.data + 1, size);
-        }
-    }
     if (hal_tick_due()) {
         tick();
+    } else {
+        again = hal_has_time(FOR_RECEIVING) && receive();
+        host_execute();
+        loop_play_ahead();
     }
     send_frames();
+    return again;
 }

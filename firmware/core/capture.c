@@ -12,6 +12,7 @@
 #define SETTLE_US 20000U
 
 void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) ON_STACK {
+    board.capture.u_from = u_from;
     board.capture.u_to = u_to;
     board.capture.pre = pre;
     board.capture.count = count;
@@ -22,14 +23,21 @@ void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count,
     board.capture.stepped = false;
     board.capture.refused = false;
     board.capture.step_is_next = pre == 0U;
+    board.capture.waits = true;
     board.capture.running = true;
-    output_write(u_from);
+}
+
+/* At its tick, in place of the write of u_c. */
+void capture_begin(void) ON_STACK {
+    board.capture.waits = false;
+    output_write(board.capture.u_from);
     hal_capture_timer(SETTLE_US);
 }
 
 /* From here on the converter is the main loop's again. */
 static void leave(void) {
     board.capture.running = false;
+    board.capture.waits = false;
     if (board.capture.stepped) {
         board.output.u = board.capture.u_to;
     }
@@ -91,30 +99,34 @@ uint16_t capture_u(void) {
     return stepped ? board.capture.u_to : board.output.u;
 }
 
-/* Up to 32 samples from index on, two in three bytes, the rest 0: 48 bytes.  There is one at index. */
+static void copy_half_a_pair_on(STATE_MEMORY uint8_t *to, const STATE_MEMORY uint8_t *from, uint8_t size) {
+    uint8_t low = (uint8_t)(*from++ >> 4);
+
+    for (; size != 0U; size--) {
+        uint8_t byte = *from++;
+        *to++ = (uint8_t)(low | byte << 4);
+        low = (uint8_t)(byte >> 4);
+    }
+}
+
+/* Up to 32 samples from index on, two in three bytes, the rest 0: 48 bytes.  There is one at index.  They are stored as
+ * they are packed; from an odd index on they are half a pair, 12 bits, further on. */
 void capture_pack(uint16_t index, STATE_MEMORY uint8_t *packed) ON_STACK {
     const STATE_MEMORY uint8_t *from = &board.capture.samples[index / 2U * 3U];
     uint16_t left = (uint16_t)(board.capture.count - index);
-    bool second = index % 2U != 0U; /* of the pair at `from` */
-    uint16_t before = 0;
+    uint8_t samples = left < BLOCK_SAMPLES ? (uint8_t)left : BLOCK_SAMPLES;
+    uint8_t size = (uint8_t)((3U * samples + 1U) / 2U);
     uint8_t n;
 
-    for (n = 0; n < BLOCK_SAMPLES; n++) {
-        uint16_t sample = 0;
-        if (left != 0U) {
-            left--;
-            if (second) {
-                sample = (uint16_t)(from[1] >> 4 | (uint16_t)from[2] << 4);
-                from += 3;
-            } else {
-                sample = (uint16_t)(from[0] | (uint16_t)(from[1] & 0x0FU) << 8);
-            }
-            second = !second;
+    if (index % 2U == 0U) {
+        copy(packed, from, size);
+    } else {
+        copy_half_a_pair_on(packed, from + 1, (uint8_t)(size - samples % 2U));
+        if (samples % 2U != 0U) { /* nothing is behind the last sample */
+            packed[size - 1U] = (uint8_t)(from[size] >> 4);
         }
-        if (n % 2U != 0U) {
-            put_pair(packed, before, sample);
-            packed += 3;
-        }
-        before = sample;
+    }
+    for (n = size; n < BLOCK_SAMPLES / 2U * 3U; n++) {
+        packed[n] = 0;
     }
 }

@@ -43,6 +43,11 @@
 #define TABLE_MEMORY
 #endif
 
+/* Commands that are executed in T_s at most: what more comes waits, and is refused where too many wait. */
+#ifndef COMMANDS_PER_TICK
+#define COMMANDS_PER_TICK 1U
+#endif
+
 #define TICKS_PER_S (UINT32_C(1000000) / TICK_US)
 #define RESET_WAIT_TICKS (UINT32_C(50000) / TICK_US) /* rule 1: the ACK of RESET has 50 ms to leave */
 

@@ -87,7 +87,20 @@ enum {
     MODE_CHANGED,
     OUTPUT_FAULT,
     UNCOMMANDED_CURRENT,
-    SETTINGS_REJECTED
+    SETTINGS_REJECTED,
+    OVERLOAD
+};
+
+/* What the main loop does in the time that the control law leaves it.  A target knows how long each takes. */
+enum {
+    FOR_NOTHING, /* no tick is due yet */
+    FOR_RECEIVING, /* RECEIVE_AT_ONCE bytes, and a STOP in them */
+    FOR_COMMAND,
+    FOR_SIGNAL, /* EXCITE, and its first value */
+    FOR_VALUE,  /* of a signal */
+    FOR_STATE, /* a frame of its size */
+    FOR_FRAME,
+    WORKS
 };
 
 /* Sizes in bytes of bodies and of what stands between two delimiters. */
@@ -149,6 +162,15 @@ struct signal { /* the fields of EXCITE */
     uint32_t duration;
 };
 
+struct chirp_state { /* in 2^-48 of a turn */
+    uint64_t phase, step, sweep;
+};
+
+struct multisine_state { /* in 2^-32 of a turn, with what is left over a period of each */
+    uint32_t phase, step;
+    uint16_t rest, step_rest;
+};
+
 struct excitation_state {
     struct signal signal;
     bool active, announced;
@@ -157,14 +179,18 @@ struct excitation_state {
     uint32_t ticks;     /* values so far, saturating */
     uint16_t in_period; /* ticks mod period */
     uint16_t prbs;
-    uint64_t phase, step, sweep; /* of the chirp, in 2^-48 of a turn */
+    union {
+        struct chirp_state chirp;
+        struct multisine_state multisine;
+    } of;
 };
 
 struct capture_state {
     /* Shared with the capture interrupt: bytes that one side writes at a time, so that no read is torn. */
     volatile bool running, stepped, refused, step_is_next, complete;
+    bool waits; /* for the tick at which it begins */
     bool there; /* a complete capture that can be read */
-    uint16_t u_to, pre, count, taken;
+    uint16_t u_from, u_to, pre, count, taken;
     uint32_t began_tick;
     uint8_t samples[CAPTURE_SIZE / 2U * 3U];
 };
@@ -210,10 +236,9 @@ struct queues_state {
     uint8_t frame_size, frame_sent;
 };
 
-struct command { /* one that waits for the next tick */
+struct command { /* one that waits */
     uint8_t body[COMMAND_BODY];
-    uint8_t reason; /* why it will be refused, or ACCEPTED */
-    uint16_t detail;
+    uint8_t size; /* that came, which may be more */
 };
 
 struct kept_answer {
@@ -223,7 +248,11 @@ struct kept_answer {
 
 struct host_state {
     struct command pending[8];
-    uint8_t pending_count;
+    uint8_t pending_first, pending_count;
+    uint8_t overtaken;     /* by a STOP: the first so many of `pending` */
+    uint8_t commands_left; /* to execute before the next tick */
+    uint16_t unanswered;   /* frames, saturating */
+    uint16_t ticks_since_overload; /* since its event; saturating at a second */
     struct kept_answer kept[8];
     uint8_t kept_order[8]; /* places in `kept`, the one taken first in front */
     uint8_t kept_count;
@@ -288,6 +317,7 @@ uint16_t excitation_next(void) ON_STACK;
 
 /* capture.c */
 void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) ON_STACK;
+void capture_begin(void) ON_STACK;
 void capture_cancel(void);
 void capture_interrupt(void) ON_STACK;
 bool capture_completed(void);
@@ -323,6 +353,7 @@ void receiver_count_bad(void);
 /* queues.c */
 void queue_put(const STATE_MEMORY uint8_t *body) ON_STACK;
 bool answers_have_left(void);
+bool is_room_for_answer(uint8_t command);
 void send_frames(void);
 
 /* fields.c */
@@ -352,12 +383,12 @@ uint8_t settings_boot(void);
 void host_boot(void);
 void host_set_loss(uint8_t policy, uint16_t timeout_ms) ON_STACK;
 void host_receive(const STATE_MEMORY uint8_t *body, uint8_t size) ON_STACK;
-void host_execute_pending(void);
+void host_execute(void);
 void host_watch(void);
 
 /* board.c: what a target calls */
 void board_boot(void); /* once after a reset, when the hardware is ready */
-void board_poll(void); /* again and again: the main loop */
+bool board_poll(void); /* again and again: the main loop, which may wait for an interrupt where it is false */
 void board_late(void); /* a tick took longer than T_s */
 void emit(uint8_t code, uint16_t detail) ON_STACK;
 

@@ -8,21 +8,21 @@ static void divide_turn(uint16_t divisor) ON_STACK {
     uint32_t rest = 1;
     uint8_t n;
 
-    board.excitation.sweep = 0;
+    board.excitation.of.chirp.sweep = 0;
     for (n = 0; n < 3U; n++) {
         uint32_t digit = (rest << 16) / divisor;
         rest = (rest << 16) - digit * divisor;
-        board.excitation.sweep = board.excitation.sweep << 16 | digit;
+        board.excitation.of.chirp.sweep = board.excitation.of.chirp.sweep << 16 | digit;
     }
 }
 
 /* sweep / divisor, rounded down and in place: sdcc has no division of 64 bits for an 8051, and little stack. */
 static void divide_sweep(uint32_t divisor) {
-    uint32_t lower = (uint32_t)board.excitation.sweep;
-    uint32_t rest = (uint32_t)(board.excitation.sweep >> 32);
+    uint32_t lower = (uint32_t)board.excitation.of.chirp.sweep;
+    uint32_t rest = (uint32_t)(board.excitation.of.chirp.sweep >> 32);
     uint8_t n;
 
-    board.excitation.sweep = (uint64_t)(rest / divisor) << 32;
+    board.excitation.of.chirp.sweep = (uint64_t)(rest / divisor) << 32;
     rest %= divisor;
     for (n = 0; n < 32U; n++) { /* the quotient comes into `lower` from below as the dividend leaves above */
         bool carry = rest >> 31 != 0U;
@@ -33,28 +33,28 @@ static void divide_sweep(uint32_t divisor) {
             lower |= 1U;
         }
     }
-    board.excitation.sweep |= lower;
+    board.excitation.of.chirp.sweep |= lower;
 }
 
 /* Sets sweep to |sweep - step|, plus divisor - 1 if that was below 0, so that its quotient is rounded away from
  * 0; whether it was. */
 static bool subtract_step(uint32_t divisor) ON_STACK {
-    if (board.excitation.sweep >= board.excitation.step) {
-        board.excitation.sweep -= board.excitation.step;
+    if (board.excitation.of.chirp.sweep >= board.excitation.of.chirp.step) {
+        board.excitation.of.chirp.sweep -= board.excitation.of.chirp.step;
         return false;
     }
-    board.excitation.sweep = board.excitation.step - board.excitation.sweep + divisor - 1U;
+    board.excitation.of.chirp.sweep = board.excitation.of.chirp.step - board.excitation.of.chirp.sweep + divisor - 1U;
     return true;
 }
 
 /* Below 0 as 2^64 minus it: only the low 48 bits of the phase are looked at. */
 static void negate_sweep(void) ON_STACK {
-    board.excitation.sweep = (uint64_t)0 - board.excitation.sweep;
+    board.excitation.of.chirp.sweep = (uint64_t)0 - board.excitation.of.chirp.sweep;
 }
 
 static void add_steps(void) ON_STACK {
-    board.excitation.step += board.excitation.sweep;
-    board.excitation.phase += board.excitation.step;
+    board.excitation.of.chirp.step += board.excitation.of.chirp.sweep;
+    board.excitation.of.chirp.phase += board.excitation.of.chirp.step;
 }
 
 /* From one value of a chirp to the next; the first is at phase 0.  The step, 2^48 // period, is needed for the second,
@@ -66,8 +66,8 @@ static void advance_chirp(void) {
 
     if (board.excitation.ticks == 1U) {
         divide_turn(board.excitation.signal.period);
-        board.excitation.step = board.excitation.sweep;
-        board.excitation.sweep = 0;
+        board.excitation.of.chirp.step = board.excitation.of.chirp.sweep;
+        board.excitation.of.chirp.sweep = 0;
     } else if (board.excitation.ticks == 2U) {
         divide_turn(board.excitation.signal.period_end);
         falls = subtract_step(duration);
@@ -86,9 +86,9 @@ void excitation_start(const STATE_MEMORY struct signal *signal) ON_STACK {
     board.excitation.ticks = 0;
     board.excitation.in_period = 0;
     board.excitation.prbs = (uint16_t)(signal->seed % 32767U + 1U);
-    board.excitation.phase = 0;
-    board.excitation.step = 0;
-    board.excitation.sweep = 0;
+    board.excitation.of.chirp.phase = 0;
+    board.excitation.of.chirp.step = 0;
+    board.excitation.of.chirp.sweep = 0;
     board.excitation.announced = excitation_done();
 }
 
@@ -106,18 +106,35 @@ bool excitation_over(void) {
     return signal->shape == SHAPE_NONE || (signal->duration != 0U && signal->duration < board.excitation.ticks);
 }
 
-/* in_period / period of a turn, rounded down to 2^-32: a division of 48 bits by 16 in two of 32 by 16. */
-static uint32_t phase_in_period(void) ON_STACK {
-    uint32_t period = board.excitation.signal.period;
-    uint32_t dividend = (uint32_t)board.excitation.in_period << 16;
-    uint32_t upper = dividend / period;
-    uint32_t lower = ((dividend - upper * period) << 16) / period; /* a product is faster than a remainder */
+/* in_period / period of a turn, rounded down to 2^-32, from one value to the next: a quotient grows by that of 1, and by
+ * another 1 where the remainders reach the period.  So 48 bits are divided once, as two times 32 by 16. */
+static void advance_multisine(void) ON_STACK {
+    STATE_MEMORY struct multisine_state *turn = &board.excitation.of.multisine;
+    uint16_t period = board.excitation.signal.period;
 
-    return upper << 16 | lower;
+    if (board.excitation.ticks == 1U && period != 1U) {
+        uint16_t upper = (uint16_t)(UINT32_C(0x10000) / period);
+        uint32_t rest = (UINT32_C(0x10000) - (uint32_t)upper * period) << 16; /* a product is faster than a remainder */
+        uint16_t lower = (uint16_t)(rest / period);
+        turn->step = (uint32_t)upper << 16 | lower;
+        turn->step_rest = (uint16_t)(rest - (uint32_t)lower * period);
+    }
+    if (board.excitation.in_period == 0U) {
+        turn->phase = 0;
+        turn->rest = 0;
+        return;
+    }
+    turn->phase += turn->step;
+    if (turn->rest >= period - turn->step_rest) {
+        turn->rest = (uint16_t)(turn->rest - (period - turn->step_rest));
+        turn->phase++;
+    } else {
+        turn->rest = (uint16_t)(turn->rest + turn->step_rest);
+    }
 }
 
 static int32_t sum_of_sines(uint16_t seed) ON_STACK {
-    uint32_t phase = phase_in_period() + ((uint32_t)(seed >> 7) << 23);
+    uint32_t phase = board.excitation.of.multisine.phase + ((uint32_t)(seed >> 7) << 23);
     uint32_t angle = 0;
     int32_t total = 0;
     uint8_t h;
@@ -132,7 +149,7 @@ static int32_t sum_of_sines(uint16_t seed) ON_STACK {
 }
 
 static int32_t chirp(int16_t amplitude) ON_STACK {
-    return divide_rounded((int32_t)amplitude * sine_q15((uint32_t)(board.excitation.phase >> 16)), 32767);
+    return divide_rounded((int32_t)amplitude * sine_q15((uint32_t)(board.excitation.of.chirp.phase >> 16)), 32767);
 }
 
 static int16_t prbs(int16_t amplitude) ON_STACK {
@@ -186,8 +203,10 @@ static int32_t shape(void) ON_STACK {
 uint16_t excitation_next(void) ON_STACK {
     int32_t value = board.excitation.signal.offset;
 
-    if (board.excitation.signal.shape == SHAPE_CHIRP && board.excitation.ticks != 0U) {
+    if (board.excitation.ticks != 0U && board.excitation.signal.shape == SHAPE_CHIRP) {
         advance_chirp();
+    } else if (board.excitation.ticks != 0U && board.excitation.signal.shape == SHAPE_MULTISINE) {
+        advance_multisine();
     }
     if (!excitation_done()) {
         value += shape();

@@ -20,11 +20,12 @@ bool hal_write_input(uint16_t u);  /* u_c, in force on return; 100 us, or 10 us 
 
 /* Time. */
 bool hal_tick_due(void);              /* true once in each T_s; 5 us */
+bool hal_has_time(uint8_t work);      /* whether this, one of core.h's, can be done before the next tick is due; 5 us */
 void hal_capture_timer(uint16_t us);  /* calls `capture_interrupt` after us, then each CAPTURE_US; 0: stop; 5 us */
 bool hal_capture_due(void);           /* its time has come, but its interrupt is still to be served; 5 us */
 
 /* UART, 8N1.  Behind both a buffer: the core looks once in each turn of its main loop. */
-bool hal_receive(uint8_t *byte);  /* false: none is there; 10 us */
+int16_t hal_receive(void);        /* below 0: no byte is there; 10 us */
 bool hal_send(uint8_t byte);      /* false: the transmitter is full, nothing was sent; 10 us */
 
 /* Resets.  The watchdog resets the chip after 50 ms without `hal_feed_watchdog`.  The start-up code of every target

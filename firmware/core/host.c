@@ -1,13 +1,16 @@
-/* The host's commands: once each, in order, between two ticks (rules 2 to 4); what happens without it (rule 10). */
+/* The host's commands: once each, in order, as far as the control law leaves time (rules 2 to 4); what happens without it (rule 10). */
 #include "core.h"
 
-#define PENDING_COMMANDS 8U
+#define PENDING_COMMANDS 8U /* a power of 2 */
+#define STOP_BODY 2U
 #define RETAINED_IDS 8U
 #define HOST_LOSS_MS 500U
 
 /* After `board` was cleared. */
 void host_boot(void) {
     board.host.divider = 1;
+    board.host.commands_left = COMMANDS_PER_TICK;
+    board.host.ticks_since_overload = TICKS_PER_S;
     host_set_loss(HOST_LOSS_COIL_OFF, HOST_LOSS_MS);
 }
 
@@ -59,13 +62,44 @@ static void refuse(const STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t de
     queue_put(board.host.answer);
 }
 
+/* A frame for whose answer there is no room. */
+static void leave_unanswered(void) {
+    receiver_count_bad();
+    if (board.host.unanswered < UINT16_MAX) {
+        board.host.unanswered++;
+    }
+    if (board.host.ticks_since_overload >= TICKS_PER_S) {
+        board.host.ticks_since_overload = 0;
+        emit(OVERLOAD, board.host.unanswered);
+    }
+}
+
+/* Keeps the answer that was composed, or that of a refusal, and sends it. */
+static void answer_once(const STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t detail) ON_STACK {
+    if (reason != ACCEPTED) {
+        answer_nack(body, reason, detail);
+    }
+    keep(body);
+    queue_put(board.host.answer);
+}
+
+/* A STOP has overtaken it; what could turn the coil on again is not executed any more. */
+static bool is_revoked(uint8_t type) {
+    if (board.host.overtaken == 0U) {
+        return false;
+    }
+    board.host.overtaken--;
+    return type == SET_MODE || type == CAPTURE;
+}
+
 static void execute(const STATE_MEMORY struct command *command) ON_STACK {
     const STATE_MEMORY uint8_t *body = command->body;
     uint8_t n = find_kept(body[1]);
     uint16_t detail = 0;
-    uint8_t reason;
+    uint8_t reason = fields_check(body, command->size, &detail);
+    bool revoked = is_revoked(body[0]);
 
-    if (body[0] == HELLO && command->reason == ACCEPTED) { /* answered afresh each time, and not kept */
+    if (body[0] == HELLO && reason == ACCEPTED) { /* answered afresh each time, and not kept */
         reason = answer_hello(body, &detail);
         if (reason != ACCEPTED) {
             answer_nack(body, reason, detail);
@@ -75,54 +109,65 @@ static void execute(const STATE_MEMORY struct command *command) ON_STACK {
         queue_put(kept(n)->body);
     } else if (n < board.host.kept_count) {
         refuse(body, BUSY, 0);
-    } else if (command->reason != ACCEPTED) {
+    } else if (reason != ACCEPTED) {
         /* Not kept: noise may leave the CRC right and the length wrong, and the repetition must not meet it again. */
-        refuse(body, command->reason, command->detail);
+        refuse(body, reason, detail);
     } else if (!board.host.session_open && body[0] != PING) {
         refuse(body, NO_SESSION, 0);
+    } else if (revoked) {
+        answer_once(body, BUSY, 0);
     } else {
         reason = command_execute(body, &detail);
-        if (reason != ACCEPTED) {
-            answer_nack(body, reason, detail);
+        answer_once(body, reason, detail);
+    }
+}
+
+/* Commands that wait, in the order in which they came, as far as the budget of this tick, the time and the room for
+ * their answers go.  None after a RESET: its ACK must not wait for what a host goes on asking. */
+void host_execute(void) {
+    while (board.host.pending_count != 0U && board.host.commands_left != 0U && board.host.reset_wait == 0U) {
+        const STATE_MEMORY struct command *command = &board.host.pending[board.host.pending_first];
+
+        uint8_t type = command->body[0];
+
+        if (!is_room_for_answer(type) || !hal_has_time(type == EXCITE ? FOR_SIGNAL : FOR_COMMAND)) {
+            return;
         }
-        keep(body);
-        queue_put(board.host.answer);
+        board.host.commands_left--;
+        execute(command);
+        board.host.pending_first = (uint8_t)(board.host.pending_first + 1U) & (PENDING_COMMANDS - 1U);
+        board.host.pending_count--;
     }
 }
 
-void host_execute_pending(void) {
-    uint8_t n;
-
-    for (n = 0; n < board.host.pending_count; n++) {
-        execute(&board.host.pending[n]);
-    }
-    board.host.pending_count = 0;
-}
-
+/* At once, whatever waits. */
 static void stop(const STATE_MEMORY uint8_t *body) ON_STACK {
-    /* Commands that came before it are executed first, so that none of them turns the coil on again. */
-    host_execute_pending();
+    board.host.overtaken = board.host.pending_count;
     loop_switch_off();
+    if (board.host.reset_wait != 0U) {
+        return;
+    }
+    if (!is_room_for_answer(STOP)) {
+        leave_unanswered();
+        return;
+    }
     answer_ack(body);
     keep(body);
     queue_put(board.host.answer);
 }
 
-static void put_pending(const STATE_MEMORY uint8_t *body, uint8_t size, uint8_t reason, uint16_t detail) ON_STACK {
-    STATE_MEMORY struct command *command = &board.host.pending[board.host.pending_count];
+static void put_pending(const STATE_MEMORY uint8_t *body, uint8_t size) ON_STACK {
+    uint8_t place = (uint8_t)(board.host.pending_first + board.host.pending_count) & (PENDING_COMMANDS - 1U);
+    STATE_MEMORY struct command *command = &board.host.pending[place];
 
     /* What is longer than any command is refused for it, and only its type and id are looked at again. */
     copy(command->body, body, size < COMMAND_BODY ? size : COMMAND_BODY);
-    command->reason = reason;
-    command->detail = detail;
+    command->size = size;
     board.host.pending_count++;
 }
 
 /* A body with a right CRC. */
 void host_receive(const STATE_MEMORY uint8_t *body, uint8_t size) ON_STACK {
-    uint16_t detail;
-    uint8_t reason;
-
     if (size < 2U || body[1] == 0U || is_sent_by_board(body[0])) {
         receiver_count_bad();
         return;
@@ -132,13 +177,14 @@ void host_receive(const STATE_MEMORY uint8_t *body, uint8_t size) ON_STACK {
         board.loop.host_lost = false;
         emit(HOST_BACK, 0);
     }
-    reason = fields_check(body, size, &detail);
-    if (body[0] == STOP && reason == ACCEPTED) {
+    if (body[0] == STOP && size == STOP_BODY) {
         stop(body);
-    } else if (board.host.pending_count >= PENDING_COMMANDS) {
+    } else if (board.host.pending_count < PENDING_COMMANDS) {
+        put_pending(body, size);
+    } else if (is_room_for_answer(body[0])) {
         refuse(body, BUSY, 0);
     } else {
-        put_pending(body, size, reason, detail);
+        leave_unanswered();
     }
 }
 

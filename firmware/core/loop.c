@@ -3,7 +3,6 @@
 
 #define OVER_CURRENT_TICKS 50U
 #define SENSOR_FAULT_TICKS 500U
-#define AHEAD_FROM 4U /* values of a signal */
 #define LIMIT_OF_INPUT 0U /* detail of LIMIT_HIT */
 
 /* After `board` was cleared and the settings are in force. */
@@ -148,7 +147,9 @@ uint8_t loop_run(uint16_t i, uint16_t x) {
         limited = false;
         board.loop.u = board.loop.mode == MODE_OPEN_LOOP ? board.loop.open_loop_u : 0U;
     }
-    if (!board.capture.running) {
+    if (board.capture.waits) {
+        capture_begin();
+    } else if (!board.capture.running) {
         output_write(board.loop.u);
     }
     report_limit(limited);
@@ -164,9 +165,9 @@ uint8_t loop_run(uint16_t i, uint16_t x) {
 }
 
 /* The signal at the coming tick, when u_c of this one is out: from reading to u_c it takes the same time with a signal
- * as without.  The first values, of which those of a chirp divide, are left to their ticks. */
+ * as without.  Where no time is left, the tick has to compute it. */
 void loop_play_ahead(void) {
-    if (board.excitation.active && board.excitation.ticks >= AHEAD_FROM) {
+    if (board.excitation.active && !board.excitation.ahead && hal_has_time(FOR_VALUE)) {
         board.excitation.value = excitation_next();
         board.excitation.ahead = true;
     }

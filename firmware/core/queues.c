@@ -49,11 +49,15 @@ static void drop_first(uint8_t queue) {
     ring->count--;
 }
 
+static bool is_full(uint8_t queue) {
+    return board.queues.rings[queue].count >= DEPTH[queue];
+}
+
 void queue_put(const STATE_MEMORY uint8_t *body) ON_STACK {
     uint8_t queue = queue_of(body[0]);
     STATE_MEMORY struct ring *ring = &board.queues.rings[queue];
 
-    if (ring->count >= DEPTH[queue]) {
+    if (is_full(queue)) {
         board.queues.dropped++;
         if (queue != QUEUE_STATE) {
             return;
@@ -64,35 +68,41 @@ void queue_put(const STATE_MEMORY uint8_t *body) ON_STACK {
     ring->count++;
 }
 
+/* Whether an answer to a command of this type would not be lost. */
+bool is_room_for_answer(uint8_t command) {
+    return !is_full(QUEUE_ANSWER) && (command != READ_CAPTURE || !is_full(QUEUE_BLOCK));
+}
+
 /* Whether nothing that RESET has to wait for is waiting or on its way. */
 bool answers_have_left(void) {
     return board.queues.rings[QUEUE_ANSWER].count == 0U && board.queues.frame_sent == board.queues.frame_size;
 }
 
-static void load_next_frame(void) {
-    uint8_t queue;
+static void load_next_frame(uint8_t queue) ON_STACK {
+    const STATE_MEMORY uint8_t *body = place(queue, board.queues.rings[queue].first);
 
-    for (queue = 0; queue < QUEUES; queue++) {
-        if (board.queues.rings[queue].count != 0U) {
-            const STATE_MEMORY uint8_t *body = place(queue, board.queues.rings[queue].first);
-            board.queues.frame_size = frame_encode(body, body_size(body[0]), board.queues.frame);
-            drop_first(queue);
-            return;
-        }
-    }
+    board.queues.frame_size = frame_encode(body, body_size(body[0]), board.queues.frame);
+    drop_first(queue);
 }
 
-static bool is_any_waiting(void) {
-    const STATE_MEMORY struct ring *rings = board.queues.rings;
+/* The queue whose turn it is; QUEUES where none has a frame, or no time is left for it. */
+static uint8_t next_queue(void) ON_STACK {
+    const STATE_MEMORY struct ring *ring = board.queues.rings;
+    uint8_t queue;
 
-    return (rings[QUEUE_STATE].count | rings[QUEUE_ANSWER].count | rings[QUEUE_EVENT].count | rings[QUEUE_BLOCK].count) != 0U;
+    for (queue = 0; queue < QUEUES; queue++, ring++) {
+        if (ring->count != 0U) {
+            return hal_has_time(queue == QUEUE_STATE ? FOR_STATE : FOR_FRAME) ? queue : QUEUES;
+        }
+    }
+    return QUEUES;
 }
 
 /* Hands the transmitter what it takes, a frame's length at most; a frame that has begun is finished first.
  *
  * The next frame is chosen when its delimiter was taken and not before, so that a newer STATE still goes first. */
 void send_frames(void) {
-    uint8_t n;
+    uint8_t n, queue;
 
     for (n = 0; n < MAX_FRAME; n++) {
         if (board.queues.frame_sent < board.queues.frame_size) {
@@ -101,10 +111,11 @@ void send_frames(void) {
             }
             board.queues.frame_sent++;
         } else {
-            if (!is_any_waiting() || !hal_send(0)) {
+            queue = next_queue();
+            if (queue == QUEUES || !hal_send(0)) {
                 return;
             }
-            load_next_frame();
+            load_next_frame(queue);
             board.queues.frame_sent = 1;
         }
     }

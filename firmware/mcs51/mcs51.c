@@ -18,9 +18,10 @@ static __xdata uint8_t received[RECEIVED], sent[SENT];
 
 /* What outlives a reset. */
 static __xdata __at(XRAM_KEPT) struct {
-    uint16_t valid, resets;
-    uint8_t cause, commanded;
+    uint16_t valid, resets, check;
+    uint8_t cause, why; /* of this start, and of the watchdog's next reset */
 } kept;
+enum { BY_A_FAULT, BY_COMMAND, BY_THE_SUPPLY };
 
 /* What the board is, as it lies in the data memory: with a CRC over it as over a frame. */
 static __xdata union {
@@ -90,6 +91,14 @@ bool hal_tick_due(void) {
     return true;
 }
 
+/* What `until_tick` has to be above: interrupts of the timer, with those of a full line in their time. */
+static const __code uint8_t PARTS_FOR[WORKS] = {0, PARTS(300), PARTS(800), PARTS(1200), PARTS(650), PARTS(200), PARTS(500)};
+
+/* The tick is looked at last: if it comes in between, there is no time. */
+bool hal_has_time(uint8_t work) {
+    return until_tick > PARTS_FOR[work] && ticks_due == 0U;
+}
+
 void hal_capture_timer(uint16_t us) {
     ET2 = 0; /* two bytes; an interrupt that comes now is served then */
     capture_us = us;
@@ -101,13 +110,15 @@ bool hal_capture_due(void) __critical {
     return TF2 && capture_us != 0U && capture_us <= CAPTURE_US;
 }
 
-bool hal_receive(uint8_t *byte) {
+int16_t hal_receive(void) {
+    uint8_t byte;
+
     if (received_out == received_in) {
-        return false;
+        return -1;
     }
-    *byte = received[received_out];
+    byte = received[received_out];
     received_out = (uint8_t)(received_out + 1U) & (RECEIVED - 1U);
-    return true;
+    return byte;
 }
 
 bool hal_send(uint8_t byte) {
@@ -125,7 +136,21 @@ bool hal_send(uint8_t byte) {
     return true;
 }
 
+static void reset_by_watchdog(uint8_t why) {
+    kept.why = why;
+    EA = 0;
+    WDWR = 1;
+    WDCON = WDCON_NOW;
+    for (;;) {
+    }
+}
+
+/* Where the supply is too low, the program may go wrong at any instruction: it is left while it can still be. */
 void hal_feed_watchdog(void) {
+    if ((PSMCON & CMPD) == 0U) {
+        (void)hal_write_input(0);
+        reset_by_watchdog(BY_THE_SUPPLY);
+    }
     EA = 0;
     WDWR = 1;
     WDCON = WDCON_ON;
@@ -142,14 +167,9 @@ uint16_t hal_resets(void) {
 
 /* By the watchdog: its time is also how long the line has for the bytes that it was given. */
 void hal_restart(void) {
-    kept.commanded = 1;
     while (sending) {
     }
-    EA = 0;
-    WDWR = 1;
-    WDCON = WDCON_NOW;
-    for (;;) {
-    }
+    reset_by_watchdog(BY_COMMAND);
 }
 
 const struct identity *hal_identity(void) {
@@ -217,23 +237,36 @@ void on_line(void) __interrupt(4) __using(1) {
     }
 }
 
+/* WDS tells the watchdog from power and from the pin of the reset.  What XRAM holds after power-on is random: 48 bits of
+ * it are not what the program left there. */
+static void find_cause(void) {
+    bool valid = kept.valid == KEPT_VALID && kept.check == (uint16_t)~kept.resets;
+
+    if (!WDS || (valid && kept.why == BY_THE_SUPPLY)) {
+        kept.cause = RESET_POWER_ON;
+        kept.resets = 0;
+    } else {
+        kept.cause = valid && kept.why == BY_COMMAND ? RESET_COMMANDED : RESET_WATCHDOG;
+        kept.resets = valid ? kept.resets : 0U;
+        kept.resets += kept.resets < UINT16_MAX ? 1U : 0U;
+    }
+    kept.check = (uint16_t)~kept.resets;
+    kept.valid = KEPT_VALID;
+    kept.why = BY_A_FAULT;
+}
+
 /* Called by start-up before it clears the memory: 0 to the converter first, then what the clearing itself needs. */
 unsigned char _sdcc_external_startup(void) {
     DAC0H = 0;
     DAC0L = 0;
     DACCON = DACCON_ON;
     CFG841 = XRAMEN;
-    if (kept.valid != KEPT_VALID) {
-        kept.valid = KEPT_VALID;
-        kept.resets = 0;
-        kept.cause = RESET_POWER_ON;
-    } else {
-        kept.resets += kept.resets < UINT16_MAX ? 1U : 0U;
-        kept.cause = kept.commanded == 1U ? RESET_COMMANDED : RESET_WATCHDOG;
+    PSMCON = PSMCON_ON;
+    while ((PSMCON & CMPD) == 0U) { /* the watchdog is off */
     }
-    kept.commanded = 0;
+    find_cause();
     WDWR = 1;
-    WDCON = WDCON_ON;
+    WDCON = WDCON_ON; /* and WDS is 0 */
     return 0;
 }
 
@@ -252,7 +285,7 @@ void main(void) {
     TR2 = 1;
     EA = 1;
     for (;;) {
-        board_poll();
+        (void)board_poll();
     }
 }
 

@@ -37,6 +37,7 @@
  * ticks and samples keep their phase, and neither drifts. */
 #define TIMER_RELOAD (65536UL - CYCLES(CAPTURE_US))
 #define TICK_PARTS (TICK_US / CAPTURE_US)
+#define PARTS(us) ((us) / CAPTURE_US)
 #if TICK_US % CAPTURE_US != 0 || TICK_US / CAPTURE_US > 255
 #error "CAPTURE_US has to divide TICK_US into 255 parts at most"
 #endif
@@ -55,10 +56,13 @@
 #define WDCON_ON 0x12U
 #define WDCON_NOW 0x82U
 
+/* 'Power supply monitor': trips below 4.37 V, as 20 MHz need 4.75 V; CMPD is 0 then.  It is looked at, not an interrupt. */
+#define PSMCON_ON PSMEN /* TPD1, TPD0: 00 */
+
 /* 'Using the Flash/EE data memory': pages of 4 bytes. */
 #define ECON_READ_PAGE 1U
 
 /* 'Internal XRAM': 2 kB once XRAMEN is set.  Its last bytes are not cleared by start-up. */
-#define XRAM_KEPT 0x07FA
+#define XRAM_KEPT 0x07F8
 
 #endif

@@ -54,6 +54,12 @@ bool hal_tick_due(void) {
     return due;
 }
 
+/* This board computes in no time. */
+bool hal_has_time(uint8_t work) {
+    (void)work;
+    return true;
+}
+
 void hal_capture_timer(uint16_t us) {
     here->view.capture_wait_us = us == 0U ? -1 : us;
 }
@@ -62,13 +68,12 @@ bool hal_capture_due(void) {
     return here->view.capture_wait_us == 0;
 }
 
-bool hal_receive(uint8_t *byte) {
+int16_t hal_receive(void) {
     if (here->received_count == 0U) {
-        return false;
+        return -1;
     }
-    *byte = *here->received++;
     here->received_count--;
-    return true;
+    return *here->received++;
 }
 
 /* As many bytes as the caller has room for, and one frame at a time: the next waits for the next `posix_take`. */
@@ -110,6 +115,11 @@ const struct settings *hal_program_settings(void) {
 }
 
 /* The caller's side. */
+
+static void poll(void) {
+    while (board_poll() && !here->restart) {
+    }
+}
 
 static void boot(uint8_t cause) {
     here->dropped += board.queues.dropped;
@@ -187,11 +197,10 @@ void posix_feed(struct posix_board *to, const uint8_t *data, uint32_t count) {
     enter(to);
     here->view.written = false;
     if (here->view.running) {
+        poll(); /* what has been waiting for room */
         here->received = data;
         here->received_count = count;
-        while (here->received_count != 0U) {
-            board_poll();
-        }
+        poll();
     }
     show();
 }
@@ -204,7 +213,7 @@ void posix_pass(struct posix_board *to, uint16_t us) {
         here->view.capture_wait_us -= us;
         if (here->view.capture_wait_us == 0 && board.capture.taken == board.capture.count) {
             capture_interrupt();
-            board_poll();
+            poll();
         }
     }
     show();
@@ -237,8 +246,9 @@ void posix_tick(struct posix_board *to, uint16_t i, uint16_t x, bool lose_state)
         ring = board.queues.rings[0];
         here->i = i;
         here->x = x;
+        poll(); /* what has been waiting for room */
         here->tick_due = true;
-        board_poll();
+        poll();
         if (here->restart) {
             reset(RESET_COMMANDED);
         } else if (lose_state) {

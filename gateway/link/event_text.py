@@ -6,9 +6,9 @@ from gateway.board.faults import COIL_MAY_BE_ON, OUTPUT_UNCONFIRMED, name_of
 from protocol.wire.events import BoardEvent
 from protocol.wire.messages import FAULT_EVENTS, RESETS, ROW_OF_NAME, VERSION, EventCode, Message, Mode
 
-_WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT, EventCode.SETTINGS_REJECTED}) | (
-    RESETS - FAULT_EVENTS
-)
+_WARNINGS = frozenset(
+    {EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT, EventCode.SETTINGS_REJECTED, EventCode.OVERLOAD}
+) | (RESETS - FAULT_EVENTS)
 _RESET = "The board restarted; resets since power-on: {detail}."
 _TEXT = {
     EventCode.HOST_LOST: "No frame from the host in time; the policy has acted: {policy}.",
@@ -26,6 +26,7 @@ _TEXT = {
         "The settings in the board's memory are not usable: {field} is out of range."
         " The gains and limits of its program are in force: check them before you fly, and store the settings again."
     ),
+    EventCode.OVERLOAD: "Commands come faster than the board can answer; without an answer since its reset: {detail}.",
 }
 
 _POLICIES = ("the coil goes on as before", "coil off", "the reference is held")

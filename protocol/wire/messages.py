@@ -94,6 +94,7 @@ class EventCode(IntEnum):
     OUTPUT_FAULT = 13
     UNCOMMANDED_CURRENT = 14
     SETTINGS_REJECTED = 15
+    OVERLOAD = 16
 
 
 # Faults that the board cannot end: the coil may be on whatever it orders.
@@ -276,7 +277,7 @@ ROWS: tuple[Row, ...] = (
     Row(0x46, "EVENT", False, (
         _u8("number", "", "counts events, modulo 256: a gap is a lost event"),
         _u32("tick", "tick", "when"),
-        _u8("code", "", "see Events", 1, 15),
+        _u8("code", "", "see Events", 1, 16),
         _u16("detail", "", "see Events"),
     ), "something happened; not acknowledged"),
     Row(0x47, "CAPTURE_BLOCK", False, (

@@ -243,3 +243,15 @@ def started_with(content: bytes) -> AvrHost:
     host.run(BOOT_TICKS)
     host.hello()
     return host
+
+
+def test_a_converter_that_never_ends_a_conversion_is_an_over_current(host: AvrHost) -> None:
+    """Interrupts are off while it converts: a wait without an end would be the watchdog's."""
+    host.board.fail_conversion()
+    dead_from = host.board.next_tick
+
+    fault = host.until(EventCode.OVER_CURRENT)
+
+    assert fault.int("tick") - dead_from <= 51
+    assert (host.board.u, host.board.mode) == (0, Mode.IDLE)
+    assert not {EventCode.RESET_WATCHDOG, EventCode.OVERRUN} & set(host.codes())

@@ -81,3 +81,46 @@ def test_a_capture_shows_the_step_at_its_sample() -> None:
     assert samples[40] > samples[25] > 20
     assert samples[199] > 300
     assert samples[200:] == [0] * 24
+
+
+def test_a_reset_by_its_pin_is_no_fault_of_the_firmware() -> None:
+    host = flying()
+    host.board.pull_reset()
+    off = host.board.u
+    reset = host.until(EventCode.RESET_POWER_ON)
+
+    assert off == 0
+    assert reset.int("detail") == 0
+    assert not {EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED} & set(host.codes())
+
+
+def test_a_dip_of_the_supply_switches_off_waits_and_is_no_fault_of_the_firmware() -> None:
+    host = flying()
+    host.board.chip.low_supply = True
+    ticks = host.ticks_until_off(at_most=2)
+    states = len(host.states)
+    host.run(100)
+    during = len(host.states) - states
+    host.board.chip.low_supply = False
+    reset = host.until(EventCode.RESET_POWER_ON)
+
+    assert ticks <= 2
+    assert during <= 2  # it waits for its supply
+    assert (reset.int("detail"), host.board.u) == (0, 0)
+    assert EventCode.RESET_WATCHDOG not in host.codes()
+
+
+def test_the_watchdog_and_a_command_are_told_from_power_and_from_each_other() -> None:
+    host = flying()
+    host.board.hang()
+    watchdog = host.until(EventCode.RESET_WATCHDOG)
+    host.run(20)
+    host.hello()
+    host.ask("RESET")
+    commanded = host.until(EventCode.RESET_COMMANDED)
+    xram = host.board.chip.cpu.xram
+    xram[0x7FA] ^= 0x40  # of the count, which its complement then does not fit
+    host.board.hang()
+    damaged = host.until(EventCode.RESET_WATCHDOG)
+
+    assert [event.int("detail") for event in (watchdog, commanded, damaged)] == [1, 2, 1]

@@ -103,7 +103,8 @@ def test_each_tick_that_was_not_run_is_an_overrun(
     host.board.overrun(ticks)
     _, after = count_ticks(host)
 
-    assert after - before == ticks - 1  # the last one is run, late
+    # The last one is run, late; it is one of them if it ends when the next is due.
+    assert after - before in (ticks - 1, ticks)
 
 
 def test_a_tick_that_comes_while_the_8051_takes_one_is_not_lost() -> None:
@@ -114,18 +115,19 @@ def test_a_tick_that_comes_while_the_8051_takes_one_is_not_lost() -> None:
     due = cycle_of_tick(board)
     board.tick()  # the line goes on where the chip is
     board.tick()
-    run, late = count_ticks(host)
-    begin = chip.cpu.cycles
+    gains: set[int] = set()
     for ahead in range(80):
+        run, late = count_ticks(host)
+        begun = (chip.cpu.cycles - due) // TICK_CYCLES
         step_to(board, "hal_tick_due")
         latest = due + (chip.cpu.cycles - due) // TICK_CYCLES * TICK_CYCLES
         chip.held_until = latest + 2 * TICK_CYCLES - ahead
-        for _ in range(6):
-            board.tick()
-    run_then, late_then = count_ticks(host)
+        host.run(6)
+        run_then, late_then = count_ticks(host)
+        gains.add(run_then - run + late_then - late - ((chip.cpu.cycles - due) // TICK_CYCLES - begun))
 
-    assert late_then - late > 10  # both were due in some of them
-    assert run_then - run + late_then - late == round((chip.cpu.cycles - begin) / TICK_CYCLES)
+    # 0: both were due, one was run, the other counted.  1: both were run, and the first ended when the other was due.
+    assert gains == {0, 1}
 
 
 def step_to(board: Mcs51Board, function: str) -> None:

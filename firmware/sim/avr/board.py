@@ -55,6 +55,7 @@ class _Chip(ctypes.Structure):
         ("bit_cycles", c_uint16),
         ("broken", c_uint16),
         ("watched_byte", c_uint8),
+        ("dead_converter", c_uint8),
         ("sent", c_uint8 * _OUTPUT_SIZE),
     )
 
@@ -164,6 +165,10 @@ class AvrBoard:
     def fail_output(self, fault: OutputFault) -> None:
         """Let the converter of u_c fail from now on, or work again; its output stays as it is."""
         self._view.output_fault = int(fault)
+
+    def fail_conversion(self) -> None:
+        """Let no conversion end from now on."""
+        self._view.dead_converter = 1
 
     def reset_in_acknowledge(self, byte: int, *, held: int = 1) -> None:
         """Reset the chip as its watchdog does, while the converter acknowledges this byte of a write of u_c.

@@ -43,6 +43,7 @@ struct chip {
     uint16_t bit_cycles;   /* of the bus, 16 at least; more: a converter or a cable that makes it slower */
     uint16_t broken;       /* messages within which another one began */
     uint8_t watched_byte;  /* of a message, 1: its address; 0 once it is acknowledged */
+    uint8_t dead_converter; /* a conversion never ends */
     uint8_t sent[OUTPUT_SIZE];
     uint8_t event, selected, received_count;
     uint8_t received[2]; /* by the converter, of the message on its bus */
@@ -50,7 +51,8 @@ struct chip {
     avr_irq_t *adc, *twi, *uart;
     avr_uart_t *line;
     avr_twi_t *bus;
-    avr_io_write_t write_twcr;
+    avr_io_write_t write_twcr, write_adcsra;
+    void *adc_block;
     avr_io_t on_reset;
     uint8_t bytes; /* of the message on the bus */
 };
@@ -136,6 +138,16 @@ static void on_twcr(avr_t *avr, avr_io_addr_t address, uint8_t value, void *to) 
     }
 }
 
+static void on_adcsra(avr_t *avr, avr_io_addr_t address, uint8_t value, void *to) {
+    struct chip *chip = to;
+
+    if (chip->dead_converter) {
+        avr->data[address] = value;
+    } else {
+        chip->write_adcsra(avr, address, value, chip->adc_block);
+    }
+}
+
 static void on_ddrc(avr_t *avr, avr_io_addr_t address, uint8_t value, void *to) {
     struct chip *chip = to;
     uint8_t before = avr->data[address];
@@ -191,10 +203,10 @@ static void *find(avr_t *avr, const char *kind) {
     return io;
 }
 
-/* Puts this file's bus between the program and simavr's, which has no lines. */
+/* Puts this file's bus between the program and simavr's, which has no lines, and a converter that can fail. */
 static void take_bus(struct chip *chip) {
     avr_t *avr = chip->avr;
-    avr_io_addr_t twcr, pinc = AVR_DATA_TO_IO(0x26), ddrc = AVR_DATA_TO_IO(0x27);
+    avr_io_addr_t adcsra, twcr, pinc = AVR_DATA_TO_IO(0x26), ddrc = AVR_DATA_TO_IO(0x27);
 
     chip->bus = find(avr, "twi");
     twcr = AVR_DATA_TO_IO(chip->bus->r_twcr);
@@ -203,6 +215,11 @@ static void take_bus(struct chip *chip) {
     avr->io[ddrc].w.c = on_ddrc;
     avr->io[pinc].r.c = on_pinc;
     avr->io[twcr].w.param = avr->io[ddrc].w.param = avr->io[pinc].r.param = chip;
+    chip->adc_block = find(avr, "adc");
+    adcsra = AVR_DATA_TO_IO(((avr_adc_t *)chip->adc_block)->r_adcsra);
+    chip->write_adcsra = avr->io[adcsra].w.c;
+    avr->io[adcsra].w.c = on_adcsra;
+    avr->io[adcsra].w.param = chip;
     chip->bit_cycles = BIT_CYCLES;
     chip->held_by_reset = 1; /* the acknowledge ends when SCL falls */
     chip->on_reset.kind = "reset";

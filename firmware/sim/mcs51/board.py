@@ -101,6 +101,12 @@ class Mcs51Board:
             self.chip.cpu.pc = self.symbols["hal_restart"]
         self._follow_input()
 
+    def pull_reset(self) -> None:
+        """Reset the chip by its pin: its RAM stays as it is."""
+        self._remember_dropped()
+        self._library.chip_pin(self.chip)
+        self._follow_input()
+
     def hang(self) -> None:
         """Hang the main loop: no ticks, no answers, u_c unchanged, until the watchdog resets the board."""
         self.chip.held_until = 2**64 - 1

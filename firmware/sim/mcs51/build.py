@@ -29,7 +29,7 @@ CONFIGURATION = (
     "-DBLOCK_DEPTH=2U",
 )
 OPTIONS = ("-mmcs51", "--std-c99", "--model-small", "--opt-code-speed")
-_MEMORY = ("--iram-size", "256", "--xram-size", "2042", "--code-size", "63488")  # 'Memory organization'; XRAM_KEPT
+_MEMORY = ("--iram-size", "256", "--xram-size", "2040", "--code-size", "63488")  # 'Memory organization'; XRAM_KEPT
 _FOLDER = Path(__file__).resolve().parent
 _SIMULATOR = (_FOLDER / "cpu.c", _FOLDER / "chip.c")
 _REMEDY = "Install it (Debian: apt-get install gcc libc6-dev sdcc), or fly --firmware python or c"

@@ -4,6 +4,7 @@
 #include <string.h>
 
 enum { SCON = 0x98, SBUF, T3FD = 0x9D, T3CON, CFG841 = 0xAF, ECON = 0xB9 };
+enum { PSMCON = 0xDF };
 enum { EDATA1 = 0xBC, WDCON = 0xC0, EADRL = 0xC6, EADRH, T2CON = 0xC8, RCAP2L = 0xCA, RCAP2H, TL2, TH2 };
 enum { ADCCON2 = 0xD8, ADCDATAL, ADCDATAH, ADCCON1 = 0xEF, DAC0L = 0xF9, DAC0H, DACCON = 0xFD };
 
@@ -21,6 +22,7 @@ enum { ADCCON2 = 0xD8, ADCDATAL, ADCDATAH, ADCCON1 = 0xEF, DAC0L = 0xF9, DAC0H, 
 #define WDE BIT(1)
 #define WDWR BIT(0)
 #define EA BIT(7)
+#define CMPD BIT(6)
 
 /* 'Timer 3 Generated Baud Rates': 10 bits. */
 static uint32_t byte_cycles(const struct chip *chip) {
@@ -66,6 +68,9 @@ static void access_eeprom(struct chip *chip, uint8_t command) {
 uint8_t sfr_read(struct cpu *cpu, uint8_t address) {
     struct chip *chip = (struct chip *)cpu;
 
+    if (address == PSMCON) { /* 'Power supply monitor': the bit of the comparator is read alone */
+        return (uint8_t)((cpu->sfr[address - 0x80] & ~CMPD) | (chip->low_supply ? 0U : CMPD));
+    }
     return address == SBUF ? chip->received : cpu->sfr[address - 0x80];
 }
 
@@ -193,6 +198,7 @@ static void watch(struct chip *chip) {
 static void reset(struct chip *chip, uint8_t wdcon) {
     cpu_reset(&chip->cpu);
     REG(chip, WDCON) = wdcon;
+    REG(chip, PSMCON) = 0xDE;
     REG(chip, DACCON) = BIT(2); /* its value after a reset: outputs cleared, without power */
     chip->sending = chip->converting = chip->wdwr = false;
     chip->held_until = 0;
@@ -214,6 +220,10 @@ void chip_power_on(struct chip *chip) {
 
 void chip_watchdog(struct chip *chip) {
     reset(chip, 0x10 | WDS);
+}
+
+void chip_pin(struct chip *chip) {
+    reset(chip, 0x10);
 }
 
 /* Runs to the first instruction that ends at `until` or later, or that asks the caller; returns why it stopped. */

@@ -26,6 +26,7 @@ struct chip {
     uint16_t converted;    /* what the conversion that was asked for gives */
     uint16_t watched_pc;   /* `turns` counts how often the program comes here: once in a turn of its main loop */
     bool dead_converter;   /* a conversion never ends */
+    bool low_supply;       /* below the trip point of the supply's monitor */
     uint8_t eeprom[4096];
     /* To look at. */
     uint32_t turns, longest_turn, lost_bytes; /* longest_turn in cycles, since the caller set it to 0 */
@@ -41,6 +42,7 @@ struct chip {
 uint32_t chip_size(void);
 void chip_power_on(struct chip *chip);
 void chip_watchdog(struct chip *chip); /* a reset by it */
+void chip_pin(struct chip *chip);      /* a reset by its pin: RAM stays as it is */
 uint8_t chip_run(struct chip *chip, uint64_t until);
 bool chip_feed(struct chip *chip, uint8_t byte, uint64_t at);
 uint32_t chip_take(struct chip *chip, uint8_t *data, uint32_t room);

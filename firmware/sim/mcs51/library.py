@@ -47,6 +47,7 @@ class Chip(ctypes.Structure):
         ("converted", c_uint16),
         ("watched_pc", c_uint16),
         ("dead_converter", c_bool),
+        ("low_supply", c_bool),
         ("eeprom", c_uint8 * 4096),
         ("turns", c_uint32),
         ("longest_turn", c_uint32),
@@ -68,6 +69,7 @@ def load(path: Path) -> ctypes.PyDLL:
     for name, result, arguments in (
         ("chip_power_on", None, ()),
         ("chip_watchdog", None, ()),
+        ("chip_pin", None, ()),
         ("chip_run", c_uint8, (c_uint64,)),
         ("chip_feed", c_bool, (c_uint8, c_uint64)),
         ("chip_take", c_uint32, (POINTER(c_uint8), c_uint32)),

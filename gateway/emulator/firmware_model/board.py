@@ -41,9 +41,11 @@ from protocol.wire.messages import ROW_OF_NAME, ROW_OF_TYPE, VERSION, EventCode,
 
 RETAINED_IDS = 8
 PENDING_COMMANDS = 8
+COMMANDS_PER_TICK = 1
 _PLANT_STEP_US = 20
 _STATE_TYPE = bytes((ROW_OF_NAME["STATE"].type,))
 _WITHOUT_SESSION = {"HELLO", "PING", "STOP"}
+_REVOKED = {"SET_MODE", "CAPTURE"}  # by a STOP: they could turn the coil on again
 _PRIORITY = {"EVENT": Priority.EVENT, "CAPTURE_BLOCK": Priority.CAPTURE_BLOCK}
 
 
@@ -85,6 +87,10 @@ class Firmware:
         self.outbox.clear()
         self._inbox = Inbox()
         self._pending: deque[tuple[bytes, Message | Nack]] = deque()
+        self._overtaken = 0  # of them, the first, by a STOP
+        self._commands_left = COMMANDS_PER_TICK  # to execute before the next tick
+        self._unanswered = 0
+        self._ticks_since_overload = TICKS_PER_S
         self._session: int | None = None
         self._retained: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=RETAINED_IDS)  # id, type, frame
         self._divider = 1
@@ -137,8 +143,10 @@ class Firmware:
             return
         if self.loop.capturing:  # its end comes before what these bytes bring
             self._advance_to(min(into_tick_us, T_S_US) // _PLANT_STEP_US * _PLANT_STEP_US)
+        self._execute_pending()
         for body in self._inbox.feed(data):
             self._receive(body, min(into_tick_us, T_S_US))
+            self._execute_pending()
 
     def tick(self) -> None:
         """Advance the plant by T_s with the input held, then run the loop once."""
@@ -164,6 +172,9 @@ class Firmware:
             self.outbox.put(_state_frame(self.next_tick, state), Priority.STATE)
         self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
         self._ticks_since_overrun_event += 1
+        self._ticks_since_overload += 1
+        self._commands_left = COMMANDS_PER_TICK
+        self._execute_pending()
 
     def take_frame(self) -> bytes:
         """Return the next frame for the line, or b""."""
@@ -196,6 +207,7 @@ class Firmware:
             step_us = time_us - self._elapsed_us
             # A program that hangs leaves u_c as it is, in a capture, too.
             capture = loop.capture if loop.capturing and not self._hung_ticks else None
+            capture = capture if capture is not None and capture.begun else None
             if capture is not None:
                 if capture.time_to_sample_us() == 0:
                     i_pin, _ = self._plant.sense()
@@ -207,29 +219,52 @@ class Firmware:
                 capture.pass_time(step_us)
                 if capture.has_ended:
                     loop.end_capture()
+                    self._execute_pending()
 
     def _receive(self, body: bytes, into_tick_us: int) -> None:
         row = ROW_OF_TYPE.get(body[0])
         if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
-            self._inbox.bad_frames = min(self._inbox.bad_frames + 1, 0xFFFF)
+            self._inbox.count_bad()
             return
         self._host.heard()
         decoded = decode_body(body)
         command = decoded if isinstance(decoded, Message) else _refusal(decoded, body)
         if isinstance(command, Message) and command.name == "STOP":
             self._advance_to(into_tick_us // _PLANT_STEP_US * _PLANT_STEP_US)
-            # Commands that came before it are executed first, so that none of them turns the coil on again.
-            self._execute_pending()
+            self._overtaken = len(self._pending)
             self.loop.switch_off()
-            self._answer(body, acknowledge(body[0], self.next_tick))
-        elif len(self._pending) >= PENDING_COMMANDS:
+            if self._reset_wait:
+                return
+            if self._has_room(body):
+                self._answer(body, acknowledge(body[0], self.next_tick))
+            else:
+                self._leave_unanswered()
+        elif len(self._pending) < PENDING_COMMANDS:
+            self._pending.append((body, command))
+        elif self._has_room(body):
             self._answer(body, Nack(Reason.BUSY), keep=False)
         else:
-            self._pending.append((body, command))
+            self._leave_unanswered()
+
+    def _has_room(self, body: bytes) -> bool:
+        """Return whether an answer to this command would not be lost."""
+        blocks = body[0] == ROW_OF_NAME["READ_CAPTURE"].type and self.outbox.full(Priority.CAPTURE_BLOCK)
+        return not self.outbox.full(Priority.ANSWER) and not blocks
+
+    def _leave_unanswered(self) -> None:
+        self._inbox.count_bad()
+        self._unanswered = min(self._unanswered + 1, 0xFFFF)
+        if self._ticks_since_overload >= TICKS_PER_S:
+            self._ticks_since_overload = 0
+            self._emit(EventCode.OVERLOAD, self._unanswered)
 
     def _execute_pending(self) -> None:
-        while self._pending:
+        """Execute what waits, as far as the tick's budget and the room for answers go; none after a RESET."""
+        while self._pending and self._commands_left and not self._reset_wait and self._has_room(self._pending[0][0]):
             body, command = self._pending.popleft()
+            self._commands_left -= 1
+            revoked = self._overtaken > 0
+            self._overtaken = max(self._overtaken - 1, 0)
             if isinstance(command, Message) and command.name == "HELLO":
                 self._answer(body, self._hello(command), keep=False)
                 continue
@@ -244,6 +279,8 @@ class Firmware:
                 self._answer(body, command, keep=False)
             elif self._session is None and command.name not in _WITHOUT_SESSION:
                 self._answer(body, Nack(Reason.NO_SESSION), keep=False)
+            elif revoked and command.name in _REVOKED:
+                self._answer(body, Nack(Reason.BUSY))
             else:
                 self._answer(body, self._execute(command))
 

@@ -24,6 +24,7 @@ class FirmwareCapture:
         self.began_tick = tick + CAPTURE_SETTLE_US // T_S_US & 0xFFFFFFFF
         self.u_from, self.u_to = u_from, u_to
         self._pre = pre
+        self.begun = False  # at its tick
         self._start_us = CAPTURE_SETTLE_US
         self._samples: list[int] = []
 

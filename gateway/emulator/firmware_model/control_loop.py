@@ -125,9 +125,8 @@ class ControlLoop:
         self.output.write(0)
 
     def start_capture(self, capture: FirmwareCapture) -> None:
-        """Let a capture drive the coil."""
+        """Let a capture drive the coil from the next tick on."""
         self.capture = capture
-        self.output.write(capture.u_from)
 
     def end_capture(self) -> None:
         """Drive the coil as the mode says: all samples of the capture are taken."""
@@ -162,7 +161,10 @@ class ControlLoop:
             self._u, limited = self.law.run(i, x, self.reference.x_ref)
         else:
             self._u = self._open_loop_u if self.mode == Mode.OPEN_LOOP else 0
-        if not self.capturing:
+        if self.capture is not None and not self.capture.begun:
+            self.capture.begun = True
+            self.output.write(self.capture.u_from)
+        elif not self.capturing:
             self.output.write(self._u)
         self._report_limit(limited=limited)
         self.reference.refill()

@@ -60,6 +60,10 @@ class Outbox:
         for queue in self._queues:
             queue.clear()
 
+    def full(self, priority: Priority) -> bool:
+        """Return whether the next frame of this priority would be lost, or make another one be."""
+        return len(self._queues[priority]) >= _DEPTH[priority]
+
     def waiting(self, priority: Priority) -> int:
         """Return the number of waiting frames of this priority."""
         return len(self._queues[priority])
@@ -97,9 +101,13 @@ class Inbox:
             return None
         body = None if overflow else cobs_decode(encoded)
         if body is None or len(body) < 3 or crc_hqx(body, 0xFFFF) != 0:
-            self.bad_frames = min(self.bad_frames + 1, 0xFFFF)
+            self.count_bad()
             return None
         return body[:-2]
+
+    def count_bad(self) -> None:
+        """Count a frame that is not answered."""
+        self.bad_frames = min(self.bad_frames + 1, 0xFFFF)
 
 
 class Pacer:

@@ -120,8 +120,8 @@ def test_repeated_references_use_up_the_allowance_once(jumps: list[int], repeats
         repeated = frame("SET_REFERENCE", id=often.next_id(), x_ref=x_ref)
         for _ in range(times):
             often.firmware.feed(repeated)
-        once.run(1, alive=False)
-        often.run(1, alive=False)
+        once.run(3, alive=False)  # a tick executes one
+        often.run(3, alive=False)
 
     far = LIMITS.x_ref_min if x_ref >= 2034 else LIMITS.x_ref_max  # refused with the allowance as its detail
     assert once.ask("SET_REFERENCE", x_ref=far) == often.ask("SET_REFERENCE", x_ref=far)

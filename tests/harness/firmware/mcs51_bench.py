@@ -20,7 +20,7 @@ from tests.harness.gateway.board_host import frame, skip_without_compiler
 from tests.harness.protocol.port import take_output
 
 BYTE_US = 87  # of a line at 115200 baud
-ROOM_US = 1400  # after a tick of the loop: a frame ends there, and not where the next tick may come first
+ROOM_US = 300  # after a tick of the loop: a frame that ends there is executed before the next
 EVERY = 12  # ticks from a command to the next, so that the line has time for all answers
 _MESSAGES = {row.type: row.name for row in ROWS}
 
