@@ -37,6 +37,7 @@ _EVERYTHING = tuple(
 _ENDED_AS = {  # the act that whoever ends a job of this kind must be allowed
     "record": "recording", "campaign": "stop", "replay": "read",
     "identify": "diagnose", "diagnose": "diagnose", "hand-over": "use_model",
+    "compare": "diagnose",
 }  # fmt: skip
 _logger = logging.getLogger("gateway.hmi")
 

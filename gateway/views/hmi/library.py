@@ -31,16 +31,16 @@ class LibraryFile:
 
 
 class Library:
-    """Files of one kind below some folders.
+    """Files of some kinds below some folders.
 
     Args:
         roots: name -> folder; a folder that is absent holds nothing.
-        pattern: of file names, e.g. *.mcap.
+        patterns: of file names, e.g. *.mcap.
     """
 
-    def __init__(self, roots: dict[str, Path], pattern: str) -> None:
+    def __init__(self, roots: dict[str, Path], *patterns: str) -> None:
         self._roots = {name: path.resolve() for name, path in roots.items()}
-        self._pattern = pattern
+        self._patterns = patterns
 
     @property
     def folders(self) -> list[Path]:
@@ -58,7 +58,7 @@ class Library:
 
     def _scan(self) -> Iterator[LibraryFile]:
         for root_name, root in self._roots.items():
-            for path in root.rglob(self._pattern):
+            for path in (path for pattern in self._patterns for path in root.rglob(pattern)):
                 relative = path.relative_to(root)
                 if any(part.startswith(".") for part in relative.parts):
                     continue

@@ -1,0 +1,71 @@
+"""The values that the page of a model shows: the chosen campaign with its results, and the models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gateway.views.hmi.html.figure import errors_figure
+from gateway.views.hmi.library import Library
+from gateway.views.hmi.model.campaigns import CampaignFolder, choose, parse_table, read_table
+from gateway.views.hmi.model.exports import FORMATS
+from gateway.views.hmi.model.models import summary
+from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
+from protocol.diagnosis import load_diagnosis
+from protocol.errors import DataError
+from protocol.experiments import EXPERIMENT_OF_NAME
+
+
+def shown(work: ModelWork, reports: Library, board: str, name: str) -> dict[str, object]:
+    """Return the values of the template.
+
+    Args:
+        work: what lies in the folders.
+        reports: that may be shown.
+        board: of the rig.
+        name: of the campaign; empty: the newest finished one.
+    """
+    campaigns, running = work.campaigns(board), work.running(board)
+    chosen = choose(campaigns, name)
+    now = parse_table(running.model_json, where="the twin's model") if running is not None else {}
+    return {
+        "script": "model.js",
+        "campaigns": campaigns,
+        "chosen": chosen,
+        "running": running,
+        "running_summary": summary(now),
+        "models": work.models(board),
+        "formats": FORMATS,
+        "experiments": EXPERIMENT_OF_NAME,
+        "live_min": f"{LIVE_MIN:g}",
+        **_diagnosed(chosen, reports),
+        **_compared(chosen, reports),
+    }
+
+
+def _diagnosed(chosen: CampaignFolder | None, reports: Library) -> dict[str, object]:
+    diagnosis, problem, report = None, "", ""
+    if chosen is not None and chosen.diagnosis is not None:
+        try:
+            diagnosis = load_diagnosis(chosen.diagnosis)
+        except DataError as error:
+            problem = str(error)
+        report = _report(reports, chosen.diagnosis.parent / "report.html")
+    figure = errors_figure(diagnosis.ahead) if diagnosis is not None else None
+    return {"diagnosis": diagnosis, "problem": problem, "report": report, "figure": figure}
+
+
+def _compared(chosen: CampaignFolder | None, reports: Library) -> dict[str, object]:
+    if chosen is None or chosen.comparison is None:
+        return {"comparison": None, "compare_report": ""}
+    table = read_table(chosen.comparison)
+    whole = {"answer", "names", "notes"} <= set(table)  # else it is damaged
+    return {
+        "comparison": table if whole else None,
+        "compare_report": _report(reports, chosen.comparison.parent / "compare.html"),
+    }
+
+
+def _report(reports: Library, path: Path) -> str:
+    """Return the name of a report, by which a page may show it; empty if there is none."""
+    page = path.resolve()
+    return next((entry.name for entry in reports.entries() if entry.path == page), "")
