@@ -91,11 +91,8 @@ class Forecast:
             return "The ball is lost in every draw: do not fly this law."
         if self.lost:
             return f"The ball is lost in {self.lost} of {self.draws} draws: do not fly this law on the rig."
-        changed = [
-            figure
-            for figure in self.figures
-            if math.isfinite(figure.recorded) and not figure.ci95[0] <= figure.recorded <= figure.ci95[1]
-        ]
+        known = [figure for figure in self.figures if math.isfinite(figure.recorded) and figure.draws]
+        changed = [figure for figure in known if not figure.ci95[0] <= figure.recorded <= figure.ci95[1]]
         if not changed:
             return "The ball stays in flight. No figure is expected to differ from the recorded flight."
         return f"The ball stays in flight. Expected: {sentence(changed[0])}."

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.model.comparison import compare
+from gateway.views.hmi.model.design_work import design, fly, forecast
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from protocol.bus import board51_pb2 as pb
@@ -22,6 +23,8 @@ def starts(actions: Actions, work: ModelWork) -> dict[str, Start]:
     def campaign(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
         if table.get("resume") is True:
             return work.resume_campaign(session, board, word(table, "campaign"))
+        if table.get("fly") is True:
+            return fly(work, session, board, word(table, "campaign"))
         if "experiment" in table:
             prepared = table.get("prepared") is True
             return work.add_experiment(
@@ -43,6 +46,8 @@ def starts(actions: Actions, work: ModelWork) -> dict[str, Start]:
         "compare": lambda session, board, table: compare(
             work, session, board, word(table, "campaign"), (word(table, "first"), word(table, "second"))
         ),
+        "design": lambda session, board, table: design(work, session, board, table),
+        "forecast": lambda session, board, table: forecast(work, session, board, word(table, "campaign")),
         "hand-over": lambda session, board, table: work.hand_over(session, board, word(table, "model")),
         "replay": lambda session, _board, table: actions.start_replay(session, word(table, "log"), 1.0),
     }

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from google.protobuf.json_format import MessageToDict
+
+from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.html.figure import errors_figure
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.model.campaigns import CampaignFolder, choose, parse_table, read_table
+from gateway.views.hmi.model.designs import newest_design
 from gateway.views.hmi.model.exports import FORMATS
 from gateway.views.hmi.model.models import summary
 from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
+from gateway.views.hmi.texts import text_of
+from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
 from protocol.errors import DataError
 from protocol.experiments import EXPERIMENT_OF_NAME
@@ -39,6 +45,7 @@ def shown(work: ModelWork, reports: Library, board: str, name: str) -> dict[str,
         "live_min": f"{LIVE_MIN:g}",
         **_diagnosed(chosen, reports),
         **_compared(chosen, reports),
+        **_designed(chosen, work.parameters(board), reports),
     }
 
 
@@ -62,6 +69,28 @@ def _compared(chosen: CampaignFolder | None, reports: Library) -> dict[str, obje
     return {
         "comparison": table if whole else None,
         "compare_report": _report(reports, chosen.comparison.parent / "compare.html"),
+    }
+
+
+def _designed(chosen: CampaignFolder | None, parameters: pb.Parameters | None, reports: Library) -> dict[str, object]:
+    """Return the newest design, what would be sent to the board, and whether the board has it."""
+    design = newest_design(chosen)
+    values: dict[str, object] = {"design": design, "load": None, "rows": [], "load_problem": "", "loaded": False,
+                                 "forecast_report": "",
+                                 "x_mm": f"{parameters.x_0_m * 1e3:.4g}" if parameters is not None else ""}  # fmt: skip
+    if chosen is None or design is None or not design.analysis:
+        return values
+    try:
+        gains = parse_gains(design.controller.read_bytes(), parameters)
+        sent = MessageToDict(gains, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
+        values |= {"load": {"set_gains": sent}, "rows": rows(gains, parameters)}
+    except DataError as error:
+        values["load_problem"] = str(error)
+    except OSError as error:
+        values["load_problem"] = text_of("design.no_file", error=error.strerror)
+    return values | {
+        "loaded": design.is_on(parameters),
+        "forecast_report": _report(reports, design.report) if design.forecast else "",
     }
 
 

@@ -50,6 +50,15 @@ class ModelWork:
         feed = self._actions.feed.board(board)
         return None if feed is None else feed.latest(pb.TwinModel)
 
+    def parameters(self, board: str) -> pb.Parameters | None:
+        """Return what a board has stated of itself."""
+        feed = self._actions.feed.board(board)
+        return None if feed is None else feed.latest(pb.Parameters)
+
+    def refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
+        """Return the refusal of an act, or None if it is allowed."""
+        return self._actions.refused(session, act)
+
     def models(self, board: str) -> list[ModelFile]:
         """Return the models of a board, those of the newest campaign first."""
         return models_of(self._routes.data, board, self.campaigns(board), self.running(board))
@@ -95,6 +104,16 @@ class ModelWork:
         words += [*["--yes"] * prepared, *self._as_person(session)]
         entry = text_of("campaigns.added", experiment=experiment)
         return self.start(session, "campaign", "campaign", board, words, chosen.path, entry)
+
+    def fly(
+        self, session: LoginSession, board: str, chosen: CampaignFolder, folder: Path, experiment: str
+    ) -> pb.CommandReply:
+        """Record one experiment in a folder of its own, as long as in the campaign."""
+        words = [*self._run(folder, board), "--experiment", experiment, *["--quick"] * chosen.quick]
+        entry = text_of("campaigns.flown", experiment=experiment)
+        return self.start(
+            session, "campaign", "campaign", board, [*words, *self._as_person(session)], chosen.path, entry
+        )
 
     def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Identify K_A, T_A, K_c and b from a campaign."""
