@@ -24,6 +24,7 @@ CONTROLLER: dict[str, Any] = {
 LOOP = {"stable": True, "gain_margin": [0.36, None], "phase_margin_deg": 24.5, "delay_margin_s": 1.96e-3,
         "x_rms_m": 4.7e-6, "u_rms_v": 0.161}  # fmt: skip
 ANALYSIS = CONTROLLER | {
+    "on_board": [{"value": gain} for gain in GAINS],
     "loops": [LOOP] * 3, "before": LOOP | {"stable": False}, "warnings": ["thin phase margin: 24 deg"],
 }  # fmt: skip
 FORECAST = {

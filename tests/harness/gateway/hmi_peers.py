@@ -56,6 +56,10 @@ class Process:
             self._process.terminate()
         return self._process.wait(HANG_S)
 
+    def wait(self) -> int:
+        """Its exit code, when it has ended by itself."""
+        return self._process.wait(HANG_S)
+
     def kill(self) -> None:
         """kill -9."""
         self._process.kill()

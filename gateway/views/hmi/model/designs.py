@@ -16,12 +16,11 @@ from typing import Any
 from gateway.views.hmi.model.campaigns import CampaignFolder, read_table
 from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus import board51_pb2 as pb
-from protocol.wire.mantissa import MANTISSA_MAX
 
 DESIGNS, FLIGHT, EXPERIMENT = "designs", "flight", "steps"
-_ROUNDED = 2.0 / MANTISSA_MAX  # share by which a gain in the board's format differs from the designed one
+_SAME = 1e-4  # share by which two gains may differ: far less than a design changes
 # Without these keys a file is damaged.
-_ANALYSIS = {"law", "gains", "operating_point", "sample_time_s", "loops", "warnings"}
+_ANALYSIS = {"law", "on_board", "operating_point", "sample_time_s", "loops", "warnings"}
 _FORECAST = {"answer", "figures", "lost", "notes"}
 # Factors from SI to the units of the texts flight_figure.
 _FACTORS = {"overshoot": 100.0, "settling_s": 1e3, "rise_s": 1e3, "effort_v2_s": 1.0, "rms_m": 1e6, "at_limit": 100.0}
@@ -77,11 +76,11 @@ class DesignFolder:
         """Return whether a board has the gains of this design."""
         if not self.analysis or parameters is None or (parameters.law == pb.LAW_PID) != (self.analysis["law"] == "pid"):
             return False
-        gains, x_0_m = self.analysis["gains"], self.analysis["operating_point"]["x_0_m"]
+        gains, x_0_m = self.analysis["on_board"], self.analysis["operating_point"]["x_0_m"]
         if abs(x_0_m - parameters.x_0_m) > 2.0 * abs(parameters.x_lsb_m):
             return False
         return len(gains) == len(parameters.gains) and all(
-            math.isclose(a, b, rel_tol=_ROUNDED) for a, b in zip(gains, parameters.gains, strict=True)
+            math.isclose(a["value"], b, rel_tol=_SAME) for a, b in zip(gains, parameters.gains, strict=True)
         )
 
 
