@@ -26,6 +26,7 @@ LOOP = {"stable": True, "gain_margin": [0.36, None], "phase_margin_deg": 24.5, "
 ANALYSIS = CONTROLLER | {
     "on_board": [{"value": gain} for gain in GAINS],
     "loops": [LOOP] * 3, "before": LOOP | {"stable": False}, "warnings": ["thin phase margin: 24 deg"],
+    "causes": ["without them: i_c = 0.4 A"],
 }  # fmt: skip
 FORECAST = {
     "answer": "The ball is lost in 3 of 100 draws.", "lost": 3, "notes": ["Plant assumed."],
@@ -50,6 +51,7 @@ def designed(folder: Path, *, x_0_m: float = 2.85e-3) -> Path:
     made = folder / "designs" / DESIGN
     made.mkdir(parents=True, exist_ok=True)
     point = {"operating_point": CONTROLLER["operating_point"] | {"x_0_m": x_0_m}}
+    (made / "model.json").write_text(json.dumps(MODEL))
     for name, table in (("controller", CONTROLLER | point), ("analysis", ANALYSIS | point), ("what_if", FORECAST)):
         (made / f"{name}.json").write_text(json.dumps(table))
     return made
@@ -92,6 +94,8 @@ def test_margins_before_and_after_are_seen_by_all_and_loaded_by_an_engineer(tmp_
     assert "<td>phase margin, deg</td><td>unstable</td><td>24.5</td>" in seen
     assert "<td>gain may be times</td><td>unstable</td><td>0.36 to no limit</td>" in seen
     assert "\u25b2 thin phase margin: 24 deg" in seen
+    assert ">K_A 0.297</div><table" in seen
+    assert ">without them: i_c = 0.4 A<" in seen
     assert "The ball is lost in 3 of 100 draws." in seen
     assert "<td>overshoot, %</td><td>25</td><td>10 (5 to 15)</td><td>12</td>" in seen
     assert "<td>settling time, ms</td><td>\u2013</td><td>\u2013</td><td>\u2013</td>" in seen

@@ -89,6 +89,7 @@ def _designed(chosen: CampaignFolder | None, parameters: pb.Parameters | None, r
     except OSError as error:
         values["load_problem"] = text_of("design.no_file", error=error.strerror)
     return values | {
+        "design_model": summary(design.model),
         "loaded": design.is_on(parameters),
         "forecast_report": _report(reports, design.report) if design.forecast else "",
     }

@@ -62,7 +62,8 @@ def design(work: ModelWork, session: LoginSession, board: str, table: dict[str, 
     words += [] if settling_s is None else ["--settling-time", f"{settling_s:.9g}"]
     words += [*_of_board(parameters), "--before", str(folder / "before.json")]
     words += ["--out", str(folder / "controller.json"), "--analysis", str(folder / "analysis.json")]
-    reply = work.start(session, "diagnose", "design", board, words, chosen.path, text_of("campaigns.designed"))
+    entry = text_of("campaigns.designed", model=model.kind)
+    reply = work.start(session, "diagnose", "design", board, words, chosen.path, entry)
     if not reply.accepted:
         shutil.rmtree(folder, ignore_errors=True)  # it must not stand before the design that is there
     return reply

@@ -20,7 +20,7 @@ from protocol.bus import board51_pb2 as pb
 DESIGNS, FLIGHT, EXPERIMENT = "designs", "flight", "steps"
 _SAME = 1e-4  # share by which two gains may differ: far less than a design changes
 # Without these keys a file is damaged.
-_ANALYSIS = {"law", "on_board", "operating_point", "sample_time_s", "loops", "warnings"}
+_ANALYSIS = {"law", "on_board", "operating_point", "sample_time_s", "loops", "causes", "warnings"}
 _FORECAST = {"answer", "figures", "lost", "notes"}
 # Factors from SI to the units of the texts flight_figure.
 _FACTORS = {"overshoot": 100.0, "settling_s": 1e3, "rise_s": 1e3, "effort_v2_s": 1.0, "rms_m": 1e6, "at_limit": 100.0}
@@ -32,6 +32,7 @@ class DesignFolder:
 
     path: Path
     made: str  # for people
+    model: dict[str, Any]  # of the JSON
     analysis: dict[str, Any]  # of the JSON; empty: it gave no gains
     forecast: dict[str, Any]  # of the JSON; empty: none yet
 
@@ -95,9 +96,8 @@ def newest_design(campaign: CampaignFolder | None) -> DesignFolder | None:
     return DesignFolder(
         path=path,
         made=f"{day[:4]}-{day[4:6]}-{day[6:]} {clock[:2]}:{clock[2:4]}",
-        analysis=analysis
-        if {"law", "gains", "operating_point", "sample_time_s", "loops", "warnings"} <= set(analysis)
-        else {},
+        model=read_table(path / "model.json"),
+        analysis=analysis if _ANALYSIS <= set(analysis) else {},
         forecast=forecast if _FORECAST <= set(forecast) else {},
     )
 
