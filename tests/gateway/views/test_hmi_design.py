@@ -5,56 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway
+from tests.harness.gateway.design_files import CAMPAIGN, DESIGN, GAINS, MODEL, campaign, designed
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, served
 
-CAMPAIGN, DESIGN = "rig-20260102-030405", "20260103-040506"
-MODEL: dict[str, Any] = {"plant": {"name": "ce152"}, "parameters": {"K_A": {"value": 0.297}}, "causes": []}
-GAINS = [0.39, 1761.0, 32.8, -11901.0]
-CONTROLLER: dict[str, Any] = {
-    "law": "lqi", "gains": GAINS, "operating_point": {"i_0_a": 0.49, "x_0_m": 2.85e-3, "u_0_v": 1.65},
-    "sample_time_s": 2e-3,
-}  # fmt: skip
-LOOP = {"stable": True, "gain_margin": [0.36, None], "phase_margin_deg": 24.5, "delay_margin_s": 1.96e-3,
-        "x_rms_m": 4.7e-6, "u_rms_v": 0.161}  # fmt: skip
-ANALYSIS = CONTROLLER | {
-    "on_board": [{"value": gain} for gain in GAINS],
-    "loops": [LOOP] * 3, "before": LOOP | {"stable": False}, "warnings": ["thin phase margin: 24 deg"],
-    "causes": ["without them: i_c = 0.4 A"],
-}  # fmt: skip
-FORECAST = {
-    "answer": "The ball is lost in 3 of 100 draws.", "lost": 3, "notes": ["Plant assumed."],
-    "figures": [
-        {"name": "overshoot", "recorded": 0.25, "value": 0.1, "ci95": [0.05, 0.15], "flown": 0.12},
-        {"name": "settling_s", "recorded": None, "value": None, "ci95": [None, None], "flown": None},
-    ],
-}  # fmt: skip
 START = {"act": "start", "campaign": CAMPAIGN}
 WISH = START | {"kind": "design", "law": "lqi", "x_mm": "2.85", "settling_ms": "", "model": f"{CAMPAIGN}/model.json"}
-
-
-def campaign(data: Path) -> Path:
-    folder = data / "campaigns" / CAMPAIGN
-    folder.mkdir(parents=True)
-    (folder / "campaign.toml").write_text("[plant]\n")
-    (folder / "model.json").write_text(json.dumps(MODEL))
-    return folder
-
-
-def designed(folder: Path, *, x_0_m: float = 2.85e-3) -> Path:
-    made = folder / "designs" / DESIGN
-    made.mkdir(parents=True, exist_ok=True)
-    point = {"operating_point": CONTROLLER["operating_point"] | {"x_0_m": x_0_m}}
-    (made / "model.json").write_text(json.dumps(MODEL))
-    for name, table in (("controller", CONTROLLER | point), ("analysis", ANALYSIS | point), ("what_if", FORECAST)):
-        (made / f"{name}.json").write_text(json.dumps(table))
-    return made
 
 
 def state_parameters(gateway: PlayedGateway, page: Page, gains: list[float]) -> None:
@@ -86,7 +47,7 @@ def test_margins_before_and_after_are_seen_by_all_and_loaded_by_an_engineer(tmp_
         # As the board holds them: rounded to its format.
         state_parameters(gateway, viewer, [gain * (1.0 + 2e-5) for gain in GAINS])
         loaded = engineer.open("/model/rig")
-        designed(folder, x_0_m=5.5e-3)
+        (designed(folder, x_0_m=5.5e-3) / "what_if.json").unlink()
         outside = engineer.open("/model/rig")
         (folder / "designs" / DESIGN / "analysis.json").write_text("{")
         failed = engineer.open("/model/rig")
@@ -157,12 +118,15 @@ def engineer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, P
 
 def test_without_the_right_or_what_the_board_states_nothing_is_written(tmp_path: Path) -> None:
     folder = campaign(tmp_path / "data")
-    with served(tmp_path, MODEL) as (_, port):
+    with served(tmp_path, MODEL | {"causes": ["another"]}) as (_, port):
         viewer, engineer = Page(port), Page(port)
         viewer.log_in("vic")
         engineer.log_in("ana")
+        hand_over = viewer.post("/api/rig/job", START | {"kind": "hand-over", "model": WISH["model"]})
         forbidden = viewer.post("/api/rig/job", WISH)
         early = engineer.post("/api/rig/job", WISH).json()
 
     assert (forbidden.status_code, early["reason"]) == (403, "no-parameters")
     assert not (folder / "designs").exists()
+    assert hand_over.status_code == 403
+    assert not (tmp_path / "data" / "models").exists(), "the twin's model is not kept for who may not replace it"

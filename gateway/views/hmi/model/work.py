@@ -145,6 +145,9 @@ class ModelWork:
 
     def hand_over(self, session: LoginSession, board: str, model: str) -> pb.CommandReply:
         """Give a model of the list to the running twin; what it replaces is kept."""
+        refused = self.refused(session, "use_model")  # before anything is written
+        if refused is not None:
+            return refused
         chosen = next((file for file in self.models(board) if file.name == model), None)
         if chosen is None:
             return refusal("no-model", text_of("refusal.no_model"))
