@@ -285,6 +285,7 @@ def design(
     u_max_v: float = 5.0,
     with_observer: bool = False,
     seed: int = 1,
+    before: Path | None = None,
 ) -> Designed:
     """Design LQI (eq. 16-19) or PID gains, and analyse the loop that the board will run.
 
@@ -300,6 +301,7 @@ def design(
         u_max_v: upper limit of the input, V.
         with_observer: whether to compare with a Kalman filter, which the board cannot run.
         seed: of the random generator that draws parameters from their intervals.
+        before: controller file of the gains to be replaced, whose margins are then in the result; None: none.
 
     Returns:
         Gains, shape (4,), SI units, with poles, margins and robustness.
@@ -311,6 +313,7 @@ def design(
     import numpy as np
 
     from twin.control_design import design as work
+    from twin.control_design.controller_file import read_controller
 
     specification = work.Specification(
         law=law,
@@ -323,6 +326,7 @@ def design(
         u_max_v=u_max_v,
         with_observer=with_observer,
         seed=seed,
+        before=None if before is None else read_controller(before),
     )
     result = work.design(_model(model), specification)
     return Designed(

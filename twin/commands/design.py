@@ -58,7 +58,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=1, help="of the parameters drawn from their intervals (%(default)s)"
     )
+    parser.add_argument(
+        "--before", type=Path, metavar="CONTROLLER.json", help="gains to be replaced: their margins beside the new ones"
+    )
     parser.add_argument("--out", type=Path, metavar="CONTROLLER.json", help="write law, gains and operating point")
+    parser.add_argument("--analysis", type=Path, metavar="FILE.json", help="write what --json prints")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     parser.add_argument("--send", metavar="BOARD", help="load gains and operating point into this board")
     parser.add_argument("--site", default=DEFAULT_SITE, help="first chunk of the keys (default %(default)s)")
@@ -95,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
         u_max_v=args.u_max,
         with_observer=args.observer,
         seed=args.seed,
+        before=args.before,
     )
     print(as_text(result.report()) if args.json else result.table())
     if args.json:
@@ -102,6 +107,8 @@ def run(args: argparse.Namespace) -> int:
             print(f"! {warning}", file=sys.stderr)
     if not result.stable:
         return 1
+    if args.analysis is not None:
+        write_text(args.analysis, as_text(result.report()) + "\n")
     if args.out is not None:
         write_text(args.out, as_text(result.to_json()) + "\n")
     if args.send is not None:

@@ -37,6 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="LOG", help="a flight in closed loop: MCAP, CSV or MATLAB")
     parser.add_argument("--model", required=True, metavar="MODEL", help="model of the rig, with its causes")
     parser.add_argument("--gains", type=Path, metavar="FILE", help="controller.json of board51 design (as flown)")
+    parser.add_argument("--then", type=Path, metavar="LOG", help="the flight that followed under --gains, to compare")
     parser.add_argument("--reference", type=Path, metavar="CSV", help="columns t (s) and x_ref (m) (as flown)")
     parser.add_argument("--campaign", type=Path, metavar="CAMPAIGN", help="columns, skip_s and law of the recording")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
@@ -68,7 +69,8 @@ def run(args: argparse.Namespace) -> int:
     x_ref = None if args.reference is None else _reference(args.reference, law.sample_time_s)
     if args.out is not None:
         make_folder(args.out)
-    result = forecast(source, model, law, x_ref_m=x_ref, seed=args.seed)
+    then = None if args.then is None else source_at(args.then, model, board=args.board)
+    result = forecast(source, model, law, x_ref_m=x_ref, then=then, seed=args.seed)
     if args.out is not None:
         write_text(args.out / "what_if.json", as_text(report.to_dict(result)) + "\n")
         write_text(args.out / "what_if.html", report.to_html(result))

@@ -48,7 +48,7 @@ class ControllerFile:
     gains: Gains
     operating_point: Point
     sample_time_s: Annotated[Number, key("T_s, s", 1e-4, 2e-2)]
-    weights: CostWeights
+    weights: CostWeights | None = None  # of gains that no design here made
     gain_names: Any = None
     gain_units: Any = None
     observer: Any = None

@@ -5,7 +5,6 @@ Rule: the analysis is of the gains after rounding to the board's format.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -15,10 +14,11 @@ from numpy.typing import NDArray
 from protocol.errors import DataError, UsageError
 from twin.control import linearise
 from twin.control_design.board import Converters, QuantisedGain, from_order_of, quantise
+from twin.control_design.cautions import changes, thin, unsure
+from twin.control_design.controller_file import ControllerFile
 from twin.control_design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
 from twin.control_design.loop import (
     Controller,
-    Gains,
     Noise,
     backward,
     closed_loop,
@@ -26,17 +26,11 @@ from twin.control_design.loop import (
     kalman_gain,
     noise_rms,
     observer,
-    radius,
 )
 from twin.control_design.margins import Margins, margins
 from twin.control_design.robust import Robustness, over_intervals, plant_at, stable_range_m
-from twin.model.assumed import assumption_warning
-from twin.model.causes.catalogue import with_trait
-from twin.model.equilibrium import equilibrium
-from twin.model.extension import sentences
 from twin.model.linear import delay_s
 from twin.model.parameters import Model
-from twin.model.simulate import left_out
 
 SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
 
@@ -59,6 +53,7 @@ class Specification:
     u_max_v: float = 5.0
     with_observer: bool = False
     seed: int = 1
+    before: ControllerFile | None = None
 
     def __post_init__(self) -> None:
         if not SAMPLE_TIME_MIN_S <= self.sample_time_s <= SAMPLE_TIME_MAX_S:
@@ -74,6 +69,11 @@ class Specification:
             raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
         if self.settling_time_s is not None and self.Q is not None and self.R is not None:
             raise UsageError("--settling-time has no effect with --Q and --R", remedy="Leave out the one or the other")
+        if self.before is not None and abs(self.before.sample_time_s - self.sample_time_s) > 1e-6 * self.sample_time_s:
+            raise UsageError(
+                f"the gains of --before are for T_s = {self.before.sample_time_s:g} s, not {self.sample_time_s:g} s",
+                remedy="Give gains for the T_s of this design",
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,6 +111,7 @@ class Design:
     observer_robustness: Robustness | None
     stable_range_m: tuple[float, float]
     warnings: tuple[str, ...]
+    before: LoopAnalysis | None = None  # of the gains that are to be replaced, at the same point
     causes: tuple[str, ...] = ()  # sentences on the model's causes and their effect on the design
 
     @property
@@ -167,34 +168,19 @@ def design(model: Model, wanted: Specification | None = None) -> Design:
         robustness=box,
         observer_robustness=None if filter_gain is None else robustness(candidates[-1][1]),
         stable_range_m=stable_range_m(model, on_board, point.x_m, sample_time_s),
-        warnings=_unsure(model) + _warnings(loops[2], box, point, wanted.u_max_v),
-        causes=_changes(model, point, weights, K, sample_time_s, law),
+        warnings=unsure(model) + _warnings(loops[2], box, point, wanted.u_max_v),
+        before=_before(model, point, wanted.before, noise, sample_time_s),
+        causes=changes(model, point, weights, K, sample_time_s, law),
     )
 
 
-def _changes(
-    model: Model, point: OperatingPoint, weights: Weights, K: Gains, sample_time_s: float, law: Law
-) -> tuple[str, ...]:
-    """Return the sentences on the causes of the model, and on the design without them."""
-    if not model.causes:
-        return ()
-    plain = dataclasses.replace(model, causes=())
-    i, u = equilibrium(plain, point.x_m)
-    without = design_gains(
-        plain, OperatingPoint(i_a=i, x_m=point.x_m, u_v=u), weights, sample_time_s=sample_time_s, law=law
-    )
-    plant = plant_at(model, point.x_m, sample_time_s)
-    messages = sentences(model) + left_out(model)
-    messages.append(f"without them: i_c = {i:.4f} A and u_c = {u:.4f} V would hold the ball there")
-    messages.append(
-        "gains without them: "
-        + ", ".join(f"{gain:.6g}" for gain in in_order_of(law, without))
-        + f"; on this model their largest |pole| is {radius(plant, backward(without, sample_time_s)):.4f},"
-        + f" that of the design {radius(plant, backward(K, sample_time_s)):.4f}"
-    )
-    if any(cause.name in with_trait("sticks") for cause in model.causes):
-        messages.append("dry friction is left out of the linear design: at rest it holds the ball, in motion it brakes")
-    return tuple(messages)
+def _before(
+    model: Model, point: OperatingPoint, file: ControllerFile | None, noise: Noise, sample_time_s: float
+) -> LoopAnalysis | None:
+    if file is None:
+        return None
+    K = from_order_of(file.law, file.gains)
+    return _judge(model, point, "before", backward(K, sample_time_s), noise, sample_time_s)
 
 
 def require_known(model: Model) -> None:
@@ -245,26 +231,6 @@ def _judge(
     )
 
 
-def _unsure(model: Model) -> tuple[str, ...]:
-    messages = [assumption_warning(model.plant)] if model.plant.assumed else []
-    messages += [
-        f"{name} = {p.value:.4g} {p.unit} is {p.verdict}: {p.method}"
-        for name, p in model.parameters.items()
-        if p.verdict in ("weak", "not-identifiable")
-    ]
-    delays = [
-        int(usage.get("input_delay", 0))
-        for usage in model.provenance.get("recordings", [])
-        if isinstance(usage, dict) and usage.get("input_delay")
-    ]
-    if delays:
-        messages.append(
-            f"in {len(delays)} recordings u_c acted {max(delays)} sample(s) late; the design has no delay: "
-            "compare it with the delay margin"
-        )
-    return tuple(messages)
-
-
 def _warnings(board: LoopAnalysis, box: Robustness, point: OperatingPoint, u_max_v: float) -> tuple[str, ...]:
     messages = []
     if not board.stable:
@@ -283,6 +249,8 @@ def _warnings(board: LoopAnalysis, box: Robustness, point: OperatingPoint, u_max
         )
     elif box.fixed:
         messages.append(f"without an interval, hence not varied: {', '.join(box.fixed)}")
+    if board.margins is not None:
+        messages += thin(board.margins)
     if board.margins is not None and board.margins.delay_s < 0.5e-3:
         messages.append(f"only {board.margins.delay_s * 1e3:.2f} ms of additional delay make it unstable")
     room = min(point.u_v, u_max_v - point.u_v)

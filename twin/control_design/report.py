@@ -38,6 +38,7 @@ def everything(design: Design) -> dict[str, Any]:
         "on_board": [asdict(gain) for gain in design.quantised],
         "converters": asdict(design.converters),
         "loops": [_loop(loop) for loop in design.loops],
+        "before": None if design.before is None else _loop(design.before),
         "stable_range_m": design.stable_range_m,
         "robustness": asdict(design.robustness),
         "observer_robustness": None if design.observer_robustness is None else asdict(design.observer_robustness),
@@ -60,7 +61,8 @@ def table(design: Design) -> str:
     for name, unit, gain, q in zip(NAMES[design.law], UNITS[design.law], design.gains, design.quantised, strict=True):
         if name != "-":
             lines.append(f"{name:<8}{gain:>12.6g}{q.value:>14.6g}  {unit:<10}{q.mantissa} * 2^-{q.shift}")
-    lines += ["", f"{'':<22}" + "".join(f"{loop.name:>25}" for loop in design.loops)]
+    loops = (*design.loops, *([design.before] if design.before is not None else []))
+    lines += ["", f"{'':<22}" + "".join(f"{loop.name:>25}" for loop in loops)]
     cells: tuple[tuple[str, Callable[[LoopAnalysis], str]], ...] = (
         ("largest |pole|", lambda loop: f"{abs(loop.poles[0]):.4f}"),
         ("slowest, time const.", lambda loop: _time_constant(loop, design.sample_time_s)),
@@ -73,9 +75,9 @@ def table(design: Design) -> str:
         ("   without rounding", lambda loop: f"{loop.u_rms_analog_v * 1e3:.2f} mV"),
     )
     for title, cell in cells:
-        lines.append(f"{title:<22}" + "".join(f"{cell(loop):>25}" for loop in design.loops))
+        lines.append(f"{title:<22}" + "".join(f"{cell(loop):>25}" for loop in loops))
     lines.append("poles")
-    lines += [f"  {loop.name:<26}{'  '.join(_pole(p) for p in loop.poles)}" for loop in design.loops]
+    lines += [f"  {loop.name:<26}{'  '.join(_pole(p) for p in loop.poles)}" for loop in loops]
     lines += ["", *_costs(design), ""]
     low, high = design.stable_range_m
     if design.board.stable:

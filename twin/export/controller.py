@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from protocol.errors import UsageError
+from protocol.errors import DataError, UsageError
 from twin.control import LawNumbers
 from twin.control_design.board import Converters
 from twin.control_design.controller_file import Point, numbers_of, read_controller
@@ -40,9 +40,13 @@ def of_file(path: Path, *, u_max_v: float) -> Controller:
     """The law of a controller file.
 
     Raises:
-        DataError: the file is missing, or is no controller file; the message names the key.
+        DataError: the file is missing, or is no controller file with weights; the message names the key.
     """
     file = read_controller(path)
+    if file.weights is None:
+        raise DataError(
+            f"{path}: weights is missing", remedy="Give a controller.json as `board51 design --out` writes it"
+        )
     at = file.operating_point
     point = OperatingPoint(i_a=at.i_0_a, x_m=at.x_0_m, u_v=at.u_0_v)
     weights = Weights(Q=file.weights.Q, R=file.weights.R)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.control import LawNumbers
-from twin.estimation.record import FloatArray
+from twin.estimation.record import FloatArray, Record
 from twin.estimation.step_figures import FIGURES, LoopRun, find_steps, measure
 from twin.model.assumed import assumption_warning
 from twin.model.causes.catalogue import BY_NAME
@@ -34,6 +34,7 @@ from twin.what_if.replay import NEVER, Reference
 
 DRAWS = 100
 BLOCK_S = 0.2
+ROUNDED = 0.02  # share by which rounding to the board's numbers may change a law
 CI = (0.025, 0.5, 0.975)
 # Besides those of each step: from the first step on.
 WHOLE = {"rms_m": ("rms of x_ref - x", "µm", 1e6), "at_limit": ("time with u_c at a limit", "%", 100.0)}
@@ -49,6 +50,12 @@ class Expected:
     value: float  # median of the draws
     ci95: tuple[float, float]
     draws: int  # that have it
+    flown: float = math.nan  # of the flight that followed
+
+    @property
+    def held(self) -> bool:
+        """Return whether the interval holds the flight that followed."""
+        return self.ci95[0] <= self.flown <= self.ci95[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,18 +75,24 @@ class Forecast:
     lost: int  # draws in which the ball reaches a stop
     draws: int
     notes: tuple[str, ...]
+    flown_x_m: FloatArray  # of the flight that followed, from the same first step on; empty without one
+    flown_u_v: FloatArray
 
     def answer(self) -> str:
-        """Return at most two sentences: whether the ball stays in flight, and a figure that changes."""
+        """Return at most three sentences: whether the ball stays in flight, a figure that changes, what was flown."""
+        known = [figure for figure in self.figures if math.isfinite(figure.flown) and figure.draws]
+        if not known:
+            return self._expected()
+        held = sum(figure.held for figure in known)
+        return f"{self._expected()} Of {len(known)} figures of the flight that followed, {held} are in their intervals."
+
+    def _expected(self) -> str:
         if self.lost == self.draws:
             return "The ball is lost in every draw: do not fly this law."
         if self.lost:
             return f"The ball is lost in {self.lost} of {self.draws} draws: do not fly this law on the rig."
-        changed = [
-            figure
-            for figure in self.figures
-            if math.isfinite(figure.recorded) and not figure.ci95[0] <= figure.recorded <= figure.ci95[1]
-        ]
+        known = [figure for figure in self.figures if math.isfinite(figure.recorded) and figure.draws]
+        changed = [figure for figure in known if not figure.ci95[0] <= figure.recorded <= figure.ci95[1]]
         if not changed:
             return "The ball stays in flight. No figure is expected to differ from the recorded flight."
         return f"The ball stays in flight. Expected: {sentence(changed[0])}."
@@ -98,6 +111,7 @@ def forecast(
     law: LawNumbers,
     *,
     x_ref_m: FloatArray | None = None,
+    then: Source | None = None,
     seed: int = 1,
     draws: int = DRAWS,
 ) -> Forecast:
@@ -108,6 +122,7 @@ def forecast(
         model: of the rig, with its causes.
         law: to fly with.
         x_ref_m: reference by tick, m; None: the recorded one.
+        then: the flight that followed under `law`, to be compared with the forecast; None: it was not flown.
         seed: of the draws.
         draws: their number.
 
@@ -127,6 +142,8 @@ def forecast(
     none = np.zeros(0)
     rows = [figures_of(t, x_ref, out[1], out[2], law, model.noise.sigma_x_m) for out in flights]
     own = [] if other else figures_of(t, x_ref, recorded.x, recorded.u_c, law, model.noise.sigma_x_m)
+    followed = None if then is None else _followed(then, model)
+    after = [] if followed is None else _figures(followed, law, model)
     run = _run(t, x_ref, x_ref, x_ref)
     return Forecast(
         recording=recorded.name,
@@ -137,12 +154,45 @@ def forecast(
         recorded_u_v=none if other else recorded.u_c,
         x_m=np.quantile([out[1] for out in flights], CI, axis=0) if flights else np.full(shape, np.nan),
         u_v=np.quantile([out[2] for out in flights], CI, axis=0) if flights else np.full(shape, np.nan),
-        figures=_expected(rows, own),
+        figures=_expected(rows, own, after),
         steps=len(find_steps(run, model.noise.sigma_x_m)),
         lost=draws - len(flights),
         draws=draws,
-        notes=(*recorded.notes, *_cautions(source, model)),
+        notes=(*recorded.notes, *_cautions(source, model), *(_same_law(then, law) if then is not None else ())),
+        flown_x_m=none if followed is None else _beside(followed, followed.x, x_ref),
+        flown_u_v=none if followed is None else _beside(followed, followed.u_c, x_ref),
     )
+
+
+def _followed(then: Source, model: Model) -> Record:
+    flight = split(then, model)
+    return flight.source.record.part(flight.part)
+
+
+def _figures(record: Record, law: LawNumbers, model: Model) -> list[float]:
+    t = np.arange(0.0, len(record.t)) * law.sample_time_s
+    return figures_of(t, record.x_ref, record.x, record.u_c, law, model.noise.sigma_x_m)
+
+
+def _beside(record: Record, values: FloatArray, x_ref: FloatArray) -> FloatArray:
+    """Shift values so that the first change of the reference is at that of `x_ref`; NaN where there are none."""
+    shift = first_change(record.x_ref) - first_change(x_ref)
+    at = np.arange(len(x_ref)) + shift
+    known = (at >= 0) & (at < len(values))
+    return np.where(known, values[np.clip(at, 0, len(values) - 1)], np.nan)
+
+
+def first_change(x_ref: FloatArray) -> int:
+    """Return the index of the first sample before a change of the reference; 0: it does not change."""
+    moves = np.flatnonzero(np.abs(np.diff(x_ref)) > 0.0)
+    return int(moves[0]) if len(moves) else 0
+
+
+def _same_law(then: Source, law: LawNumbers) -> list[str]:
+    """Return a sentence where the flight that followed was flown under another law."""
+    if then.law is None or np.allclose(then.law[:8], law[:8], rtol=ROUNDED, atol=0.0):
+        return []
+    return [f"{then.record.name} was flown under another law than that of the forecast"]
 
 
 def _cautions(source: Source, model: Model) -> list[str]:
@@ -220,7 +270,9 @@ def _run(t_s: FloatArray, x_ref: FloatArray, x: FloatArray, u: FloatArray) -> Lo
     )
 
 
-def _expected(rows: Sequence[Sequence[float]], recorded: Sequence[float]) -> tuple[Expected, ...]:
+def _expected(
+    rows: Sequence[Sequence[float]], recorded: Sequence[float], flown: Sequence[float]
+) -> tuple[Expected, ...]:
     figures = []
     for n, name in enumerate(ALL_FIGURES):
         values = np.array([row[n] for row in rows])
@@ -233,6 +285,7 @@ def _expected(rows: Sequence[Sequence[float]], recorded: Sequence[float]) -> tup
                 value=middle,
                 ci95=(low, high),
                 draws=len(known),
+                flown=flown[n] if flown else math.nan,
             )
         )
     return tuple(figures)

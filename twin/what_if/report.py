@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from twin.page.figures import EXTENDED, MEASURED, REFERENCE, grid, inline, legend_above, styled
+from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, grid, inline, legend_above, styled
 from twin.page.plain import plain
 from twin.page.render import Mark, render
-from twin.what_if.forecast import ALL_FIGURES, Expected, Forecast
+from twin.what_if.forecast import ALL_FIGURES, Expected, Forecast, first_change
 
 WINDOW_S = 4.0
 
@@ -32,8 +32,10 @@ def to_csv(result: Forecast) -> str:
 
 def to_text(result: Forecast) -> str:
     """The answer, then the figures as lines of text."""
-    rows = [["", "recorded", "expected", "95 % interval", ""]]
-    rows += [[cell if isinstance(cell, str) else cell.text for cell in _row(figure)] for figure in result.figures]
+    rows = [_head(result)]
+    rows += [
+        [cell if isinstance(cell, str) else cell.text for cell in _row(figure, result)] for figure in result.figures
+    ]
     widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     return "\n".join([result.answer(), "", *lines])
@@ -49,26 +51,31 @@ def to_html(result: Forecast) -> str:
         colour="fail" if result.lost else "found",
         result=result,
         picture=inline(forecast_figure(result), "recorded and expected position and input") if flies else None,
-        figures=[_row(figure) for figure in result.figures] if flies else [],
+        head=_head(result),
+        figures=[_row(figure, result) for figure in result.figures] if flies else [],
     )
 
 
 @styled
 def forecast_figure(result: Forecast) -> Figure:
     """Draw position and input, recorded and expected, around the first change of the reference."""
-    moves = np.flatnonzero(np.abs(np.diff(result.x_ref_m)) > 0.0)
-    first = max((int(moves[0]) if len(moves) else 0) - 50, 0)
+    first = max(first_change(result.x_ref_m) - 50, 0)
     part = slice(first, first + int(np.searchsorted(result.t_s - result.t_s[0], WINDOW_S)))
     t = result.t_s[part]
     figure, axes = grid(2, 1, height=6.4, ratios=[1.8, 1.0])
     top, bottom = axes[0][0], axes[1][0]
-    sides = ((top, result.recorded_x_m, result.x_m, 1e3), (bottom, result.recorded_u_v, result.u_v, 1.0))
-    for ax, recorded, (low, middle, high), factor in sides:
+    sides = (
+        (top, result.recorded_x_m, result.x_m, result.flown_x_m, 1e3),
+        (bottom, result.recorded_u_v, result.u_v, result.flown_u_v, 1.0),
+    )
+    for ax, recorded, (low, middle, high), flown, factor in sides:
         if len(recorded):
             ax.plot(t, recorded[part] * factor, color=MEASURED, lw=0.9, label="recorded, law as flown")
         ends = (low[part] * factor, high[part] * factor)
         ax.fill_between(t, *ends, color=EXTENDED, alpha=0.3, lw=0, label="95 % of draws")
         ax.plot(t, middle[part] * factor, color=EXTENDED, lw=1.4, ls="--", label="expected, median")
+        if len(flown):
+            ax.plot(t, flown[part] * factor, color=MODEL, lw=0.9, label="flown then")
     top.plot(t, result.x_ref_m[part] * 1e3, color=REFERENCE, lw=0.9, ls=":", label="reference")
     top.set_ylabel("position x [mm]")
     legend_above(top)
@@ -76,7 +83,21 @@ def forecast_figure(result: Forecast) -> Figure:
     return figure
 
 
-def _row(figure: Expected) -> list[str | Mark]:
+def _head(result: Forecast) -> list[str]:
+    return ["", "recorded", "expected", "95 % interval", "", *(["flown then"] if len(result.flown_x_m) else [])]
+
+
+def _row(figure: Expected, result: Forecast) -> list[str | Mark]:
+    cells = _forecast_row(figure)
+    if not len(result.flown_x_m):
+        return cells
+    if not math.isfinite(figure.flown):
+        return [*cells, "-"]
+    _, _, factor = ALL_FIGURES[figure.name]
+    return [*cells, f"{figure.flown * factor:.4g}{' (outside)' if figure.draws and not figure.held else ''}"]
+
+
+def _forecast_row(figure: Expected) -> list[str | Mark]:
     title, unit, factor = ALL_FIGURES[figure.name]
     cells: list[str | Mark] = [f"{title} [{unit}]"]
     known = math.isfinite(figure.recorded)

@@ -37,6 +37,7 @@ _EVERYTHING = tuple(
 _ENDED_AS = {  # the act that whoever ends a job of this kind must be allowed
     "record": "recording", "campaign": "stop", "replay": "read",
     "identify": "diagnose", "diagnose": "diagnose", "bode": "diagnose", "hand-over": "use_model",
+    "compare": "diagnose", "design": "diagnose", "forecast": "diagnose",
 }  # fmt: skip
 _logger = logging.getLogger("gateway.hmi")
 
@@ -120,14 +121,14 @@ class Actions:
                 replies = pool.map(lambda name: self.command(session, name, pb.Command(stop=pb.Stop())), boards)
                 return dict(zip(boards, replies, strict=True))
         finally:
-            if self._refused(session, "stop") is None:
+            if self.refused(session, "stop") is None:
                 for name in boards:
                     self.jobs.stop("campaign", name)
 
     def _send(
         self, session: LoginSession, act: str, board: str, send: Callable[..., pb.CommandReply]
     ) -> pb.CommandReply:
-        refused = self._refused(session, act)
+        refused = self.refused(session, act)
         if refused is not None:
             return refused
         if self.feed.board(board) is None:
@@ -145,7 +146,7 @@ class Actions:
 
     def remove(self, session: LoginSession, board: str) -> pb.CommandReply:
         """Take a rig that has not been seen for minutes off the pages and out of STOP for all rigs."""
-        refused = self._refused(session, "acknowledge")
+        refused = self.refused(session, "acknowledge")
         if refused is not None:
             return refused
         if self.feed.remove(board):
@@ -181,7 +182,7 @@ class Actions:
 
     def delete_log(self, session: LoginSession, log: str) -> pb.CommandReply:
         """Delete a log or recording for good; never one of a campaign, or one that is being written."""
-        refused = self._refused(session, "delete_log")
+        refused = self.refused(session, "delete_log")
         if refused is not None:
             return refused
         entry = self.logs.find(log)
@@ -201,7 +202,7 @@ class Actions:
     def stop_job(self, session: LoginSession, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""
         act = _ENDED_AS.get(kind, "")
-        refused = self._refused(session, act)
+        refused = self.refused(session, act)
         if refused is not None:
             return refused
         if self.jobs.stop(kind, board):
@@ -212,7 +213,7 @@ class Actions:
         self, session: LoginSession, act: str, kind: str, board: str, words: list[str], *, title: str
     ) -> pb.CommandReply:
         """Start `board51 WORDS` for a user who may do `act`; one job of a kind and board at a time."""
-        refused = self._refused(session, act)
+        refused = self.refused(session, act)
         if refused is not None:
             return refused
         if board != "*" and self.feed.board(board) is None:
@@ -228,7 +229,7 @@ class Actions:
         _logger.info("%s started a %s of %s: %s", session.name, kind, board, title)
         return pb.CommandReply(accepted=True, text=text_of("job.started", title=title))
 
-    def _refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
+    def refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
         """Return the refusal, or None if the action is allowed.  An action restarts the idle time."""
         now_s = time.monotonic()
         if not self.sessions.is_open(session, now_s):

@@ -38,6 +38,7 @@ from protocol.bus.identity import login_name
 from protocol.ending import on_end_signal
 from protocol.errors import ServiceError
 
+REPORTS = ("report.html", "bode.html", "compare.html", "what_if.html")  # of diagnose, bode, compare, what-if
 STATIC = Path(__file__).parent / "static"
 END_S = 2  # open connections get so long at the end
 MAX_CONNECTIONS = 256  # beyond it: 503
@@ -110,7 +111,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         users,
         jobs=jobs,
         logs=Library({"logs": settings.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"),
-        reports=Library({str(n): path for n, path in enumerate(settings.reports)}, "report.html", "bode.html"),
+        reports=Library({str(n): path for n, path in enumerate(settings.reports)}, *REPORTS),
         routes=settings.routes,
     )
     live, replay = Snapshots(feed), Snapshots(replayed)

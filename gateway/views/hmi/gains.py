@@ -15,6 +15,7 @@ from protocol.files import parse_json, parse_toml
 
 MAX_BYTES = 64_000
 _REMEDY = "Take one that board51 design wrote"
+LAW_OF_NAME = {"lqi": pb.LAW_LQI, "pid": pb.LAW_PID}
 NAMES = {"lqi": ("k_i", "k_x", "k_v", "k_int"), "pid": ("k_p", "k_int", "k_d", "")}
 UNITS = {"lqi": ("V/A", "V/m", "V s/m", "V/(m s)"), "pid": ("V/m", "V/(m s)", "V s/m", "")}
 _POINT = ("i_0_a", "x_0_m", "u_0_v")
@@ -47,7 +48,7 @@ def parse_gains(data: bytes, parameters: pb.Parameters | None) -> pb.SetGains:
     if parameters is not None:
         _check_board(table, float(point["x_0_m"]), parameters)
     return pb.SetGains(
-        law=pb.LAW_PID if law == "pid" else pb.LAW_LQI,
+        law=LAW_OF_NAME[law],
         gains=[*map(float, gains), *[0.0] * (4 - len(gains))],
         i_0_a=point["i_0_a"],
         x_0_m=point["x_0_m"],

@@ -31,7 +31,7 @@ END_S = 15.0  # a campaign parks the ball in this time
 class Job:
     """A `board51` command that runs for a page."""
 
-    kind: str  # "record" | "campaign" | "replay" | "identify" | "diagnose" | "bode" | "hand-over"
+    kind: str  # a key of the texts job_kind
     board: str
     title: str
     who: str

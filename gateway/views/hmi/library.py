@@ -32,7 +32,7 @@ class LibraryFile:
 
 
 class Library:
-    """Files of one kind below some folders.
+    """Files of some kinds below some folders.
 
     Args:
         roots: name -> folder; a folder that is absent holds nothing.

@@ -4,7 +4,7 @@ POST /api/<board>/stop              no body; of <board> "*": every board; {"boar
 POST /api/<board>/command           a Command as protobuf's JSON: {"set_reference": {"x_ref_m": 0.003}}
 POST /api/<board>/acknowledge       {"name": "divergence-x"}
 POST /api/<board>/gains             a file; returns its command and table, sends nothing to the board
-POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ...}, see _starts
+POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ...}, see starts.py
 POST /api/*/delete                  {"log": "logs/NAME.mcap"}
 GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
@@ -42,6 +42,7 @@ from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.exports import FORMATS, exported
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
+from gateway.views.hmi.starts import starts
 from gateway.views.hmi.summaries import summary
 from gateway.views.hmi.texts import text_of
 from gateway.views.hmi.turns import Turns, departure
@@ -68,7 +69,7 @@ class Requests:
 
     def __init__(self, actions: Actions, work: ModelWork, users: Users | None) -> None:
         self._actions = actions
-        self._starts = _starts(actions, work)
+        self._starts = starts(actions, work)
         self._logins = Logins(users) if users is not None else None
         self._dispatch = Dispatch("hmi", actions.feed.stopped_s)
         self._work = work
@@ -276,41 +277,6 @@ class Requests:
             return _answer(await self._dispatch.act(wish, lambda: do(session, wish)))
         finally:
             leaving.cancel()
-
-
-def _starts(
-    actions: Actions, work: ModelWork
-) -> dict[str, Callable[[LoginSession, str, dict[str, object]], pb.CommandReply]]:
-    """Return the functions that start a job, by its kind: (session, board, the request) -> answer."""
-
-    def word(table: dict[str, object], name: str) -> str:
-        return str(table.get(name) or "")
-
-    def campaign(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
-        if table.get("resume") is True:
-            return work.resume_campaign(session, board, word(table, "campaign"))
-        if "experiment" in table:
-            prepared = table.get("prepared") is True
-            return work.add_experiment(
-                session, board, word(table, "campaign"), word(table, "experiment"), prepared=prepared
-            )
-        wishes = {name: table.get(name) is True for name in ("quick", "investigate")}
-        return work.start_campaign(session, board, **wishes)
-
-    def diagnose(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
-        if table.get("live") is True:
-            return work.diagnose_live(session, board)
-        return work.diagnose(session, board, word(table, "campaign"), quick=table.get("quick") is True)
-
-    return {
-        "record": lambda session, board, table: actions.start_recording(session, board, word(table, "title")),
-        "campaign": campaign,
-        "identify": lambda session, board, table: work.identify(session, board, word(table, "campaign")),
-        "diagnose": diagnose,
-        "bode": lambda session, board, table: work.bode(session, board, word(table, "campaign")),
-        "hand-over": lambda session, board, table: work.hand_over(session, board, word(table, "model")),
-        "replay": lambda session, _board, table: actions.start_replay(session, word(table, "log"), 1.0),
-    }
 
 
 _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields]

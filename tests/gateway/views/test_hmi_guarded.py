@@ -108,7 +108,7 @@ def test_from_a_campaign_to_a_better_model_by_an_engineer_s_buttons(browser: Bro
         button(name="Run quick").click()
         expect(tab.locator(".job-lines").first).to_contain_text("[1/", timeout=UP_MS)
         button(name="Identify", exact=True).click(timeout=WORK_MS)
-        expect(tab.get_by_text("identified model, campaign of")).to_be_visible(timeout=WORK_MS)
+        expect(tab.locator(".results").get_by_text("identified model, campaign of")).to_be_visible(timeout=WORK_MS)
         button(name="Diagnose, quick").click()
         expect(tab.locator(".sentence")).to_contain_text("coil sits", timeout=WORK_MS)
         expect(tab.get_by_role("img", name="Prediction error")).to_be_visible()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +23,7 @@ from gateway.views.hmi.model.numbers import in_numbers
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
 from protocol.errors import DataError
-from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
-from tests.harness.gateway.gateway_peers import wait_for
-from tests.harness.gateway.hmi_peers import Page, frame, hmi, users_file
+from tests.harness.gateway.hmi_peers import Page, served
 
 CAMPAIGN = "rig-20260102-030405"
 MODEL: dict[str, Any] = {
@@ -185,27 +181,10 @@ def test_where_there_is_no_number_nothing_is_said() -> None:
     assert in_numbers("out-of-step", "9:00", lost) == ""
 
 
-@contextmanager
-def served(folder: Path) -> Iterator[tuple[PlayedGateway, int]]:
-    words = ("--users", str(users_file(folder)))
-    with played_gateway() as gateway, hmi(folder, gateway.endpoint, *words) as (port, _):
-        heard = Page(port)
-        heard.log_in("vic")
-
-        def known() -> bool:
-            gateway.state()
-            gateway.send("twin/model", pb.TwinModel(name="ce152", sha256="0" * 64, model_json=json.dumps(MODEL)))
-            with heard.live("/live") as socket:
-                return bool(frame(socket)["boards"])
-
-        wait_for(known, "the board on the page")
-        yield gateway, port
-
-
 def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path: Path) -> None:
     campaign(tmp_path / "data" / "campaigns")
     campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")
-    with served(tmp_path) as (_, port):
+    with served(tmp_path, MODEL) as (_, port):
         viewer, engineer = Page(port), Page(port)
         viewer.log_in("vic")
         engineer.log_in("ana")

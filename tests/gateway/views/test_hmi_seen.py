@@ -15,6 +15,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.design_files import campaign, designed
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
 from tests.harness.gateway.npm import installed
@@ -91,6 +92,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     (report / "report.html").write_text(REPORT)
     (folder / "logs").mkdir()
     (folder / "logs" / "a.mcap").write_bytes(b"not a log")
+    designed(campaign(folder / "data"))
     with (
         played_gateway() as gateway,
         hmi(folder, gateway.endpoint, "--reports", str(folder / "diagnosis")) as (port, _),
@@ -410,7 +412,7 @@ def test_every_text_can_be_read(page: Page, site: Site, scheme: Literal["light",
         expect(page.locator(".toast[data-state=good]")).to_be_visible()
         expect(page.locator(SAID)).to_have_attribute("data-state", "good")
         look("accepted")
-        for path in ("/", "/logs", "/replay/", "/replay/rig"):
+        for path in ("/", "/model/rig", "/logs", "/replay/", "/replay/rig"):
             page.goto(f"{site.url}{path}")
             expect(page.locator(".messages .hint")).to_be_visible()
             if path == "/":

@@ -20,6 +20,8 @@ from websockets.typing import Origin, Subprotocol
 
 from gateway.access.roles import Role
 from gateway.access.users import User, set_user
+from protocol.bus import board51_pb2 as pb
+from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
 from tests.patience import HANG_S
@@ -52,6 +54,10 @@ class Process:
         """SIGTERM; its exit code."""
         if self._process.poll() is None:
             self._process.terminate()
+        return self._process.wait(HANG_S)
+
+    def wait(self) -> int:
+        """Its exit code, when it has ended by itself."""
         return self._process.wait(HANG_S)
 
     def kill(self) -> None:
@@ -167,3 +173,21 @@ def hmi(folder: Path, endpoint: str, *options: str, port: int = 0) -> Iterator[t
 
         wait_for(answers, "the page")
         yield port, process
+
+
+@contextmanager
+def served(folder: Path, model: dict[str, Any]) -> Iterator[tuple[PlayedGateway, int]]:
+    """A page with users, on which a played gateway has a board `rig`, whose twin runs on `model`."""
+    words = ("--users", str(users_file(folder)))
+    with played_gateway() as gateway, hmi(folder, gateway.endpoint, *words) as (port, _):
+        heard = Page(port)
+        heard.log_in("vic")
+
+        def known() -> bool:
+            gateway.state()
+            gateway.send("twin/model", pb.TwinModel(name="ce152", sha256="0" * 64, model_json=json.dumps(model)))
+            with heard.live("/live") as socket:
+                return bool(frame(socket)["boards"])
+
+        wait_for(known, "the board on the page")
+        yield gateway, port

@@ -39,6 +39,29 @@ def test_json_holds_everything(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["loops"][2]["delay_margin_s"] > 0.0
 
 
+def test_the_gains_to_be_replaced_stand_beside_the_new_ones_and_thin_margins_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, after = tmp_path / "before.json", tmp_path / "analysis.json"
+    assert board51.main(["design", "ce152", "--out", str(before)]) == 0
+    table = json.loads(before.read_text())
+    before.write_text(json.dumps({name: value for name, value in table.items() if name != "weights"}))
+    capsys.readouterr()
+
+    code = board51.main(["design", "ce152", "--law", "pid", "--before", str(before), "--analysis", str(after)])
+
+    said, found = capsys.readouterr().out, json.loads(after.read_text())
+    assert code == 0
+    assert found["before"]["phase_margin_deg"] == pytest.approx(40.9, abs=0.1)
+    assert found["before"]["gain_margin"][1] > 2.0 > found["loops"][2]["gain_margin"][1]
+    assert "thin phase margin: 26 deg" in said
+    assert "thin gain margin: the gain may be times 0.30 to 1.59" in said
+    assert board51.main(["design", "ce152", "--sample-time", "0.001", "--before", str(before)]) == 2
+    assert "are for T_s = 0.002 s, not 0.001 s" in capsys.readouterr().err
+    assert board51.main(["design", "ce152", "--out", str(before)]) == 0
+    assert "thin" not in capsys.readouterr().out
+
+
 def test_an_unstable_loop_is_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "controller.json"
 

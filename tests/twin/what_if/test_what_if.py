@@ -143,6 +143,23 @@ def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
     assert inside >= 0.85 * total
 
 
+def test_the_flight_that_followed_stands_beside_its_forecast() -> None:
+    model = true_model()
+    gains = designed(model, 0.1)
+    before, after = source(flight(FLOWN, 1), model), source(flight(gains, 2), model, gains)
+    result = forecast(before, model, law_of(gains), then=after, draws=20)
+    known = [figure for figure in result.figures if math.isfinite(figure.flown) and figure.name != "at_limit"]
+    assert len(known) >= 5
+    assert sum(figure.held for figure in known) >= len(known) - 1
+    assert "figures of the flight that followed" in result.answer()
+    steps = np.flatnonzero(np.diff(result.x_ref_m)) + 1
+    settled = slice(int(steps[0]) + 200, int(steps[1]))
+    assert np.nanmean(result.flown_x_m[settled]) == pytest.approx(result.x_ref_m[settled][0], abs=20e-6)
+    assert result.notes == ()
+    (note,) = forecast(before, model, law_of(gains), then=before, draws=2).notes
+    assert note == "flight-1 was flown under another law than that of the forecast"
+
+
 def test_a_delay_that_the_model_lacks_is_a_caution() -> None:
     model = true_model()
     late = replace(source(flight(FLOWN, 1), model), unknown_delay=2)
@@ -183,6 +200,15 @@ def test_a_page_its_numbers_and_its_traces(folder: Path, capsys: pytest.CaptureF
     assert "data:image/svg+xml" in (folder / "out" / "what_if.html").read_text()
     traces = np.genfromtxt(folder / "out" / "what_if.csv", delimiter=",", names=True)
     assert np.all(traces["x_low"] <= traces["x_high"])
+
+
+def test_the_flight_that_followed_has_a_column(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--gains", str(folder / "controller.json"), "--then", str(folder / "flight.csv"))
+    assert run(folder, *arguments, "--out", str(folder / "out")) == 0
+    assert "flown then" in capsys.readouterr().out
+    numbers = json.loads((folder / "out" / "what_if.json").read_text())
+    assert all(figure["flown"] == pytest.approx(figure["recorded"]) for figure in numbers["figures"])
+    assert "flown then" in (folder / "out" / "what_if.html").read_text()
 
 
 def test_another_reference_is_followed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

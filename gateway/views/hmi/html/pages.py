@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from pathlib import Path
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -19,17 +18,11 @@ from starlette.routing import Route
 from gateway.access.roles import MINIMUM_ROLE
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal, session_of
-from gateway.views.hmi.html.bode import bode_card
-from gateway.views.hmi.html.figure import errors_figure
+from gateway.views.hmi.html.model_page import shown
 from gateway.views.hmi.html.render import render
-from gateway.views.hmi.model.campaigns import BODE, choose, parse_table, rig_of
-from gateway.views.hmi.model.exports import FORMATS
-from gateway.views.hmi.model.models import summary
-from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
+from gateway.views.hmi.model.campaigns import campaign_of, rig_of
+from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.texts import text_of
-from protocol.diagnosis import load_diagnosis
-from protocol.errors import DataError
-from protocol.experiments import EXPERIMENT_OF_NAME
 
 REPLAY = "/live-replay"  # where the frames of replays come from
 MAX_REPORTS = 20
@@ -72,30 +65,10 @@ class Pages:
         return await asyncio.to_thread(self._model, request)
 
     def _model(self, request: Request) -> Response:
-        board = request.path_params["board"]
-        campaigns, running = self._work.campaigns(board), self._work.running(board)
-        chosen = choose(campaigns, request.query_params.get("campaign", ""))
-        diagnosis, problem, report = None, "", ""
-        if chosen is not None and chosen.diagnosis is not None:
-            try:
-                diagnosis = load_diagnosis(chosen.diagnosis)
-            except DataError as error:
-                problem = str(error)
-            report = self._report(chosen.diagnosis.parent / "report.html")
-        now = parse_table(running.model_json, where="the twin's model") if running is not None else {}
-        return self._page(
-            request, "model.html", live=f"/live/{board}", title=text_of("title.model", rig=board), board=board,
-            chips=True, script="model.js", campaigns=campaigns, chosen=chosen, diagnosis=diagnosis, problem=problem,
-            report=report, figure=errors_figure(diagnosis.ahead) if diagnosis is not None else None, running=running,
-            running_summary=summary(now), models=self._work.models(board), formats=FORMATS,
-            experiments=EXPERIMENT_OF_NAME, live_min=f"{LIVE_MIN:g}", bode=bode_card(chosen.bode) if chosen else None,
-            bode_report=self._report(chosen.path / BODE / "bode.html") if chosen else "",
-        )  # fmt: skip
-
-    def _report(self, path: Path) -> str:
-        """Return the name of a report for requests; empty if there is none."""
-        page = path.resolve()
-        return next((entry.name for entry in self._actions.reports.entries() if entry.path == page), "")
+        board, campaign = request.path_params["board"], request.query_params.get("campaign", "")
+        values = shown(self._work, self._actions.reports, board, campaign)
+        title = text_of("title.model", rig=board)
+        return self._page(request, "model.html", live=f"/live/{board}", title=title, board=board, chips=True, **values)
 
     async def replays(self, request: Request) -> Response:
         """Return the page of all replayed rigs."""
@@ -115,7 +88,15 @@ class Pages:
         reports = (await asyncio.to_thread(self._actions.reports.entries))[:MAX_REPORTS]
         folder, title = self._actions.reports.folders[0], text_of("title.library")
         return self._page(
-            request, "library.html", live="/live", title=title, logs=logs, reports=reports, folder=folder, rig_of=rig_of
+            request,
+            "library.html",
+            live="/live",
+            title=title,
+            logs=logs,
+            reports=reports,
+            folder=folder,
+            rig_of=rig_of,
+            campaign_of=campaign_of,
         )
 
     async def report(self, request: Request) -> Response:

@@ -4,6 +4,7 @@
                              .../diagnosis/  diagnosis.json, report.html, extended_model.json; of a diagnosis of live
                                              data its recordings, too
                              .../bode/       bode.json, bode.html: frequency responses
+                             .../comparison/ compare.json, compare.html of the latest two models
 
 Rule 1: a name from a browser is looked up among those found, never joined to a path.
 Rule 2: a campaign that failed or was interrupted is never shown in place of a finished one, unless it is asked for.
@@ -27,7 +28,7 @@ ACTS = "acts.jsonl"  # in the folder of a campaign: who did what, one line for e
 MAX_ACTS = 20
 _TAIL_BYTES = 65_536  # of the end of the file that is read
 MAX_CAMPAIGNS = 50  # the newest
-MODEL, DIAGNOSIS, BODE = "model.json", "diagnosis", "bode"
+MODEL, DIAGNOSIS, BODE, COMPARISON = "model.json", "diagnosis", "bode", "comparison"
 _NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
 
 
@@ -75,6 +76,11 @@ class CampaignFolder:
         return read_table(self.path / BODE / "bode.json")
 
     @property
+    def comparison(self) -> Path | None:
+        """Return the compare.json."""
+        return _file(self.path / COMPARISON / "compare.json")
+
+    @property
     def toml(self) -> Path | None:
         """Return the campaign.toml; None before the campaign has recorded anything."""
         recorded = sorted((self.path / DIAGNOSIS).glob("live-*/campaign.toml"))
@@ -100,9 +106,14 @@ def board_of(name: str) -> str:
     return match["board"] if match is not None else ""
 
 
+def campaign_of(report: LibraryFile) -> str:
+    """Return the name of the campaign of a report; empty if no folder in its path is a campaign."""
+    return next((folder.name for folder in report.path.parents if board_of(folder.name)), "")
+
+
 def rig_of(report: LibraryFile) -> str:
     """Return the board of the campaign of a report; empty if no folder in its path is a campaign."""
-    return next(filter(None, (board_of(folder.name) for folder in report.path.parents)), "")
+    return board_of(campaign_of(report))
 
 
 def campaigns_of(root: Path, board: str) -> list[CampaignFolder]:

@@ -45,6 +45,10 @@ class ModelWork:
     def _root(self) -> Path:
         return self._routes.data / "campaigns"
 
+    def campaign(self, board: str, name: str) -> CampaignFolder | None:
+        """Return the campaign of that name, or the newest for an empty name; None if there is none."""
+        return find_campaign(self._root, board, name)
+
     def campaigns(self, board: str) -> list[CampaignFolder]:
         """Return the campaigns of a board, the newest first."""
         return campaigns_of(self._root, board)
@@ -53,6 +57,15 @@ class ModelWork:
         """Return the model on which the twin runs, as the twin reports it."""
         feed = self._actions.feed.board(board)
         return None if feed is None else feed.latest(pb.TwinModel)
+
+    def parameters(self, board: str) -> pb.Parameters | None:
+        """Return what a board has stated of itself."""
+        feed = self._actions.feed.board(board)
+        return None if feed is None else feed.latest(pb.Parameters)
+
+    def refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
+        """Return the refusal of an act, or None if it is allowed."""
+        return self._actions.refused(session, act)
 
     def models(self, board: str) -> list[ModelFile]:
         """Return the models of a board, those of the newest campaign first."""
@@ -69,7 +82,7 @@ class ModelWork:
             entry = text_of("campaigns.started_investigation")
         else:
             entry = text_of("campaigns.started_quick") if quick else text_of("campaigns.started")
-        return self._start(session, "campaign", "campaign", board, words, folder, entry)
+        return self.start(session, "campaign", "campaign", board, words, folder, entry)
 
     def resume_campaign(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Continue an interrupted campaign or investigation in its folder."""
@@ -82,7 +95,7 @@ class ModelWork:
             what = self._run(chosen.path, board)
             what += [word for name in chosen.left for word in ("--experiment", name)]
         words = [*what, *["--quick"] * chosen.quick, *self._as_person(session)]
-        return self._start(session, "campaign", "campaign", board, words, chosen.path, text_of("campaigns.continued"))
+        return self.start(session, "campaign", "campaign", board, words, chosen.path, text_of("campaigns.continued"))
 
     def add_experiment(
         self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False
@@ -98,7 +111,17 @@ class ModelWork:
         words = [*self._run(chosen.path, board), "--experiment", experiment]
         words += [*["--yes"] * prepared, *self._as_person(session)]
         entry = text_of("campaigns.added", experiment=experiment)
-        return self._start(session, "campaign", "campaign", board, words, chosen.path, entry)
+        return self.start(session, "campaign", "campaign", board, words, chosen.path, entry)
+
+    def fly(
+        self, session: LoginSession, board: str, chosen: CampaignFolder, folder: Path, experiment: str
+    ) -> pb.CommandReply:
+        """Record one experiment in a folder of its own, as long as in the campaign."""
+        words = [*self._run(folder, board), "--experiment", experiment, *["--quick"] * chosen.quick]
+        entry = text_of("campaigns.flown", experiment=experiment)
+        return self.start(
+            session, "campaign", "campaign", board, [*words, *self._as_person(session)], chosen.path, entry
+        )
 
     def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Identify K_A, T_A, K_c and b from a campaign."""
@@ -106,7 +129,7 @@ class ModelWork:
         if chosen is None or chosen.toml is None:
             return refusal("no-campaign", text_of("refusal.campaign_empty"))
         words = ["identify", str(chosen.toml), "--out", str(chosen.path / MODEL)]
-        return self._start(
+        return self.start(
             session, "diagnose", "identify", board, words, chosen.path, text_of("campaigns.was_identified")
         )
 
@@ -118,7 +141,7 @@ class ModelWork:
         words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / DIAGNOSIS), "--next-experiment",
                  *["--quick"] * quick]  # fmt: skip
         entry = text_of("campaigns.was_diagnosed_quick") if quick else text_of("campaigns.was_diagnosed")
-        return self._start(session, "diagnose", "diagnose", board, words, chosen.path, entry)
+        return self.start(session, "diagnose", "diagnose", board, words, chosen.path, entry)
 
     def diagnose_live(self, session: LoginSession, board: str) -> pb.CommandReply:
         """Diagnose the causes of the model's errors in the last minutes of flight."""
@@ -126,7 +149,7 @@ class ModelWork:
         words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", board, "--logs", str(self._logs), "--quick",
                  "--next-experiment", "--out", str(folder / DIAGNOSIS), *self._routes.live(session.name)]  # fmt: skip
         entry = text_of("campaigns.was_diagnosed_live", minutes=f"{LIVE_MIN:g}")
-        return self._start(session, "diagnose", "diagnose", board, words, folder, entry)
+        return self.start(session, "diagnose", "diagnose", board, words, folder, entry)
 
     def bode(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
         """Compare the frequency responses of a campaign with its extended model, or else with its identified one."""
@@ -138,10 +161,13 @@ class ModelWork:
             return refusal("no-model", text_of("refusal.not_identified"))
         words = ["bode", str(model.path), str(chosen.toml), "--out", str(chosen.path / BODE)]
         entry = text_of("campaigns.was_bode", model=model.kind)
-        return self._start(session, "diagnose", "bode", board, words, chosen.path, entry)
+        return self.start(session, "diagnose", "bode", board, words, chosen.path, entry)
 
     def hand_over(self, session: LoginSession, board: str, model: str) -> pb.CommandReply:
         """Give a model of the list to the running twin; what it replaces is kept."""
+        refused = self.refused(session, "use_model")  # before anything is written
+        if refused is not None:
+            return refused
         chosen = next((file for file in self.models(board) if file.name == model), None)
         if chosen is None:
             return refusal("no-model", text_of("refusal.no_model"))
@@ -155,7 +181,7 @@ class ModelWork:
         folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
         folder = folder if folder.parent == self._root else self._routes.data / "models" / board
         entry = text_of("campaigns.handed_over", model=chosen.kind)
-        return self._start(session, "use_model", "hand-over", board, words, folder, entry)
+        return self.start(session, "use_model", "hand-over", board, words, folder, entry)
 
     def _new(self, board: str) -> Path:
         return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -166,9 +192,20 @@ class ModelWork:
     def _run(self, folder: Path, board: str) -> list[str]:
         return ["campaign", "run", str(folder), "--board", board]
 
-    def _start(
+    def start(
         self, session: LoginSession, act: str, kind: str, board: str, words: list[str], folder: Path, entry: str
     ) -> pb.CommandReply:
+        """Start a job, and record it as an act in a campaign's folder.
+
+        Args:
+            session: of the user, who must be allowed to do `act`.
+            act: of the table of rights.
+            kind: of the job.
+            board: of the rig.
+            words: the command, without `board51`.
+            folder: of the campaign.
+            entry: the act, for people.
+        """
         if kind == "campaign":  # a STOP ends it that comes from elsewhere before the process listens
             words = [*words, "--issued", str(time.time_ns())]
         reply = self._actions.start_job(session, act, kind, board, words, title=folder.name)

@@ -23,6 +23,8 @@ const FORMS = {
     return { name, send: (name) => command(name, { excite }) };
   },
   recording: (f) => ({ name: textOf("recording.act"), send: (name) => job(name, { kind: "record", act: "start", title: f.title }) }),
+  design: (f) => ({ name: textOf("work.design_act"), send: (name) => job(name, { kind: "design", act: "start", ...f }) }),
+  compare: (f) => ({ name: textOf("compare.act"), send: (name) => job(name, { kind: "compare", act: "start", ...f }) }),
   mark: (f) => ({ name: textOf("recording.mark_act", { text: f.text }), send: (name) => command(name, { mark: { text: f.text } }) }),
 };
 
@@ -132,7 +134,7 @@ export function limits(rest) {
 // --- jobs, gains, summaries ---------------------------------------------------------------------------------------------
 
 const IDLE_WORDS = { record: textOf("recording.idle") };
-const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over", "bode"];
+const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over", "compare", "design", "forecast", "bode"];
 
 export function showJobs(jobs) {
   for (const kind of KINDS) {

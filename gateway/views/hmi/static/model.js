@@ -10,20 +10,25 @@ document.addEventListener("board51-jobs", (event) => {
 });
 
 let model = null; // of the twin, when last heard
+let gains = null; // of the board, when last heard
 
 document.addEventListener("board51-rest", (event) => {
   const now = event.detail.model?.sha256 ?? "";
   if (now !== (model ?? document.querySelector("[data-model]")?.dataset.model ?? "")) renew();
   model = now;
+  const { law, gains: held } = event.detail.limits ?? {}, loaded = JSON.stringify([law, held]);
+  if (gains !== null && loaded !== gains) renew();
+  gains = loaded;
 });
 
-// A part that says the same stays, so that no button is replaced under a finger without need.
+// A part that says the same stays, so that no button is replaced under a finger and no form loses what was typed.
+const said = (part) => part.innerHTML.replace(/ data-refused="\w*"/g, ""); // whether a form was refused is no news
 async function renew() {
   const answer = await fetch(location.href).catch(() => null);
   if (!answer?.ok || answer.redirected) return;
   const made = new DOMParser().parseFromString(await answer.text(), "text/html");
   for (const fresh of made.querySelectorAll("[data-part]")) {
     const present = document.querySelector(`[data-part="${fresh.dataset.part}"]`);
-    if (present && present.innerHTML !== fresh.innerHTML) present.replaceWith(document.adoptNode(fresh));
+    if (present && said(present) !== said(fresh)) present.replaceWith(document.adoptNode(fresh));
   }
 }
