@@ -44,7 +44,7 @@ def ball_figure(result: Windows, travel_m: float) -> Figure:
     """Draw the paper's figure 8, the ball, in windows."""
     figure, axes = grid(2, 1, height=5.0, ratios=[2.4, 1.0])
     top, bottom = axes[0][0], axes[1][0]
-    top.plot(result.t_s, result.measured_m * 1e3, color=MEASURED, lw=2.6, alpha=0.55, label="measured")
+    top.plot(result.t_s, result.measured_m * 1e3, color=MEASURED, lw=2.6, label="measured")
     top.plot(result.t_s, result.simulated_m * 1e3, color=MODEL, lw=1.2, label="(6), each window from a fresh estimate")
     top.set_ylabel("position x [mm]")
     _within_travel(top, travel_m)

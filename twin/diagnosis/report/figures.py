@@ -51,7 +51,7 @@ def piece_figure(piece: Piece) -> Figure:
     """Draw x as measured and as both models predicted it."""
     figure, ax = panel()
     t = piece.t_s - piece.t_s[0]
-    ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=2.6, alpha=0.55, label="measured")
+    ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=2.6, label="measured")
     ax.plot(t, piece.baseline_m * 1e3, color=BASELINE, lw=1.0, label="baseline")
     if not np.array_equal(piece.extended_m, piece.baseline_m):
         ax.plot(t, piece.extended_m * 1e3, color=EXTENDED, lw=1.0, label="extended")
@@ -205,7 +205,8 @@ def _bars(
     middle = np.array([estimate.value for estimate in values]) * factor
     low = np.maximum(middle - np.array([estimate.low for estimate in values]) * factor, 0.0)
     high = np.maximum(np.array([estimate.high for estimate in values]) * factor - middle, 0.0)
-    style: dict[str, Any] = {"color": colour, "marker": "o", "ms": 4, "elinewidth": 1.2, "capsize": 3}
+    marker = "s" if colour == EXTENDED else "o"  # for a print without colour
+    style: dict[str, Any] = {"color": colour, "marker": marker, "ms": 4.5, "elinewidth": 1.2, "capsize": 3}
     style["lw"] = 0.0 if sideways else 1.0
     if sideways:
         ax.errorbar(middle, at, xerr=[low, high], label=name, **style)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def _figure(pair: TradeOff) -> Figure:
     figure, ax = panel()
     axes = []
     for name, column in zip(pair.names, (0, 1), strict=True):
-        factor, unit = scale_of(float(np.max(np.abs(pair.contour[:, column]))), _unit(name))
+        factor, unit = _axis_scale(float(np.max(np.abs(pair.contour[:, column]))), _unit(name))
         axes.append(
             (pair.contour[:, column] / factor, pair.values[column] / factor, f"{_symbol(name)} [{unit or '-'}]")
         )
@@ -61,6 +62,15 @@ def _figure(pair: TradeOff) -> Figure:
     ax.plot([x_best], [y_best], color=MEASURED, marker="o", ls="", ms=5, label="best fit")
     label(ax, x_label, y_label)
     return figure
+
+
+def _axis_scale(largest: float, unit: str) -> tuple[float, str]:
+    """Return (factor, unit) of an axis: with a prefix where the unit takes one, else with a power of ten."""
+    factor, scaled_unit = scale_of(largest, unit)
+    if factor != 1.0 or 0.01 <= largest < 1e4:
+        return factor, scaled_unit
+    power = 3 * math.floor(math.log10(largest) / 3.0)
+    return 10.0**power, f"10$^{{{power}}}$ {unit}"
 
 
 def _change(pair: TradeOff, k: int) -> str:

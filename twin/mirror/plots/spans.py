@@ -95,7 +95,7 @@ def _column(
 
 
 def _measured(axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64]) -> None:
-    axis.plot(t, measured, color=MEASURED, lw=2.4, alpha=0.55, label="measured")
+    axis.plot(t, measured, color=MEASURED, lw=2.4, label="measured")
     axis.plot(t, twin, color=MODEL, lw=1.1, label="twin")
 
 

@@ -143,7 +143,7 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
 def _pair(
     axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64], label: str
 ) -> None:
-    axis.plot(t, measured, color=MEASURED, lw=2.4, alpha=0.55, label="measured")
+    axis.plot(t, measured, color=MEASURED, lw=2.4, label="measured")
     axis.plot(t, twin, color=MODEL, lw=1.1, label="twin" if np.isfinite(twin).any() else None)
     axis.set_ylabel(label)
 
