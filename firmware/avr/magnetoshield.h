@@ -1,11 +1,10 @@
 /* A MagnetoShield (R3, R4), by gateway/emulator/firmware_model/magnetoshield.py, `header`; numbers
  * are explained there and in ../magnetoshield.md. */
-#define PROFILE_FIRMWARE 1, 1, 10, 12
+#define PROFILE_FIRMWARE 1, 2, 10, 12
 #define PROFILE_SCALINGS \
     0x00, 0x00, 0x00, 0x00, 0xAE, 0x47, 0xE1, 0x37, \
     0x6F, 0x12, 0x83, 0xB9, 0xCD, 0xCC, 0xCC, 0x35, \
     0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x20, 0x3B
-#define PROFILE_BUILD 0x6D, 0x61, 0x67, 0x6E, 0x65, 0x74, 0x6F, 0x20
 #define PROFILE_GAINS 0, {16, 13, 11, 19}, {21627, 26624, 24320, -25559}, 786, 1802, 1686
 #define PROFILE_LIMITS 492, 3113, 1638, 13107, 4095
 /* Counts of x at each 16th code of A3. */

@@ -11,19 +11,19 @@
 /* A board without a number of its own is number 0. */
 #ifdef PROFILE
 static const __flash struct identity IDENTITY_OF_PROGRAM = {
-    0, PROFILE_FIRMWARE, {PROFILE_SCALINGS}, {PROFILE_BUILD}};
+    0, PROFILE_FIRMWARE, {PROFILE_SCALINGS}, {FIRMWARE_BUILD}};
 static const __flash struct settings SETTINGS_OF_PROGRAM = {{PROFILE_GAINS}, {PROFILE_LIMITS}};
 #else /* the rig of board51's emulator */
 static const __flash struct identity IDENTITY_OF_PROGRAM = {
     0,
     1,
-    1,
+    2,
     10,
     12,
     {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A,  /* f32: i_c: 0 A, 2/4096 A a count */
      0x7C, 0x1C, 0x64, 0xB8, 0x30, 0xA0, 0xBF, 0x35,  /* x: -54.386 um, 1.42772 um */
      0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0xA0, 0x3A}, /* u_c: 0 V, 5/4096 V */
-    {'u', 'n', 'o', ' ', ' ', ' ', ' ', ' '}};
+    {FIRMWARE_BUILD}};
 static const __flash struct settings SETTINGS_OF_PROGRAM = {
     {LAW_LQI, {17, 14, 11, 19}, {25690, 32576, 21199, -21585}, 1304, 2034, 1756}, {248, 3680, 1751, 14008, 4095}};
 #endif
@@ -46,6 +46,9 @@ void store_load(void) {
     if (!read(&identity, 0, sizeof identity)) {
         memcpy_P(&identity, &IDENTITY_OF_PROGRAM, sizeof identity);
     }
+    memcpy_P(identity.build, IDENTITY_OF_PROGRAM.build, sizeof identity.build); /* the EEPROM may be older than the program */
+    identity.firmware_major = IDENTITY_OF_PROGRAM.firmware_major;
+    identity.firmware_minor = IDENTITY_OF_PROGRAM.firmware_minor;
     if (!read(&settings, sizeof identity + 2U, sizeof settings)) {
         (void)hal_program_settings();
     }

@@ -129,8 +129,10 @@ bool board_poll(void) {
         tick();
     } else {
         again = hal_has_time(FOR_RECEIVING) && receive();
-        host_execute();
-        loop_play_ahead();
+        if (!again) { /* bytes first: their ring is short */
+            host_execute();
+            loop_play_ahead();
+        }
     }
     send_frames();
     return again;

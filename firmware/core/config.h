@@ -43,6 +43,11 @@
 #define TABLE_MEMORY
 #endif
 
+/* What IDENTITY says of the program: 8 characters.  board51 gives the commit or the release of the sources. */
+#ifndef FIRMWARE_BUILD
+#define FIRMWARE_BUILD 'u', 'n', 'k', 'n', 'o', 'w', 'n', ' '
+#endif
+
 /* Commands that are executed in T_s at most: what more comes waits, and is refused where too many wait. */
 #ifndef COMMANDS_PER_TICK
 #define COMMANDS_PER_TICK 1U

@@ -58,18 +58,23 @@ static void add_steps(void) ON_STACK {
 }
 
 /* From one value of a chirp to the next; the first is at phase 0.  The step, 2^48 // period, is needed for the second,
- * its change, (2^48 // period_end - step) // duration, for the third: so an 8051 has a tick for each, as it has one for
- * the command; and a function for each part, as it has little stack. */
+ * its change, (2^48 // period_end - step) // duration, for the third: so an 8051 has a tick for each division; and a
+ * function for each part, as it has little stack. */
 static void advance_chirp(void) {
     uint32_t duration = board.excitation.signal.duration;
     bool falls;
 
-    if (board.excitation.ticks == 1U) {
+    if (board.excitation.ticks == 0U) {
         divide_turn(board.excitation.signal.period);
         board.excitation.of.chirp.step = board.excitation.of.chirp.sweep;
-        board.excitation.of.chirp.sweep = 0;
-    } else if (board.excitation.ticks == 2U) {
+        return;
+    }
+    if (board.excitation.ticks == 1U) {
         divide_turn(board.excitation.signal.period_end);
+        board.excitation.of.chirp.phase = board.excitation.of.chirp.step;
+        return;
+    }
+    if (board.excitation.ticks == 2U) {
         falls = subtract_step(duration);
         divide_sweep(duration);
         if (falls) {
@@ -203,9 +208,9 @@ static int32_t shape(void) ON_STACK {
 uint16_t excitation_next(void) ON_STACK {
     int32_t value = board.excitation.signal.offset;
 
-    if (board.excitation.ticks != 0U && board.excitation.signal.shape == SHAPE_CHIRP) {
+    if (board.excitation.signal.shape == SHAPE_CHIRP) {
         advance_chirp();
-    } else if (board.excitation.ticks != 0U && board.excitation.signal.shape == SHAPE_MULTISINE) {
+    } else if (board.excitation.signal.shape == SHAPE_MULTISINE && board.excitation.ticks != 0U) {
         advance_multisine();
     }
     if (!excitation_done()) {

@@ -36,10 +36,10 @@ static __xdata union {
 
 /* Where nothing valid was programmed: the emulated rig's scalings, gains and limits (gateway/emulator/firmware_model). */
 static const __code struct identity IDENTITY_OF_PROGRAM = {
-    0, 1, 1, 12, 12,
+    0, 1, 2, 12, 12,
     {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A, 0x7C, 0x1C, 0x64, 0xB8, 0x30, 0xA0, 0xBF, 0x35,
      0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0xA0, 0x3A},
-    {'A', 'D', 'u', 'C', '8', '4', '1', ' '}};
+    {FIRMWARE_BUILD}};
 static const __code struct settings SETTINGS_OF_PROGRAM = {
     {LAW_LQI, {17, 14, 11, 19}, {25690, 32576, 21199, -21585}, 1304, 2034, 1756}, {248, 3680, 1751, 14008, 4095}};
 
@@ -92,7 +92,7 @@ bool hal_tick_due(void) {
 }
 
 /* What `until_tick` has to be above: interrupts of the timer, with those of a full line in their time. */
-static const __code uint8_t PARTS_FOR[WORKS] = {0, PARTS(300), PARTS(800), PARTS(1200), PARTS(650), PARTS(200), PARTS(500)};
+static const __code uint8_t PARTS_FOR[WORKS] = {0, PARTS(300), PARTS(800), PARTS(1000), PARTS(650), PARTS(200), PARTS(500)};
 
 /* The tick is looked at last: if it comes in between, there is no time. */
 bool hal_has_time(uint8_t work) {
@@ -202,6 +202,11 @@ static void read_memory(void) {
         memory.is.identity = IDENTITY_OF_PROGRAM;
         (void)hal_program_settings();
     }
+    for (page = 0; page < sizeof IDENTITY_OF_PROGRAM.build; page++) { /* the data memory may be older than the program */
+        memory.is.identity.build[page] = IDENTITY_OF_PROGRAM.build[page];
+    }
+    memory.is.identity.firmware_major = IDENTITY_OF_PROGRAM.firmware_major;
+    memory.is.identity.firmware_minor = IDENTITY_OF_PROGRAM.firmware_minor;
 }
 
 /* The interrupts.  That of the line has registers of its own and calls nothing. */

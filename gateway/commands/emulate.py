@@ -82,7 +82,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--baud", type=int, default=115200, help="speed of the line, bits per second (default: 115200)")
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="N", help="multiple of real time; 0: as fast as possible"
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="N",
+        help="multiple of real time; 0: as fast as possible, without --duration only while a host is connected",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds of the boards' time")
     parser.add_argument(

@@ -1,7 +1,7 @@
-"""Compile the firmware for a board and write it into its flash memory, with avrdude.
+"""Compile the firmware for a board, write it into its flash memory with avrdude, and ask the board what it does.
 
 For an Arduino Uno with a MagnetoShield, through the Uno's boot loader.  firmware/magnetoshield.md has the ten steps.
---dry-run compiles, touches no port, and prints the command.
+--dry-run compiles, touches no port, and prints the command; the image stays in the cache.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from protocol.errors import InstallError, ServiceError, UsageError, single_line
 from protocol.files import writing
 
 if TYPE_CHECKING:
-    from gateway.emulator.firmware_model.magnetoshield import HallCurve
+    from gateway.emulator.firmware_model.magnetoshield import HallCurve, MagnetoShieldProfile
 
 BOARDS = ("magnetoshield",)
 _HANG_S = 120.0  # writing and reading back 32 kB takes 10 s
@@ -38,7 +38,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 flash --board magnetoshield --port /dev/ttyACM0\n"
         "  board51 flash --board magnetoshield --port /dev/ttyACM0 --x-ground -0.00008 --x-ceiling 0.00471\n\n"
         "needs avr-gcc with avr-libc, and avrdude (Debian: apt-get install gcc-avr avr-libc avrdude);\n"
-        "--out writes the image for another programmer, without avrdude and port"
+        "--out writes the image for another programmer, without avrdude and port\n\n"
+        "fuses stay as they are, as no boot loader can write them; the image needs those of an Uno (low 0xFF:\n"
+        "crystal, clock not divided), and a brown-out detector at 4.3 V is better\n"
+        "than the Uno's 2.7 V: see firmware/README.md"
     )
     parser.add_argument("--board", choices=BOARDS, required=True, help="board of the firmware")
     parser.add_argument("--port", metavar="DEVICE", help="serial device of the Uno: /dev/ttyACM0")
@@ -59,8 +62,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compile, check, and let avrdude write and verify."""
-    from firmware.sim.avr.build import hex_of
-    from gateway.emulator.firmware_model.magnetoshield import header, magnetoshield
+    from gateway.commands.flashed import ask_board
+    from gateway.emulator.firmware_model.magnetoshield import magnetoshield
+    from gateway.emulator.native.build import build_of_sources
 
     if args.out is None and args.port is None and not args.dry_run:
         raise UsageError("No port is given", remedy="Give --port /dev/ttyACM0, --dry-run, or --out FILE")
@@ -70,21 +74,46 @@ def run(args: argparse.Namespace) -> int:
     if not args.dry_run and args.out is None:
         _check_avrdude()
         _check_port(args.port)
-    with tempfile.TemporaryDirectory(prefix="board51-") as scratch:
-        profile = Path(scratch) / "profile.h"
-        profile.write_text(header(magnetoshield(curve)), encoding="ascii")
-        image = Path(scratch) / "firmware.hex"
-        size = hex_of(image, baud=args.baud, profile=str(profile))
-        if size > _FLASH_BYTES:
-            raise ServiceError(f"The image has {size} bytes, the chip {_FLASH_BYTES}", remedy="Report it")
-        if args.out is not None:
-            with writing(args.out):
-                args.out.write_bytes(image.read_bytes())
-            _print_result(args, size, None)
-            return 0
-        command = _command(args.port, image)
-        _print_result(args, size, command)
-        return 0 if args.dry_run else _write(command)
+    image = _image(magnetoshield(curve), args.baud)
+    size = _size(image)
+    if size > _FLASH_BYTES:
+        raise ServiceError(f"The image has {size} bytes, the chip {_FLASH_BYTES}", remedy="Report it")
+    if args.out is not None:
+        with writing(args.out):
+            args.out.write_bytes(image.read_bytes())
+        _print_result(args, size, None)
+        return 0
+    command = _command(args.port, image)
+    _print_result(args, size, command)
+    if args.dry_run:
+        return 0
+    _write(command)
+    print(ask_board(args.port, args.baud, build_of_sources()), file=sys.stderr if args.json else sys.stdout)
+    return 0
+
+
+def _image(profile: MagnetoShieldProfile, baud: int) -> Path:
+    """Return the image for these numbers; compile it if it is not in the cache."""
+    from firmware.sim.avr.build import hex_of, image_inputs
+    from gateway.emulator.firmware_model.magnetoshield import header
+    from gateway.emulator.native.build import cached
+
+    numbers = header(profile)
+
+    def make(target: Path) -> None:
+        with tempfile.TemporaryDirectory(prefix="board51-") as scratch:
+            chosen = Path(scratch) / "profile.h"
+            chosen.write_text(numbers, encoding="ascii")
+            hex_of(target, baud=baud, profile=str(chosen))
+
+    files, options = image_inputs()
+    return cached("magnetoshield.hex", files, (*options, baud, numbers), make)
+
+
+def _size(image: Path) -> int:
+    """Return how many bytes a file in Intel's hexadecimal format has: the sum of its records' first bytes."""
+    records = (line for line in image.read_text(encoding="ascii").splitlines() if line[7:9] == "00")
+    return sum(int(line[1:3], 16) for line in records)
 
 
 def _calibrated(ground_m: float | None, ceiling_m: float | None) -> HallCurve | None:
@@ -131,7 +160,7 @@ def _print_result(args: argparse.Namespace, size: int, command: list[str] | None
     sys.stdout.flush()
 
 
-def _write(command: list[str]) -> int:
+def _write(command: list[str]) -> None:
     try:
         process = subprocess.run(
             command, check=False, timeout=_HANG_S, capture_output=True, text=True, errors="replace"
@@ -139,8 +168,7 @@ def _write(command: list[str]) -> int:
     except subprocess.TimeoutExpired:
         raise ServiceError(f"avrdude has not ended after {_HANG_S:g} s", remedy=_AGAIN) from None
     if process.returncode == 0:
-        print("written and verified; the coil is off")
-        return 0
+        return
     lines = [line.strip() for line in process.stderr.splitlines() if line.strip()]
     message = next(
         (line for line in lines if "not in sync" in line or "error" in line.lower()), lines[-1] if lines else ""

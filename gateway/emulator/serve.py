@@ -67,7 +67,8 @@ class Server:
 
     Args:
         lines: The boards; closed at the end of `run`.
-        speed: Times faster than real time; 0: as fast as possible; None: in lockstep, by `call` alone.
+        speed: Times faster than real time; 0: as fast as possible, without a duration only while a host is connected;
+            None: in lockstep, by `call` alone.
     """
 
     def __init__(self, lines: list[BoardLine], *, speed: float | None = 1.0) -> None:
@@ -148,7 +149,8 @@ class Server:
     def _run_flat_out(self, ticks: int | None) -> None:
         ticks_run = 0
         while not self._stopped and ticks_run != ticks:
-            if not any(line.port.connected() for line in self.lines):
+            # Without an end it would run for ever ahead of a host that is still to come.
+            if ticks is None and not any(line.port.connected() for line in self.lines):
                 self._rest(0.005)
                 continue
             self._rest(0.0)

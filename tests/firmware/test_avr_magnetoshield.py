@@ -10,7 +10,7 @@ import pytest
 from firmware.sim.avr.board import CYCLES_PER_TICK, AvrBoard
 from firmware.sim.avr.build import compile_image
 from gateway.emulator.firmware_model.magnetoshield import header, magnetoshield
-from gateway.emulator.native.build import SOURCES
+from gateway.emulator.native.build import SOURCES, build_of_sources
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 from protocol.wire.messages import EventCode, HostLoss, Mode
 from tests.firmware.test_avr_build import WARNINGS
@@ -50,7 +50,7 @@ def test_the_image_alone_flies_the_magnet_within_its_ticks() -> None:
         assert abs(statistics.mean(seen) - x_m) < 2e-5
 
     identity = next(message for message in host.messages if message.name == "IDENTITY")
-    assert identity.values["build"] == b"magneto "
+    assert identity.values["build"] == build_of_sources()
     assert identity.values["x_lsb"] == pytest.approx(PROFILE.position.lsb, rel=1e-6)
     assert max(host.cycles[1:]) < 0.9 * CYCLES_PER_TICK  # the first one is the start of the program
     assert board.stack_free >= 96

@@ -89,7 +89,7 @@ class Pair:
 
 @dataclass
 class Kinds:
-    """Each kind of frame in its order; the resolution of the converters is the one field that may differ."""
+    """Each kind of frame in its order; the resolution of the converters and the build may differ."""
 
     states: list[State] = field(default_factory=list)
     events: list[Message] = field(default_factory=list)
@@ -105,7 +105,7 @@ class Kinds:
             elif event.name == "EVENT":
                 found.events.append(event)
             else:
-                values = {name: value for name, value in event.values.items() if name != "adc_bits"}
+                values = {name: value for name, value in event.values.items() if name not in ("adc_bits", "build")}
                 found.answers.append(replace(event, values=values))
         return found
 

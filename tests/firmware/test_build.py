@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -117,3 +118,24 @@ def test_boards_of_one_process_do_not_see_each_other() -> None:
     boards[1].tick()
 
     assert [board.next_tick for board in boards] == [5, 2]
+
+
+def test_an_image_says_of_which_commit_or_release_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = {"ls-files": "core/core.h", "rev-parse": "0123456789abcdef", "status": ""}
+    monkeypatch.setattr(build, "_git", lambda *words: said[words[0]])
+
+    def build_now() -> bytes:
+        build.build_of_sources.cache_clear()
+        return build.build_of_sources()
+
+    clean = build_now()
+    said["status"] = " M core/core.h"
+    changed = build_now()
+    said["ls-files"] = ""
+    installed = build_now()
+    monkeypatch.undo()
+    build.build_of_sources.cache_clear()
+
+    assert clean == b"01234567"
+    assert changed == b"0123456+"
+    assert installed == version("board51").encode().ljust(8)[:8]

@@ -11,10 +11,14 @@ from pathlib import Path
 import pytest
 
 import board51
+from firmware.sim.avr.board import AvrBoard
 from firmware.sim.avr.build import compile_image, hex_of, load
+from gateway.commands import flashed
+from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.firmware_model.flash import BoardProfile
 from gateway.emulator.firmware_model.magnetoshield import HallCurve, header, magnetoshield
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
+from gateway.emulator.serve import Emulator
 from protocol.errors import ServiceError, UsageError
 from tests.harness.firmware.avr_bench import skip_without_avr
 
@@ -28,6 +32,12 @@ def port() -> Iterator[str]:
     yield os.ttyname(slave)
     os.close(master)
     os.close(slave)
+
+
+@pytest.fixture(autouse=True)
+def _no_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody answers at most of these ports."""
+    monkeypatch.setattr(flashed, "ANSWER_S", 0.1)
 
 
 class Flash:
@@ -67,15 +77,47 @@ def flash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
 def test_it_gives_avrdude_the_image_of_the_profile_and_the_port(flash: Flash, port: str) -> None:
     skip_without_avr()
 
-    code, _, err = flash("--port", port)
+    code, out, err = flash("--port", port)
 
     assert (code, err) == (0, "")
+    assert "whether the coil is off is not known" in out
     words = flash.called
     assert words is not None
     assert words[:11] == ["-q", "-p", "atmega328p", "-c", "arduino", "-b", "115200", "-P", port, "-D", "-U"]
     expected = flash.folder / "expected.hex"
     hex_of(expected, profile=PROFILE.program)
     assert (flash.folder / "image.hex").read_bytes() == expected.read_bytes()
+
+
+def test_the_board_that_was_written_says_whether_its_coil_is_off(flash: Flash, monkeypatch: pytest.MonkeyPatch) -> None:
+    skip_without_avr()
+    monkeypatch.setattr(flashed, "ANSWER_S", 20.0)
+    with Emulator(tcp=False, rig="magnetoshield", firmware=AvrBoard) as emulator:
+        code, out, err = flash("--port", emulator.urls[0])
+
+    assert (code, err) == (0, "")
+    assert "answers: u_c 0.00 V, i_c 0.0 mA, the coil is off" in out
+
+
+@pytest.mark.parametrize(
+    ("make", "effects", "said"),
+    [(AvrBoard, {"current-sensor-offset": 0.01}, "THE COIL MAY BE ON"), (Firmware, {}, "says build magneto, not")],
+)
+def test_a_board_that_answers_something_else_is_an_error(
+    make: type[AvrBoard] | type[Firmware],
+    effects: dict[str, float],
+    said: str,
+    flash: Flash,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    skip_without_avr()
+    monkeypatch.setattr(flashed, "ANSWER_S", 20.0)
+    with Emulator(tcp=False, rig="magnetoshield", firmware=make, effects=effects) as emulator:
+        code, out, err = flash("--port", emulator.urls[0])
+
+    assert code == ServiceError.exit_code
+    assert said in err
+    assert "the coil is off" not in out + err
 
 
 def test_what_avrdude_says_is_passed_on(flash: Flash, port: str) -> None:
@@ -98,6 +140,8 @@ def test_a_dry_run_touches_no_port_and_prints_the_command(flash: Flash) -> None:
     assert (code, told["command"][9], told["command"][0]) == (0, "/dev/ttyNobody", "avrdude")
     assert 10_000 < told["bytes"] < told["of"]
     assert flash.called is None
+    image = Path(told["command"][-1].removeprefix("flash:w:").removesuffix(":i"))
+    assert image.read_text().startswith(":1000")  # so the command can be given by hand
 
 
 def test_the_image_can_be_had_for_another_programmer(flash: Flash) -> None:
@@ -139,6 +183,7 @@ def test_without_compiler_or_avrdude_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flash: Flash, port: str
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
     without_avrdude = flash("--port", port)
     without_compiler = flash("--dry-run")

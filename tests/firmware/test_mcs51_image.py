@@ -243,3 +243,14 @@ def test_the_uart_gets_the_divider_of_the_data_sheet(baud: int) -> None:
     made = 2 * CLOCK_HZ / 2 ** ((t3con & 7) - 1) / (t3fd + 64)
     assert made == actual_baud(baud)
     assert abs(made / baud - 1) < 0.005
+
+
+def test_before_its_start_the_board_has_lost_nothing() -> None:
+    """Its RAM is random then."""
+    board = Mcs51Board(Bench())
+
+    before = (board.dropped, board.bad_frames, board.next_tick)
+    board.tick()
+
+    assert before == (0, 0, 0)
+    assert board.dropped == 0

@@ -68,6 +68,29 @@ def test_both_fly_the_emulated_rig_along_the_same_path() -> None:
     assert (plants[0].x_m, plants[0].v_m_s, plants[0].i_c_a) == (plants[1].x_m, plants[1].v_m_s, plants[1].i_c_a)
 
 
+class Ramp(Bench):
+    """Each look at the current is another one, so that no sample passes for its neighbour."""
+
+    def sense(self) -> tuple[float, float]:
+        self.i_a = (self.i_a + 0.0123) % 1.5
+        return super().sense()
+
+
+@pytest.mark.parametrize("count", [1, 2, 33, 34, 37])
+def test_a_block_from_any_sample_on_is_the_same_and_has_nothing_of_an_older_capture(count: int) -> None:
+    blocks: list[list[bytes]] = []
+    for make in (Firmware, NativeFirmware):
+        bench = Ramp()
+        host = Host(bench, board=make(bench))
+        for size in (60, count):
+            host.ask("CAPTURE", u_from=0, u_to=0, pre=0, count=size)
+            host.run(20)
+        blocks.append([host.ask("READ_CAPTURE", index=n).bytes("samples") for n in range(count)])
+
+    assert blocks[0] == blocks[1]
+    assert len(set(blocks[0])) == count
+
+
 def test_a_transmitter_that_takes_a_byte_at_a_time_gets_whole_frames_and_the_newest_state_first() -> None:
     board = NativeFirmware(Bench())
     take_output(board)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from gateway.emulator.native.build import SOURCES, cached, compiler
+from gateway.emulator.native.build import SOURCES, build_option, cached, compiler
 from protocol.errors import InstallError, ServiceError, UsageError
 
 # 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.  Inlined, all functions of a signal
@@ -71,7 +71,7 @@ def compile_image(target: Path, *, baud: int = 115200, profile: str = "", option
     """
     if shutil.which("avr-gcc") is None:
         raise InstallError("The firmware of the AVR needs avr-gcc, and it is not found", remedy=_REMEDY)
-    chosen = [f"-DBAUD=UINT32_C({baud})", *([f'-DPROFILE="{profile}"'] if profile else [])]
+    chosen = [build_option(), f"-DBAUD=UINT32_C({baud})", *([f'-DPROFILE="{profile}"'] if profile else [])]
     _run(["avr-gcc", *OPTIONS, *chosen, *options, *map(str, sources()), "-o", str(target)])
 
 
@@ -90,6 +90,11 @@ def hex_of(target: Path, *, baud: int = 115200, profile: str = "") -> int:
         return flat.stat().st_size
 
 
+def image_inputs() -> tuple[list[Path], tuple[object, ...]]:
+    """Return the files and options that an image is made of, whatever its baud rate and profile."""
+    return [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, build_option())
+
+
 @cache
 def image(baud: int = 115200, profile: str = "") -> Image:
     """Return the firmware for this baud rate and profile; compile it if it is not in the cache.
@@ -97,10 +102,11 @@ def image(baud: int = 115200, profile: str = "") -> Image:
     Raises:
         InstallError, UsageError, ServiceError: as `compile_image`, or the cache cannot be written.
     """
+    files, options = image_inputs()
     elf = cached(
         "avr.elf",
-        [*sources(), *SOURCES.glob("*/*.h")],
-        (OPTIONS, baud, profile),
+        files,
+        (*options, baud, profile),
         lambda target: compile_image(target, baud=baud, profile=profile),
     )
     return load(elf)

@@ -85,6 +85,7 @@ class Mcs51Board:
         self._tick_at = 0
         self._u = 0
         self._in_phase = False
+        self._cleared = False  # its RAM, by start-up: before that it holds anything
         self._stuck = False
         self._dropped = 0  # before the last reset
         self._library.chip_power_on(chip)
@@ -94,7 +95,7 @@ class Mcs51Board:
         self._remember_dropped()
         if cause == EventCode.RESET_POWER_ON:
             self._library.chip_power_on(self.chip)
-            self._sent, self._dropped = b"", 0
+            self._sent, self._dropped, self._cleared = b"", 0, False
         elif cause == EventCode.RESET_WATCHDOG:
             self._library.chip_watchdog(self.chip)
         else:
@@ -141,6 +142,7 @@ class Mcs51Board:
         while reason := self._library.chip_run(chip, self._tick_at):
             self._advance()
             if reason == _CONVERTS:
+                self._cleared = True
                 if not self._in_phase:
                     self._tick_at, self._in_phase = chip.cpu.cycles + TICK_CYCLES - _LEAD_CYCLES, True
                 i_a, x_m = self._plant.sense()
@@ -168,8 +170,7 @@ class Mcs51Board:
     @property
     def mode(self) -> Mode:
         """The mode in force."""
-        mode = self._look("mode")
-        return Mode(mode) if mode < len(Mode) else Mode.IDLE  # before the boot has cleared it
+        return Mode(self._look("mode"))
 
     @property
     def dropped(self) -> int:
@@ -187,6 +188,8 @@ class Mcs51Board:
         return self._look("tick")
 
     def _look(self, name: str) -> int:
+        if not self._cleared:
+            return 0
         at, kind = self._watched[name]
         size = struct.calcsize(kind)
         (value,) = struct.unpack(kind, bytes(self.chip.cpu.xram[at : at + size]))

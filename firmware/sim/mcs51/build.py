@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.emulator.native.build import SOURCES, cached, compile_to
+from gateway.emulator.native.build import SOURCES, build_option, cached, compile_to
 from protocol.errors import InstallError, ServiceError, UsageError
 
 CLOCK_HZ: Final = 20_000_000  # firmware/mcs51/part.h
@@ -56,7 +56,16 @@ def build_image(target: Path, *, baud: int = 115200, options: Sequence[str] = ()
     program = shutil.which("sdcc")
     if program is None:
         raise InstallError("The firmware of the 8051 needs sdcc, and it is not found", remedy=_REMEDY)
-    compile_command = [program, *OPTIONS, "--Werror", *CONFIGURATION, f"-DBAUD=UINT32_C({baud})", *options, "-c"]
+    compile_command = [
+        program,
+        *OPTIONS,
+        "--Werror",
+        *CONFIGURATION,
+        build_option(),
+        f"-DBAUD=UINT32_C({baud})",
+        *options,
+        "-c",
+    ]
     with tempfile.TemporaryDirectory() as scratch:
         objects = [Path(scratch) / f"{source.stem}.rel" for source in image_sources()]
         for source, compiled in zip(image_sources(), objects, strict=True):
@@ -86,7 +95,7 @@ def image(baud: int = 115200) -> Path:
         )
     made_of = [*image_sources(), *SOURCES.glob("core/*.h"), *SOURCES.glob("mcs51/*.h")]
     make = partial(build_image, baud=baud)
-    return cached("mcs51.json", made_of, (OPTIONS, _MEMORY, CONFIGURATION, baud), make)
+    return cached("mcs51.json", made_of, (OPTIONS, _MEMORY, CONFIGURATION, build_option(), baud), make)
 
 
 def actual_baud(baud: int, clock_hz: int = CLOCK_HZ) -> float:

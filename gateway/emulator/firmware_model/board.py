@@ -141,12 +141,12 @@ class Firmware:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
         if self._hung_ticks or self._dead_ticks:
             return
-        if self.loop.capturing:  # its end comes before what these bytes bring
+        if self.loop.sampling:  # a capture's end comes before what these bytes bring
             self._advance_to(min(into_tick_us, T_S_US) // _PLANT_STEP_US * _PLANT_STEP_US)
         self._execute_pending()
         for body in self._inbox.feed(data):
             self._receive(body, min(into_tick_us, T_S_US))
-            self._execute_pending()
+        self._execute_pending()
 
     def tick(self) -> None:
         """Advance the plant by T_s with the input held, then run the loop once."""
@@ -206,8 +206,7 @@ class Firmware:
         while self._elapsed_us < time_us:
             step_us = time_us - self._elapsed_us
             # A program that hangs leaves u_c as it is, in a capture, too.
-            capture = loop.capture if loop.capturing and not self._hung_ticks else None
-            capture = capture if capture is not None and capture.begun else None
+            capture = loop.capture if loop.sampling and not self._hung_ticks else None
             if capture is not None:
                 if capture.time_to_sample_us() == 0:
                     i_pin, _ = self._plant.sense()

@@ -104,6 +104,11 @@ class ControlLoop:
         """Return whether a capture drives the coil."""
         return self.capture is not None and not self.capture.has_ended
 
+    @property
+    def sampling(self) -> bool:
+        """Return whether that capture has begun, at its tick."""
+        return self.capture is not None and self.capture.begun and not self.capture.has_ended
+
     def set_mode(self, mode: Mode) -> None:
         """Enter `mode`, as SET_MODE does; the current mode is not entered again."""
         if mode == Mode.IDLE and self.capturing:

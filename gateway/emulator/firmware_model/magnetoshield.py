@@ -168,7 +168,6 @@ def header(profile: MagnetoShieldProfile) -> str:
             f"#define PROFILE_FIRMWARE {FIRMWARE[0]}, {FIRMWARE[1]}, {profile.adc_bits}, {DAC_BITS}",
             "#define PROFILE_SCALINGS \\",
             _rows([f"0x{byte:02X}" for byte in profile.scalings], 8),
-            "#define PROFILE_BUILD " + ", ".join(f"0x{byte:02X}" for byte in profile.build.ljust(8)[:8]),
             f"#define PROFILE_GAINS {int(gains.law)}, {_braced(gains.shifts)}, {_braced(gains.mantissas)}, "
             f"{gains.i_0}, {gains.x_0}, {gains.u_0}",
             f"#define PROFILE_LIMITS {', '.join(map(str, numbers))}",

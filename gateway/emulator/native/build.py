@@ -15,6 +15,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from protocol.errors import InstallError, ServiceError
@@ -65,6 +67,36 @@ def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[st
             f"{program} cannot compile the firmware: {message}",
             remedy="Install a complete C compiler (Debian: apt-get install gcc libc6-dev), or fly the Python firmware",
         )
+
+
+@cache
+def build_of_sources() -> bytes:
+    """Return what an image says in IDENTITY.build, 8 ASCII characters: of which commit or release its sources are.
+
+    The commit: 8 digits, or 7 and a `+` where the sources differ from it.  Outside of a clone: the installed version.
+    """
+    if _git("ls-files", "core/core.h"):
+        commit = _git("rev-parse", "HEAD")
+        text = f"{commit[:7]}+" if _git("status", "--porcelain", ".") else commit[:8]
+    else:
+        try:
+            text = version("board51")
+        except PackageNotFoundError:
+            text = ""
+    return (text or "unknown").encode("ascii", "replace").ljust(8)[:8]
+
+
+def build_option() -> str:
+    """Return the compiler's option for it."""
+    return "-DFIRMWARE_BUILD=" + ",".join(map(str, build_of_sources()))
+
+
+def _git(*words: str) -> str:
+    try:
+        done = subprocess.run(["git", "-C", str(SOURCES), *words], capture_output=True, text=True, check=False)
+    except OSError:  # no git
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
 
 
 def library() -> Path:

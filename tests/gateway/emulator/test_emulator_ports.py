@@ -292,6 +292,17 @@ def test_as_fast_as_possible_waits_for_a_host_and_loses_nothing() -> None:
     assert sequences == list(range(len(sequences)))
 
 
+@pytest.mark.parametrize("words", [[], ["--pty", "PTY"]])
+def test_as_fast_as_possible_a_duration_passes_without_a_host(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(tmp_path / "board") if word == "PTY" else word for word in words]
+    code = board51.main(["emulate", *words, "--speed", "0", "--duration", "0.2", "--json"])
+
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (code, told["counts"]["time_s"]) == (0, 0.2)
+
+
 def test_a_fault_can_be_injected_while_it_runs() -> None:
     with Emulator() as emulator, Wire(emulator.urls[0]) as wire:
         wire.until(is_state)

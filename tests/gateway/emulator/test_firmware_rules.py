@@ -332,7 +332,8 @@ def test_a_pong_counts_the_bad_frames_that_came_before_its_ping_was_executed() -
     host = Host()
     bad = b"\x00\x01\x02\x00"
 
-    host.firmware.feed(bad + frame("PING", id=70) + bad + frame("STOP", id=71) + bad)
+    host.firmware.feed(bad + frame("PING", id=70))
+    host.firmware.feed(bad + frame("STOP", id=71) + bad)
     received = StreamDecoder().feed(take_output(host.firmware))
 
     pong = next(event for event in received if isinstance(event, Message) and event.name == "PONG")
@@ -934,7 +935,7 @@ def test_rule_13_a_command_that_came_before_stop_does_not_turn_the_coil_on_again
     states = host.run(3)
 
     assert {(state.u_c, state.flags) for state in states} == {(0, Mode.IDLE)}
-    assert [answer.int("command") for answer in host.answers[-2:]] == [0x03, 0x07]
+    assert [(answer.name, answer.int("command")) for answer in host.answers[-2:]] == [("ACK", 0x07), ("NACK", 0x03)]
 
 
 def test_rule_13_a_capture_that_came_before_stop_does_not_begin() -> None:

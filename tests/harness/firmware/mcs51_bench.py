@@ -74,6 +74,7 @@ class Sent:
             if piece:
                 body = (cobs_decode(piece) or b"")[:-2]
                 name = _MESSAGES[body[0]]
+                body = body[:-8] if name == "IDENTITY" else body  # without the build
                 self.frames[name if name in ("STATE", "EVENT") else "answers"].append(body)
 
 

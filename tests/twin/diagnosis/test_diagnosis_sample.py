@@ -2,8 +2,8 @@
 
 The answers are judged one after the other (Wald, Sequential Analysis, 1947), until `PASSES_AT` or a fourth wrong one
 decides.  A program that is right in RATE of all campaigns fails with a probability of 0.5 %; one that is right in half
-of them passes with 2.0 %.  To ask for 12 right ones of all 15 has 0.5 % and 1.8 %, and a good program pays for 15
-campaigns; here it pays for 9 on average.
+of them passes with 3.3 %.  To ask for 12 right ones of all 15 has 0.5 % and 1.8 %, and a good program pays for 15
+campaigns; here it pays for 7 on average.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CAUSES, EVERY = 26, 3
 RATE = 0.95  # required of strong causes and of nothing; measured of all: 97 % (twin/diagnosis/matrix.md)
 ERROR = 0.01
 UNTESTABLE = 3  # a gain of the current sensor, and limits that no recording reaches
-PASSES_AT = (8, 12, 14, 15)  # judged answers after which the sample passes, with 0, 1, 2, 3 wrong ones among them
+PASSES_AT = (6, 10, 13, 15)  # judged answers after which the sample passes, with 0, 1, 2, 3 wrong ones among them
 
 pytestmark = [
     pytest.mark.slow,
@@ -43,10 +43,10 @@ def strong_or_medium() -> list[int]:
 
 
 def sample() -> list[tuple[Part, int]]:
-    """The campaigns in their order: the first eight, which may decide, hold each part."""
+    """The campaigns in their order: the first six, which may decide, hold each part."""
     causes: list[tuple[Part, int]] = [("causes", seed) for seed in strong_or_medium()]
     others: tuple[Part, ...] = ("gateway", "nulls", "outside")
-    return [*((part, 0) for part in others), *causes[:5], *((part, 1) for part in others), *causes[5:]]
+    return [*((part, 0) for part in others), *causes[:3], *((part, 1) for part in others), *causes[3:]]
 
 
 def passes(verdicts: list[bool]) -> bool | None:
@@ -104,6 +104,6 @@ def test_the_sample_has_a_third_of_the_causes_and_the_bounds_are_the_stated_ones
         return rate * chance(rate, judged + 1, wrong) + (1.0 - rate) * chance(rate, judged + 1, wrong + 1)
 
     assert 1.0 - chance(RATE) < 0.0055
-    assert chance(0.5) < 0.02
+    assert chance(0.5) < 0.034
     assert least_right(15) == 12
     assert binom.cdf(11, 15, RATE) < ERROR
