@@ -62,7 +62,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compile, check, and let avrdude write and verify."""
-    from gateway.commands.flashed import ask_board
+    from gateway.commands.flashed import query_board
     from gateway.emulator.firmware_model.magnetoshield import magnetoshield
     from gateway.emulator.native.build import build_of_sources
 
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         return 0
     _write(command)
-    print(ask_board(args.port, args.baud, build_of_sources()), file=sys.stderr if args.json else sys.stdout)
+    print(query_board(args.port, args.baud, build_of_sources()), file=sys.stderr if args.json else sys.stdout)
     return 0
 
 

@@ -27,14 +27,14 @@ _CUT = "Cut the supply of the coil, then look at the wiring"
 
 
 @dataclass
-class _Heard:
+class _Answer:
     """The frames of the board so far."""
 
     identity: Message | None = None
     states: list[State] = field(default_factory=list)  # since the identity
 
 
-def ask_board(port: str, baud: int, build: bytes) -> str:
+def query_board(port: str, baud: int, build: bytes) -> str:
     """Return a line that says what the board answers, after avrdude has written it.
 
     Args:
@@ -49,23 +49,23 @@ def ask_board(port: str, baud: int, build: bytes) -> str:
     if isinstance(opened, PortProblem):
         return f"written and verified; whether the coil is off is not known: {opened.text}"
     try:
-        heard = _listen(opened)
+        answer = _listen(opened)
     finally:
         opened.close()
-    if heard.identity is None or len(heard.states) < _STATES:
+    if answer.identity is None or len(answer.states) < _STATES:
         return (
             f"written and verified, but the board has not answered at {baud} baud within {ANSWER_S:g} s: "
             "whether the coil is off is not known; check the fuses (clock) and the baud rate"
         )
-    return _judged(heard.identity, heard.states[-_STATES:], build)
+    return _verdict(answer.identity, answer.states[-_STATES:], build)
 
 
-def _listen(port: Port) -> _Heard:
-    heard, decoder, number = _Heard(), StreamDecoder(), 0
-    end, asked = time.monotonic() + ANSWER_S, 0.0
-    while len(heard.states) < _STATES and (now := time.monotonic()) < end:
-        if heard.identity is None and now - asked >= _REPEAT_S:
-            number, asked = number % 255 + 1, now
+def _listen(port: Port) -> _Answer:
+    answer, decoder, number = _Answer(), StreamDecoder(), 0
+    end, sent_s = time.monotonic() + ANSWER_S, 0.0
+    while len(answer.states) < _STATES and (now := time.monotonic()) < end:
+        if answer.identity is None and now - sent_s >= _REPEAT_S:
+            number, sent_s = number % 255 + 1, now
             body = encode_body("HELLO", id=number, session=_SESSION, version_min=1, version_max=1)
             port.write(encode_frame(body))
         select.select([port.fd], [], [], _REPEAT_S)
@@ -74,13 +74,13 @@ def _listen(port: Port) -> _Heard:
             break  # it was pulled
         for event in decoder.feed(data or b""):
             if isinstance(event, Message) and event.name == "IDENTITY":
-                heard.identity, heard.states = event, []
-            elif isinstance(event, State) and heard.identity is not None:
-                heard.states.append(event)
-    return heard
+                answer.identity, answer.states = event, []
+            elif isinstance(event, State) and answer.identity is not None:
+                answer.states.append(event)
+    return answer
 
 
-def _judged(identity: Message, states: list[State], build: bytes) -> str:
+def _verdict(identity: Message, states: list[State], build: bytes) -> str:
     if identity.bytes("build") != build:
         raise ServiceError(
             f"Written and verified, but the board says build {_text(identity.bytes('build'))}, not {_text(build)}",
@@ -90,12 +90,12 @@ def _judged(identity: Message, states: list[State], build: bytes) -> str:
     if isinstance(scaling, str):
         raise ServiceError(f"Written and verified, but the board's scalings are not usable: {scaling}", remedy=_CUT)
     u_c, i_c = max(state.u_c for state in states), round(sum(state.i_c for state in states) / len(states))
-    said = f"u_c {scaling.u_v(u_c):.2f} V, i_c {1e3 * scaling.i_a(i_c):.1f} mA"
+    readings = f"u_c {scaling.u_v(u_c):.2f} V, i_c {1e3 * scaling.i_a(i_c):.1f} mA"
     if states[-1].flags & Flag.FAULT:
-        raise ServiceError(f"Written and verified, but the board reports a fault, {said}", remedy=_CUT)
+        raise ServiceError(f"Written and verified, but the board reports a fault, {readings}", remedy=_CUT)
     if u_c or i_c > _MOST_COUNTS:
-        raise ServiceError(f"Written and verified, but THE COIL MAY BE ON: {said}", remedy=_CUT)
-    return f"written and verified; build {_text(build)} answers: {said}, the coil is off"
+        raise ServiceError(f"Written and verified, but THE COIL MAY BE ON: {readings}", remedy=_CUT)
+    return f"written and verified; build {_text(build)} answers: {readings}, the coil is off"
 
 
 def _text(build: bytes) -> str:

@@ -108,8 +108,8 @@ def _turned(phase_deg: Sequence[float]) -> list[float]:
 
 def _beside(line: Sequence[_Row], f_hz: float, phase_deg: float) -> float:
     """Return a phase in the turn in which the curve is at this frequency."""
-    near = min(line, key=lambda row: abs(math.log(row[0] / f_hz)))[1]
-    return phase_deg + 360.0 * round((near - phase_deg) / 360.0)
+    closest = min(line, key=lambda row: abs(math.log(row[0] / f_hz)))[1]
+    return phase_deg + 360.0 * round((closest - phase_deg) / 360.0)
 
 
 def _panel(title: str, points: list[_Row], line: list[_Row], *, logarithmic: bool) -> Panel:
