@@ -5,9 +5,9 @@ WORKDIR /opt/board51
 RUN python3 -m venv /opt/venv
 ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1
 
-# The lock first: a change of code does not install the dependencies again.
-COPY requirements.lock ./
-RUN pip install --no-cache-dir --disable-pip-version-check --require-hashes -r requirements.lock
+# The lock of what runs, without the tools of development, first: a change of code does not install the dependencies again.
+COPY requirements-run.lock ./
+RUN pip install --no-cache-dir --disable-pip-version-check --require-hashes -r requirements-run.lock
 COPY pyproject.toml README.md LICENSE board51.py ./
 COPY protocol ./protocol
 COPY firmware ./firmware

@@ -1,4 +1,5 @@
-# make setup | install | demo | test | test-slow | mutants | check | docs | clean.  Everything lives in .venv, from requirements.lock.
+# make setup | install | demo | test | test-slow | mutants | check | docs | release | clean.
+# Everything lives in .venv, from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -15,7 +16,7 @@ CACHE := $(abspath $(VENV))/cache
 ALONE := XDG_CACHE_HOME=$(CACHE) XDG_CONFIG_HOME=$(CACHE)/config MPLCONFIGDIR=$(CACHE)/matplotlib npm_config_cache=$(CACHE)/npm
 unexport NUMBA_CACHE_DIR
 
-.PHONY: setup install demo test test-slow mutants check docs clean
+.PHONY: setup install demo test test-slow mutants check docs release clean
 setup: $(STAMP)
 
 $(STAMP): requirements.lock pyproject.toml
@@ -64,5 +65,9 @@ check: setup
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
+# Of the last commit, the same to the byte each time; CONTRIBUTING.md says what comes before and after.
+release: setup
+	$(BIN)/python .ci/release.py dist
+
 clean:
-	rm -rf $(VENV) demo-out site mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) demo-out site dist mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+import tomllib
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,6 +19,7 @@ from typing import Any
 import pytest
 import yaml  # type: ignore[import-untyped]  # comes with mkdocs, without types
 
+import board51
 from tests.harness.ports import free_port
 
 ROOT = Path(__file__).parents[2]
@@ -74,6 +78,41 @@ def test_a_tty_is_open_to_the_gateway_alone_and_the_emulator_stays_off() -> None
     assert gateway["environment"] == {"BOARD51_BOARDS": f"rig1={device.rpartition(':')[2]}"}
     assert gateway["group_add"] == ["${BOARD51_TTY_GROUP:-20}"]
     assert not any({"devices", "group_add"} & set(one) for one in services("docker-compose.yml").values())
+
+
+@pytest.mark.parametrize("file", [BASE, GUARDED])
+def test_each_service_runs_a_command_that_is_one_and_is_healthy_when_its_port_listens(file: str) -> None:
+    base = services(BASE)
+    for name, service in services(file).items():
+        command, *words = service["command"]
+        parser = argparse.ArgumentParser(exit_on_error=False)
+        importlib.import_module(board51.COMMANDS[command][0]).configure(parser)
+        _, unknown = parser.parse_known_args(words)
+        assert unknown == [], name
+        ports = base[name].get("ports", [])
+        assert all(one.startswith("127.0.0.1:") for one in ports), name
+        for port in (int(one.rpartition(":")[2]) for one in ports):
+            assert f":{port:04X} " in base[name]["healthcheck"]["test"][-1], name
+            assert any(f":{port}" in word for word in words), name
+
+
+def test_opcua_and_foxglove_run_where_they_are_asked_for() -> None:
+    optional = {name: service["profiles"] for name, service in services(BASE).items() if "profiles" in service}
+
+    assert optional == {"opcua": ["opcua"], "foxglove": ["foxglove"]}
+
+
+def test_the_image_installs_what_runs_and_copies_what_is_there() -> None:
+    lines = (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines()
+    copied = [word for line in lines if line.startswith("COPY ") for word in line.split()[1:-1]]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    packages = {pattern.rstrip("*") for pattern in project["tool"]["setuptools"]["packages"]["find"]["include"]}
+
+    assert [word for word in copied if not (ROOT / word).exists()] == []
+    assert set(copied) >= {"requirements-run.lock", "pyproject.toml", "README.md", "LICENSE", "board51.py", *packages}
+    assert "requirements.lock" not in copied
+    (install,) = (line for line in lines if "--require-hashes" in line)
+    assert install.endswith("-r requirements-run.lock")
 
 
 @dataclass(frozen=True)

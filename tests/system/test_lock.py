@@ -7,16 +7,18 @@ import tomllib
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
+LOCK, RUN = "requirements.lock", "requirements-run.lock"
 
 
-def lock() -> dict[str, set[str]]:
+def lock(file: str = LOCK) -> dict[str, set[str]]:
     """Return the extras that the lock names, by package."""
     extras: dict[str, set[str]] = {}
-    for line in (ROOT / "requirements.lock").read_text().splitlines():
+    for line in (ROOT / file).read_text().splitlines():
         if line and line[0] not in "# ":
             pinned = Requirement(line.partition(" \\")[0])
             assert [s.operator for s in pinned.specifier] == ["=="], line
@@ -58,7 +60,41 @@ def test_each_extra_that_is_asked_for_is_named_in_the_lock() -> None:
     assert len(asked) > 100  # the check saw what is installed
 
 
-def test_the_lock_has_no_address() -> None:
-    text = (ROOT / "requirements.lock").read_text()
+def pins(file: str) -> dict[str, set[str]]:
+    """Return the hashes in the lock, by name and version."""
+    hashes: dict[str, set[str]] = {}
+    for line in (ROOT / file).read_text().splitlines():
+        if line and line[0] not in "# ":
+            name = line.partition(" ")[0]
+            hashes[name] = set()
+        elif "--hash=" in line:
+            hashes[name].add(line.strip(" \\"))
+    return hashes
+
+
+def test_what_runs_is_locked_as_it_was_tested() -> None:
+    run, tested = pins(RUN), pins(LOCK)
+
+    assert len(run) > 40
+    assert all(run.values())
+    assert run == {name: tested.get(name) for name in run}
+
+
+def test_the_lock_of_what_runs_has_every_part_and_no_tool_of_development() -> None:
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    parts = [content["project"]["dependencies"], *content["project"]["optional-dependencies"].values()]
+    asked, tools = (
+        {canonicalize_name(Requirement(text).name) for part in some for text in part} - {"board51"}
+        for some in (parts, [content["dependency-groups"]["dev"], content["dependency-groups"]["docs"]])
+    )
+    locked = lock(RUN).keys()
+
+    assert asked <= locked
+    assert (tools - asked) & locked == {"websockets"}  # which uvicorn needs, too
+
+
+@pytest.mark.parametrize("file", [LOCK, RUN])
+def test_the_lock_has_no_address(file: str) -> None:
+    text = (ROOT / file).read_text()
 
     assert not re.search(r"https?://|--(extra-)?index-url|--find-links", text)
