@@ -124,6 +124,9 @@ def _version() -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command; the entry point of the `board51` script."""
+    if sys.platform == "win32":  # a pipe there may lack a letter
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(errors="replace")
     arguments = list(sys.argv[1:] if argv is None else argv)
     parser = _parser()
     words = parser.parse_args(arguments[:1])

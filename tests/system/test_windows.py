@@ -1,6 +1,6 @@
 """The whole line where pty, termios, fcntl, signals and pipes to wait for are absent, as on Windows.
 
-No Windows is at hand here: tests/harness/windows/sitecustomize.py says what is played, and for whom.
+Linux and macOS play it: tests/harness/windows/sitecustomize.py says what, and for whom.  On Windows all is real.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]
 WINDOWS = ROOT / "tests" / "harness" / "windows"
-ENVIRONMENT = os.environ | {"PYTHONPATH": f"{WINDOWS}{os.pathsep}{ROOT}"}
-CTRL_BREAK = signal.SIGUSR1  # plays it
+if sys.platform == "win32":
+    ENVIRONMENT, CTRL_BREAK, GROUP = dict(os.environ), signal.CTRL_BREAK_EVENT, subprocess.CREATE_NEW_PROCESS_GROUP
+else:
+    ENVIRONMENT, CTRL_BREAK, GROUP = os.environ | {"PYTHONPATH": f"{WINDOWS}{os.pathsep}{ROOT}"}, signal.SIGUSR1, 0
 
 
 def windows(*words: str) -> subprocess.CompletedProcess[str]:
@@ -55,6 +57,7 @@ def test_a_flight_from_start_to_its_log_until_ctrl_break(tmp_path: Path) -> None
     process = subprocess.Popen(
         [sys.executable, "-m", "board51", "start", *words, "--log-dir", str(tmp_path)],
         cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        creationflags=GROUP,
     )  # fmt: skip
     try:
         with client(bus) as heard:
