@@ -19,7 +19,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from protocol.arguments import number, whole_number
-from protocol.ending import end_is_ordered, is_panic, reword
+from protocol.ending import end_is_ordered, is_panic, order_end, reword
 from protocol.errors import Board51Error, missing_extra, single_line
 
 DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
@@ -124,6 +124,9 @@ def _version() -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command; the entry point of the `board51` script."""
+    if sys.platform == "win32":  # a pipe there may lack a letter
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(errors="replace")
     arguments = list(sys.argv[1:] if argv is None else argv)
     parser = _parser()
     words = parser.parse_args(arguments[:1])
@@ -202,7 +205,7 @@ def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.
                 if panic and not end_is_ordered() and not panicked.is_set():
                     panicked.set()
                     threading.Thread(target=give_up, daemon=True).start()
-                    os.kill(os.getpid(), signal.SIGTERM)
+                    order_end()
 
     def give_up() -> None:
         time.sleep(PANIC_PATIENCE_S)
@@ -235,7 +238,12 @@ def _hang_up_ends_in_good_order() -> Iterator[None]:
             os.dup2(os.open(os.devnull, os.O_WRONLY), terminal)
         os.kill(os.getpid(), signal.SIGTERM)
 
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGHUP) != signal.SIG_DFL:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    if hasattr(signal, "SIGBREAK"):  # Windows: Ctrl-Break is Ctrl-C, also for those that our own commands start
+        signal.signal(signal.SIGBREAK, lambda *_: signal.raise_signal(signal.SIGINT))
+    if not hasattr(signal, "SIGHUP") or signal.getsignal(signal.SIGHUP) != signal.SIG_DFL:
         yield
         return
     signal.signal(signal.SIGHUP, hung_up)

@@ -28,7 +28,7 @@ import zenoh
 from gateway.access.authorize import Authorizer
 from gateway.access.certificates import WARN_DAYS
 from gateway.access.folder import SecurityFolder
-from gateway.access.listeners import check_bus_listeners
+from gateway.access.listeners import allow_restart, check_bus_listeners
 from gateway.bus.command_service import CommandService
 from gateway.bus.publisher import GATHER_S, BoardSink, Publisher, Publishers
 from gateway.bus.router_watch import RouterWatch
@@ -217,7 +217,7 @@ def _check_free(endpoint: str) -> None:
     try:
         family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            allow_restart(probe)
             probe.bind(address)
             probe.listen(1)
     except OSError as error:

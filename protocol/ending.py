@@ -1,6 +1,7 @@
 """The order to end, which SIGTERM and SIGINT give to a service; and the end by a panic in zenoh's library.
 
-This module handles both signals; other modules ask it whether the end is ordered.
+This module handles both signals; other modules ask it whether the end is ordered.  On Windows the order from outside
+is Ctrl-C or Ctrl-Break (SIGBREAK), which `board51.py` makes the same; a SIGTERM comes from the process itself.
 
 A panic is detected by the line that Rust writes to stderr.  After a panic in one of its threads the library keeps
 running without that thread.  For example, it may no longer receive from one peer, or may hold a lock for ever.  No call
@@ -14,13 +15,24 @@ happened in 12 of 160 ends of a router with three clients (zenoh 1.10).  By then
 
 from __future__ import annotations
 
+import _thread
+import math
+import os
 import re
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 _PANIC = re.compile(rb"thread '[^']*'( \(\d+\))? panicked at")
 _state = {"ordered": False}
+
+
+class Event(Protocol):
+    """An event that can be waited for: `threading.Event`."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Return whether it was set within `timeout`, s."""
 
 
 def on_end_signal(end: Callable[[], object]) -> None:
@@ -32,6 +44,24 @@ def on_end_signal(end: Callable[[], object]) -> None:
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, handle)
+
+
+def order_end() -> None:
+    """Give this process a SIGTERM, from any thread."""
+    if os.name == "posix" or signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        os.kill(os.getpid(), signal.SIGTERM)
+    else:  # there os.kill calls no handler
+        _thread.interrupt_main(signal.SIGTERM)
+
+
+def wait_for_end(stop: Event, limit_s: float | None = None) -> None:
+    """Wait for an event that a signal sets, or for `limit_s`.
+
+    In steps: on Windows a signal is handled between two waits and not during one.
+    """
+    left_s = math.inf if limit_s is None else limit_s
+    while left_s > 0.0 and not stop.wait(min(left_s, 1.0)):
+        left_s -= 1.0
 
 
 def note_end() -> None:

@@ -31,6 +31,7 @@ _KINDS = (
     (stat.S_ISBLK, "it is a device"),
     (stat.S_ISSOCK, "it is a socket"),
 )
+OTHERS = 0o077 if os.name == "posix" else 0  # bits of a mode: open to others; Windows keeps lists of access instead
 Refusal = type[ConfigError] | type[DataError]
 
 
@@ -49,7 +50,7 @@ def open_regular(path: Path, *, remedy: str, what: str = "", error: Refusal = Da
     try:
         problem = _not_regular(path.stat().st_mode)
         if not problem:
-            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
             file = os.fdopen(descriptor, "rb")
             status = os.fstat(descriptor)
             problem = _not_regular(status.st_mode)  # it may have been replaced since the first check

@@ -6,9 +6,9 @@ What is slow to make is made once, not in each process of the run: fixtures of a
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,15 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from tests.harness.posix import needs_posix
+
 # Before numpy is imported, here and in what tests start.  Several processes share the cores: threads of the linear
 # algebra library would wait for each other by spinning, a fifth of the processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("board51", derandomize=True, deadline=None, database=None)
 settings.load_profile("board51")
-signal.signal(signal.SIGHUP, signal.SIG_DFL)
+if os.name == "posix":
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -30,7 +33,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 def _same_priority() -> Iterator[None]:
     """A command that gives way to others, run in this process, would slow all tests behind it, for good."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "nice", lambda _increment: 0)
+        patch.setattr(os, "nice", lambda _increment: 0, raising=False)  # Windows has none
         yield
 
 
@@ -39,9 +42,20 @@ def pytest_configure(config: pytest.Config) -> None:
         _compile_one_at_a_time()
 
 
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """On Windows, leave out what could not even be imported there."""
+    return True if os.name != "posix" and collection_path.suffix == ".py" and needs_posix(collection_path) else None
+
+
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Tests that share a fixture of their module run in one process: four processes would make it four times."""
+    """Mark tests that need POSIX.
+
+    Tests that share a fixture of their module run in one process: four processes would make it four times.
+    """
+    for item in items:
+        if needs_posix(item.path):
+            item.add_marker(pytest.mark.posix)
     for item in items if hasattr(config, "workerinput") else []:
         if isinstance(item, pytest.Function) and not any(item.iter_markers("xdist_group")):
             made = item._fixtureinfo.name2fixturedefs.values()
@@ -68,6 +82,10 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 def _compile_one_at_a_time() -> None:
     """Of the processes of a run one compiles a kernel; the others wait and read it from numba's cache on disk."""
+    if sys.platform == "win32":  # each compiles for itself there
+        return
+    import fcntl
+
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.dispatcher import Dispatcher
 

@@ -17,7 +17,7 @@ import hashlib
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
@@ -80,10 +80,8 @@ def sources_hash(package: Path) -> str:
 def cache_folder() -> str:
     """Return the folder for the machine code of the current sources."""
     package = Path(__file__).parent
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     name = f"kernels-{sources_hash(package)}"
-    for parent in (Path(chosen),) if chosen else (package / "__pycache__", Path(home) / "board51"):
+    for parent in _parents(package):
         try:
             (parent / name).mkdir(parents=True, exist_ok=True)
         except OSError:
@@ -92,6 +90,16 @@ def cache_folder() -> str:
             _tidy(parent, keep=name)
             return str(parent / name)
     return ""
+
+
+def _parents(package: Path) -> Iterator[Path]:
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(chosen)
+        return
+    yield package / "__pycache__"
+    from platformdirs import user_cache_path  # slow, and nearly never asked for
+
+    yield user_cache_path("board51", appauthor=False)
 
 
 def _tidy(parent: Path, *, keep: str) -> None:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import os
+import socket
 from collections.abc import Sequence
 
 from protocol.errors import ConfigError
@@ -24,6 +26,12 @@ def is_loopback(host: str) -> bool:
         return bare.lower() == "localhost"
     mapped = getattr(address, "ipv4_mapped", None)
     return (mapped or address).is_loopback
+
+
+def allow_restart(listener: socket.socket) -> None:
+    """Let a server listen where one has just ended; on Windows the option would let two listen at once."""
+    if os.name == "posix":
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
 
 
 def check_listener(host: str, *, protected: bool, insecure: bool, what: str, remedy: str) -> None:

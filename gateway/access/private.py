@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from protocol.errors import ConfigError
-from protocol.files import open_regular, writing
+from protocol.files import OTHERS, open_regular, writing
 
 _REMEDY = "Give the folder that `board51 security init` made, as its owner"
 
@@ -53,7 +53,7 @@ def check_private(path: Path, *, what: str) -> None:
         mode = stat.S_IMODE(path.stat().st_mode)
     except OSError as error:
         raise ConfigError(f"{what} {path} cannot be read: {error.strerror}", remedy=_REMEDY) from None
-    if mode & 0o077:
+    if mode & OTHERS:
         raise ConfigError(f"{what} {path} is open to others (mode {mode:04o})", remedy=f"chmod 600 {path}")
 
 
@@ -63,4 +63,4 @@ def open_output() -> str:
         mode = os.fstat(sys.stdout.fileno()).st_mode
     except (OSError, ValueError):  # there is no standard output, or it has no file descriptor
         return ""
-    return f"{stat.S_IMODE(mode):04o}" if stat.S_ISREG(mode) and mode & 0o077 else ""
+    return f"{stat.S_IMODE(mode):04o}" if stat.S_ISREG(mode) and mode & OTHERS else ""

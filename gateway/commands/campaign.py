@@ -118,9 +118,19 @@ def _request_preparation(experiment: Experiment, stop: threading.Event) -> str:
     write_line(f"    {experiment.person}\n    Done? Type y to continue, anything else to skip it:")
     # Not input(): it would go on waiting after Ctrl-C, which here only sets `stop`.
     while not stop.is_set():
-        if select.select([sys.stdin], [], [], 0.2)[0]:
-            return "" if sys.stdin.readline().strip().lower() in ("y", "yes") else "not confirmed"
+        if (answer := _typed(0.2)) is not None:
+            return "" if answer.strip().lower() in ("y", "yes") else "not confirmed"
     return "not confirmed"
+
+
+def _typed(wait_s: float) -> str | None:
+    """Return what was typed, a line (on Windows a key); None if nothing was within `wait_s`."""
+    if sys.platform != "win32":
+        return sys.stdin.readline() if select.select([sys.stdin], [], [], wait_s)[0] else None
+    import msvcrt
+
+    time.sleep(wait_s)
+    return msvcrt.getwche() if msvcrt.kbhit() else None
 
 
 def _print_menu(*, as_json: bool) -> None:

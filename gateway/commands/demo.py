@@ -25,7 +25,7 @@ from pathlib import Path
 from gateway.client.message_queue import MessageQueue
 from gateway.client.rig import SILENCE_S, Rig
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
-from gateway.processes.command import call, finish, free_port, listens, running, wait
+from gateway.processes.command import call, emulated_line, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
 from protocol.ending import on_signals
@@ -75,16 +75,16 @@ def _demo(out: Path, effects: list[str]) -> int:
     )
     with tempfile.TemporaryDirectory(prefix="board51-") as scratch, contextlib.ExitStack() as processes:
         port = free_port()
-        endpoint, tty, folder = f"tcp/127.0.0.1:{port}", str(Path(scratch) / "ttyBoard51"), Path(scratch) / "logs"
+        endpoint, wire, folder = f"tcp/127.0.0.1:{port}", emulated_line(Path(scratch)), Path(scratch) / "logs"
 
-        _step(began, "1/8 emulated board on a pty, gateway (UART <-> zenoh, MCAP), twin on the nominal CE 152")
+        _step(began, "1/8 emulated board, gateway (UART <-> zenoh, MCAP), twin on the nominal CE 152")
         words = [word for effect in effects for word in ("--effect", effect)]
-        emulator = processes.enter_context(running(out, "emulate", "--pty", tty, *words))
+        emulator = processes.enter_context(running(out, "emulate", *wire.options, *words))
         # In any order: the twin looks for the gateway until it is there.
         twin = processes.enter_context(running(out, "twin", "--connect", endpoint, "--board", BOARD))
-        wait(lambda: Path(tty).exists(), emulator, "the emulated board")
+        wait(wire.served, emulator, "the emulated board")
         gateway = processes.enter_context(
-            running(out, "gateway", "--board", f"{BOARD}={tty}", "--listen", endpoint, "--log-dir", str(folder))
+            running(out, "gateway", "--board", f"{BOARD}={wire.url}", "--listen", endpoint, "--log-dir", str(folder))
         )
         wait(lambda: listens(port), gateway, "the gateway")
         rig = processes.enter_context(Rig(BOARD, connect=endpoint, who="demo"))

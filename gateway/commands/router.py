@@ -18,7 +18,7 @@ import zenoh
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_bus_listeners
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
-from protocol.ending import on_end_signal
+from protocol.ending import on_end_signal, wait_for_end
 from protocol.errors import ConfigError, ServiceError
 from protocol.files import DEEPEST, read_small
 
@@ -108,6 +108,6 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     with session:
         print(f"router {session.info.zid()} listens on {listen}", flush=True)
-        stop.wait()
+        wait_for_end(stop)
     print("router stopped", file=sys.stderr)
     return 0

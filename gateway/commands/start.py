@@ -14,15 +14,15 @@ import socket
 import sys
 import tempfile
 import threading
-import uuid
 import webbrowser
 from pathlib import Path
 
 from gateway.access.listeners import endpoint_host, is_loopback
+from gateway.processes.command import emulated_line
 from gateway.processes.supervisor import Service, running
 from gateway.views.listen import address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
-from protocol.ending import on_signals
+from protocol.ending import on_signals, wait_for_end
 from protocol.errors import ServiceError, UsageError, require
 
 PAGE = "127.0.0.1:8051"
@@ -87,15 +87,14 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"{args.log_dir} is not a folder ({error.strerror})", remedy="Give another --log-dir"
         ) from None
-    # A link without a folder around it: the emulated board removes it, also when this process is killed.
-    tty = Path(tempfile.gettempdir()) / f"board51-{uuid.uuid4().hex}"
     stopped = threading.Event()
-    with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        services = _services(args, tty)
+    hang_up = (signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()
+    with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, *hang_up):
+        services = _services(args)
         with running(services):
             if _answers(page, stopped):
                 _print_services(args, services)
-                stopped.wait()
+                wait_for_end(stopped)
             elif not stopped.is_set():
                 outputs = ", ".join(str(service.output) for service in services)
                 raise ServiceError(
@@ -106,11 +105,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _services(args: argparse.Namespace, tty: Path) -> list[Service]:
-    boards = [f"rig1={tty}"] if args.emulated else _named(args.board)
+def _services(args: argparse.Namespace) -> list[Service]:
     commands: list[tuple[str, list[str]]] = []
     if args.emulated:
-        commands.append(("emulate", ["--pty", str(tty), *_repeated("--effect", args.effect)]))
+        line = emulated_line(Path(tempfile.gettempdir()))
+        boards = [f"rig1={line.url}"]
+        commands.append(("emulate", [*line.options, *_repeated("--effect", args.effect)]))
+    else:
+        boards = _named(args.board)
     options = ["--listen", args.listen, "--log-dir", str(args.log_dir), "--hmi", args.page]
     commands.append(("gateway", [*_repeated("--board", boards), *options]))
     commands.append(("twin", ["--connect", args.listen, "--model", args.model]))
@@ -156,6 +158,7 @@ def _print_services(args: argparse.Namespace, services: list[Service]) -> None:
     print(f"bus           {args.listen}")
     print(f"logs          {args.log_dir}; output of {', '.join(s.name for s in services)}: {args.log_dir}/*.out")
     print("Ctrl-C stops everything", flush=True)
-    has_display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or sys.platform == "darwin"
+    screens = ("DISPLAY", "WAYLAND_DISPLAY")
+    has_display = sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in screens)
     if has_display and not args.no_browser:
         webbrowser.open(url)

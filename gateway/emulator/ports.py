@@ -1,4 +1,4 @@
-"""Non-blocking ports of the emulator, for the host to connect to: a pty or a TCP port.
+"""Non-blocking ports of the emulator, for the host to connect to: a TCP port here, a pty in `pty_port`.
 
 Rule 1: nothing here blocks, except `write` with a time limit.  A UART has no flow control: bytes that the host does not
         read are lost.
@@ -12,12 +12,10 @@ import contextlib
 import os
 import select
 import socket
-import termios
-import tty
-from pathlib import Path
+from collections.abc import Callable
 from typing import Protocol
 
-from protocol.errors import ServiceError, UsageError
+from protocol.errors import ServiceError
 
 _SEND_BUFFER = 16384  # bytes; a stalled host must lose bytes, as on a serial line, and not read them minutes later
 
@@ -43,100 +41,6 @@ class EmulatedPort(Protocol):
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
         """Send bytes to the host; return the number of bytes accepted."""
-
-
-class PtyPort:
-    """A pseudo-terminal behind a symbolic link.
-
-    Args:
-        link: Path of the link; removed at `close` if it is still ours.
-    """
-
-    def __init__(self, link: Path) -> None:
-        self._plain = link
-        self._link = link
-        self._master = -1
-        self._target = ""
-        self._present = False
-
-    @property
-    def url(self) -> str:
-        """The path of the link."""
-        return str(self._link)
-
-    def open(self, *, renamed: bool = False) -> None:
-        """Create a pty, and the link to it.
-
-        Raises:
-            UsageError: the path exists and is not a link, or its folder cannot be written.
-        """
-        self._link = self._plain.with_name(self._plain.name + "-renamed") if renamed else self._plain
-        self._master, slave = os.openpty()
-        tty.setraw(slave)
-        os.set_blocking(self._master, False)
-        self._target = os.ttyname(slave)
-        os.close(slave)  # from now on a read of the master shows whether a host has the slave open
-        try:
-            if self._link.is_symlink():
-                self._link.unlink()
-            self._link.symlink_to(self._target)
-        except OSError as error:
-            os.close(self._master)
-            self._master = -1
-            raise UsageError(
-                f"Link {self._link} cannot be made: {error.strerror}",
-                remedy="Give --pty a path that is free in a folder you can write to",
-            ) from error
-
-    def close(self) -> None:
-        """Hang up: the host's next read ends, and the link is removed."""
-        if self._master < 0:
-            return
-        if self._link.is_symlink() and os.readlink(self._link) == self._target:
-            self._link.unlink()
-        os.close(self._master)
-        self._master = -1
-        self._present = False
-
-    def connected(self) -> bool:
-        """Return whether a process has the slave open."""
-        if self._master < 0:
-            return False
-        poll = select.poll()
-        poll.register(self._master, select.POLLIN)
-        return not any(state & select.POLLHUP for _, state in poll.poll(0))
-
-    def read(self, limit: int) -> bytes:
-        """Return at most `limit` bytes."""
-        if self._master < 0:
-            return b""
-        try:
-            data = os.read(self._master, limit)
-        except BlockingIOError:
-            data = b""
-        except OSError:  # EIO: no process has the slave open
-            if self._present:
-                self._present = False
-                self._discard()
-            return b""
-        self._present = True
-        return data
-
-    def _discard(self) -> None:
-        """Discard the bytes that the last host did not read: they are not for the next one."""
-        # The line keeps them while no host is there, and a flush of the master reaches only those on their way to it.
-        termios.tcflush(self._master, termios.TCOFLUSH)
-        slave = os.open(self._target, os.O_RDWR | os.O_NOCTTY)
-        try:
-            termios.tcflush(slave, termios.TCIFLUSH)
-        finally:
-            os.close(slave)
-
-    def write(self, data: bytes, wait_s: float = 0.0) -> int:
-        """Write to the host; return the number of bytes accepted, 0 without a host."""
-        if self._master < 0 or not self._present:
-            return 0
-        return _write(self._master, data, wait_s)
 
 
 class TcpPort:
@@ -168,7 +72,8 @@ class TcpPort:
         try:
             family = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)[0][0]
             listener = socket.socket(family, socket.SOCK_STREAM)
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if os.name == "posix":  # on Windows a second server could take the port of the first with it
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 listener.bind((self._host, self._port))
                 listener.listen(1)
@@ -220,7 +125,7 @@ class TcpPort:
         """Write to the host; return the number of bytes accepted, 0 without a host."""
         if self._client is None:
             return 0
-        return _write(self._client.fileno(), data, wait_s)
+        return write_now(self._client.send, self._client.fileno(), data, wait_s)
 
     def _accept(self) -> socket.socket | None:
         if self._listener is None:
@@ -240,12 +145,13 @@ class TcpPort:
             self._client = None
 
 
-def _write(descriptor: int, data: bytes, wait_s: float) -> int:
+def write_now(send: Callable[[bytes], int], descriptor: int, data: bytes, wait_s: float) -> int:
+    """Send what fits, and wait `wait_s` for room at most; return the number of bytes accepted."""
     written = 0
     with contextlib.suppress(OSError):  # a disconnected host is detected by the next read
         while written < len(data):
             try:
-                written += os.write(descriptor, data[written:])
+                written += send(data[written:])
             except BlockingIOError:
                 if not wait_s or not select.select([], [descriptor], [], wait_s)[1]:
                     break

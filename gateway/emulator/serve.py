@@ -17,8 +17,10 @@ Rule 4: in lockstep time passes only in `advance`.  Bytes that the host wrote be
 
 from __future__ import annotations
 
+import contextlib
 import os
 import selectors
+import socket
 import tempfile
 import threading
 import time
@@ -35,7 +37,7 @@ from gateway.emulator.firmware_model.magnetoshield import magnetoshield
 from gateway.emulator.line import Board, BoardLine, LineCounts
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
-from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
+from gateway.emulator.ports import EmulatedPort, TcpPort
 from protocol.errors import ServiceError, UsageError
 
 _T_NS = T_S_US * 1000
@@ -78,9 +80,10 @@ class Server:
         self._speed = speed
         self._calls: deque[Callable[[], None]] = deque()
         self._stopped = False
-        self._wake_out, self._wake_in = os.pipe()
-        os.set_blocking(self._wake_in, False)
-        os.set_blocking(self._wake_out, False)
+        self._wake_out, self._wake_in = socket.socketpair()  # a selector of Windows takes nothing but sockets
+        self._wake_in.setblocking(False)
+        self._wake_out.setblocking(False)
+        self._closed = False
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._wake_out, selectors.EVENT_READ)
 
@@ -116,11 +119,11 @@ class Server:
         """
         for line in self.lines:
             line.close()
-        wake_in, self._wake_in = self._wake_in, -1
-        if wake_in >= 0:
+        if not self._closed:
+            self._closed = True
             self._selector.close()
-            os.close(wake_in)
-            os.close(self._wake_out)
+            self._wake_in.close()
+            self._wake_out.close()
 
     def _run_in_time(self, ticks: int | None, speed: float) -> None:
         period_ns = _T_NS / speed
@@ -162,16 +165,14 @@ class Server:
     def _rest(self, timeout_s: float | None) -> None:
         """Sleep until the next deadline or a wake-up, then do what other threads asked for."""
         if self._selector.select(timeout_s):
-            os.read(self._wake_out, 4096)
+            self._wake_out.recv(4096)
         while self._calls:
             self._calls.popleft()()
 
     def _wake(self) -> None:
-        if self._wake_in >= 0:
-            try:
-                os.write(self._wake_in, b"w")
-            except BlockingIOError:  # the pipe is full, so the thread will wake
-                return
+        if not self._closed:
+            with contextlib.suppress(BlockingIOError):  # it is full, so the thread will wake
+                self._wake_in.send(b"w")
 
 
 class Emulator:
@@ -300,7 +301,15 @@ class Emulator:
 
 
 def pty_ports(link: Path, boards: int) -> list[EmulatedPort]:
-    """Return the ptys: PATH for one board, PATH-1, PATH-2, ... for several."""
+    """Return the ptys: PATH for one board, PATH-1, PATH-2, ... for several.
+
+    Raises:
+        UsageError: this system has no ptys.
+    """
+    if os.name != "posix":
+        raise UsageError("A pty needs Linux or macOS", remedy="Give --tcp HOST:PORT instead")
+    from gateway.emulator.pty_port import PtyPort
+
     if boards == 1:
         return [PtyPort(link)]
     return [PtyPort(link.with_name(f"{link.name}-{n}")) for n in range(1, boards + 1)]

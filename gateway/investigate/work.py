@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gateway.processes.command import Process, start
+from gateway.processes.command import Process, order, start
 from protocol.errors import ServiceError, UsageError
 from protocol.files import parse_json, read_small
 
@@ -49,7 +49,7 @@ class Work:
         """End the running command with a signal; no other command is begun."""
         self._stopped = True
         if self._process is not None and self._process.poll() is None:
-            self._process.send_signal(self._ending)
+            order(self._process, self._ending)
 
     @property
     def stopped(self) -> bool:

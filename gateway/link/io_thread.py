@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import selectors
+import socket
 import threading
 import time
 from collections import deque
@@ -53,14 +53,14 @@ class LinkThread:
         self._lines = [_Line(driver) for driver in drivers]
         self._line_of_driver = {id(line.driver): line for line in self._lines}
         self._selector = selectors.DefaultSelector()
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
+        self._wake_read, self._wake_write = socket.socketpair()  # a selector of Windows takes nothing but sockets
+        self._wake_read.setblocking(False)
+        self._wake_write.setblocking(False)
         self._selector.register(self._wake_read, selectors.EVENT_READ, None)
         self._actions: deque[Callable[[], None]] = deque()
         self._closing: list[threading.Thread] = []
         self._stopping = False
-        self._gate = threading.Lock()  # the descriptor of a closed pipe may belong to another file
+        self._gate = threading.Lock()  # nobody writes to the closed socket
         self._ended = False
         self._thread = threading.Thread(target=self._work, name="link", daemon=True)
 
@@ -74,8 +74,8 @@ class LinkThread:
             if self._ended:
                 return False
             self._actions.append(action)
-            with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well as an empty one with a byte
-                os.write(self._wake_write, b"\x00")
+            with contextlib.suppress(BlockingIOError):  # a full socket wakes as well as an empty one with a byte
+                self._wake_write.send(b"\x00")
             return True
 
     def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender) -> None:
@@ -127,8 +127,8 @@ class LinkThread:
                 self._ended = True
             self._run_actions()  # queries that came meanwhile are told that the link is down
             self._selector.close()
-            os.close(self._wake_read)
-            os.close(self._wake_write)
+            self._wake_read.close()
+            self._wake_write.close()
 
     def _serve(self, line: _Line, mask: int) -> None:
         if mask & selectors.EVENT_WRITE:
@@ -158,7 +158,7 @@ class LinkThread:
 
     def _run_actions(self) -> None:
         with contextlib.suppress(BlockingIOError):
-            os.read(self._wake_read, 4096)
+            self._wake_read.recv(4096)
         for _ in range(len(self._actions)):
             action = self._actions.popleft()
             try:

@@ -1,7 +1,8 @@
 """Opens a pyserial URL as a non-blocking file descriptor, or reports why that is not possible.
 
-A tty, a pty and socket:// have a descriptor of their own.  For other handlers (rfc2217://, loop://, spy://) two threads
-copy the bytes through a socket pair, so that the serial thread can wait for descriptors only.
+A tty, a pty and socket:// have a descriptor of their own.  For other handlers (rfc2217://, loop://, spy://) and the COM
+ports of Windows two threads copy the bytes through a socket pair, so that the serial thread can wait for descriptors
+only.
 
 `open_port` may block for seconds (TCP, a stuck driver): never call it in the serial thread.
 """
@@ -10,18 +11,27 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fnmatch
 import glob
 import io
 import os
 import socket
 import stat
-import termios
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import serial
 
 from protocol.errors import ConfigError
+
+try:
+    import termios
+
+    TtyError: type[Exception] = termios.error
+except ModuleNotFoundError:  # Windows
+    TtyError = OSError
 
 _USER_TIMEOUT_MS = 5000  # a TCP connection without acknowledgement for this long is lost: no power or network
 READ_SIZE = 65536
@@ -42,17 +52,22 @@ class Port:
     def __init__(self, device: serial.SerialBase, name: str) -> None:
         self.name = name
         self._device = device
-        self._pair: socket.socket | None = None
-        try:
+        self._receive: Callable[[], bytes]
+        self._send: Callable[[bytes], int]
+        self._end = self._socket()
+        if self._end is None:
             self.fd = int(device.fileno())
-        except (io.UnsupportedOperation, AttributeError):
-            self.fd = self._pump()
-        os.set_blocking(self.fd, False)
+            os.set_blocking(self.fd, False)
+            self._receive, self._send = partial(os.read, self.fd, READ_SIZE), partial(os.write, self.fd)
+        else:  # on Windows os.read and os.write take no socket
+            self.fd = self._end.fileno()
+            self._end.setblocking(False)
+            self._receive, self._send = partial(self._end.recv, READ_SIZE), self._end.send
 
     def read(self) -> bytes | None:
         """Return the bytes that have arrived; None if there are none, b"" if the port is lost."""
         try:
-            return os.read(self.fd, READ_SIZE)
+            return self._receive()
         except BlockingIOError:
             return None
         except OSError:  # EIO: the pty's other end closed, the USB adapter was pulled
@@ -61,7 +76,7 @@ class Port:
     def write(self, data: bytes) -> int | None:
         """Write without blocking; return the number of accepted bytes, or None if the port is lost."""
         try:
-            return os.write(self.fd, data)
+            return self._send(data)
         except BlockingIOError:
             return 0
         except OSError:
@@ -69,18 +84,32 @@ class Port:
 
     def close(self) -> None:
         """Close the port; never raises."""
-        with contextlib.suppress(OSError, termios.error, serial.SerialException):
-            if self._pair is not None:
-                self._pair.close()
+        with contextlib.suppress(OSError, TtyError, serial.SerialException):
+            if self._end is not None:
+                self._end.close()
             self._device.close()
 
-    def _pump(self) -> int:
+    def _socket(self) -> socket.socket | None:
+        """Return the socket of a device that has one or is pumped; None for a tty."""
+        try:
+            fd = int(self._device.fileno())
+        except (io.UnsupportedOperation, AttributeError):
+            return self._pump()
+        if not self.name.startswith("socket://"):
+            return None
+        end = socket.fromfd(fd, socket.AF_INET, socket.SOCK_STREAM)  # a duplicate: pyserial closes its own
+        with contextlib.suppress(OSError):
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if hasattr(socket, "TCP_USER_TIMEOUT"):
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
+        return end
+
+    def _pump(self) -> socket.socket:
         local, remote = socket.socketpair()
-        self._pair = local
         self._device.timeout = 0.05
         threading.Thread(target=_from_device, args=(self._device, remote), name="port-read", daemon=True).start()
         threading.Thread(target=_to_device, args=(self._device, remote), name="port-write", daemon=True).start()
-        return local.fileno()
+        return local
 
 
 def _from_device(device: serial.SerialBase, end: socket.socket) -> None:
@@ -131,7 +160,7 @@ def open_port(url: str, baud: int) -> Port | PortProblem:
     """Open `url`; for a path with *, ? or [, open the first match that can be opened."""
     names = [url]
     if "://" not in url and _GLOB & set(url):
-        names = sorted(glob.glob(url))
+        names = sorted(glob.glob(url) if os.name == "posix" else fnmatch.filter(_com_ports(), url))
         if not names:
             return PortProblem("port-absent", f"No device matches {url}.")
     problem: Port | PortProblem = PortProblem("port-absent", f"There is no {url}.")
@@ -144,18 +173,18 @@ def open_port(url: str, baud: int) -> Port | PortProblem:
 
 
 def _open_port(name: str, baud: int) -> Port | PortProblem:
-    if "://" not in name:
+    if "://" not in name and os.name == "posix":  # COM3 is no file
         try:
             if not stat.S_ISCHR(os.stat(name).st_mode):
                 return PortProblem("port-failed", f"{name} is not a serial device.")
         except OSError:
-            return PortProblem("port-absent", f"There is no {name}: is the adapter plugged in?")
+            return _absent(name)
     try:
         # exclusive: an flock, so that a second gateway on this port is refused instead of stealing every other byte.
         device = serial.serial_for_url(name, baudrate=baud, timeout=0, exclusive=True)
-    except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError
+    except (OSError, ValueError, TtyError) as error:  # SerialException is an OSError
         return _problem(name, baud, error)
-    _tune(device)
+    _tune_tty(device)
     try:
         return Port(device, name)
     except OSError as error:
@@ -166,7 +195,8 @@ def _open_port(name: str, baud: int) -> Port | PortProblem:
 def _problem(name: str, baud: int, error: Exception) -> PortProblem:
     number = error.errno if isinstance(error, OSError) else None
     text = str(error)
-    if "exclusively lock" in text or number in (errno.EBUSY, errno.EAGAIN):
+    # On Windows pyserial gives no number, only the name of an exception; a port in use is one without permission.
+    if "exclusively lock" in text or "PermissionError" in text or number in (errno.EBUSY, errno.EAGAIN):
         return PortProblem(
             "port-busy", f"{name} is in use by another program, perhaps a second gateway: end one of the two."
         )
@@ -175,31 +205,32 @@ def _problem(name: str, baud: int, error: Exception) -> PortProblem:
             "port-permission",
             f"No permission to open {name}: add the user to its group (sudo usermod -aG dialout $USER). Log in again.",
         )
-    if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
-        return PortProblem("port-absent", f"There is no {name}: is the adapter plugged in?")
+    if "FileNotFoundError" in text or number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
+        return _absent(name)
     if name.startswith("socket://"):
         return PortProblem("port-absent", f"No answer from {name}: is the serial server running?")
     return PortProblem("port-failed", f"{name} cannot be opened at {baud} bit/s: {text}.")
 
 
-def _tune(device: serial.SerialBase) -> None:
+def _absent(name: str) -> PortProblem:
+    return PortProblem("port-absent", f"There is no {name}: is the adapter plugged in?")
+
+
+def _com_ports() -> list[str]:
+    from serial.tools.list_ports import comports
+
+    return [port.device for port in comports()]
+
+
+def _tune_tty(device: serial.SerialBase) -> None:
     """Reduce latency, and prevent a reset of the board when the port closes; a device may ignore each setting."""
-    try:
+    if TtyError is OSError or not isinstance(device, serial.Serial):
+        return
+    with contextlib.suppress(OSError, TtyError):
         fd = int(device.fileno())
-        is_socket = stat.S_ISSOCK(os.fstat(fd).st_mode)
-    except (OSError, AttributeError):
-        return
-    if is_socket:
-        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(fd)) as copy:
-            copy.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if hasattr(socket, "TCP_USER_TIMEOUT"):
-                copy.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
-        return
-    with contextlib.suppress(termios.error):
         attributes = termios.tcgetattr(fd)
         attributes[2] &= ~termios.HUPCL  # closing must not drop DTR: on many boards that is the reset line
         termios.tcsetattr(fd, termios.TCSANOW, attributes)
     # An FTDI adapter collects bytes for 16 ms unless told otherwise.
-    if isinstance(device, serial.Serial):
-        with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
-            device.set_low_latency_mode(True)
+    with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
+        device.set_low_latency_mode(True)

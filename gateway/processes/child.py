@@ -6,7 +6,7 @@ new interpreter and not a fork of a multi-threaded parent.
 
 Its main thread writes a byte every BEAT_S to the descriptor in the environment (BEAT_VARIABLE).  It does so
 in a signal handler, which Python runs there and nowhere else.  A process that is stopped, or whose main thread hangs
-in a call, falls silent.
+in a call, falls silent.  Windows has no timer that gives signals (`HAS_BEATS`): there nobody notices a hang.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ import threading
 from contextlib import suppress
 from types import FrameType
 
+from protocol.ending import order_end
+
 NICER = 5
 SAME_PRIORITY = "--same-priority"
 BEAT_S = 1.0
 BEAT_VARIABLE = "BOARD51_BEAT_FD"
+HAS_BEATS = hasattr(signal, "setitimer")
 
 
 def _end_with_parent() -> None:
     while os.read(sys.stdin.fileno(), 1024):
         pass
-    os.kill(os.getpid(), signal.SIGTERM)
+    order_end()
 
 
 def _beat() -> None:
@@ -53,15 +56,18 @@ def main() -> int:
     if words[:1] == [SAME_PRIORITY]:
         words = words[1:]
     else:
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        os.nice(NICER)
+        if hasattr(os, "sched_setscheduler"):  # Linux
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        if hasattr(os, "nice"):  # not on Windows, where `command.start` gives the priority
+            os.nice(NICER)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _beat()
     try:
         return board51.main(words)
     finally:
         # Python takes its signal handlers away at its end: a beat after that would kill it, and hide its exit code.
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if HAS_BEATS:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 if __name__ == "__main__":

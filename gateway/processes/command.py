@@ -1,20 +1,24 @@
 """Starts `board51` commands as processes, waits for them, and ends them reliably.
 
-Rule: each has a process session of its own.  So Ctrl-C reaches only their parent, which then stops them in order: the
-      campaign parks the ball while gateway and board still run.  They end with it, also after kill -9.
+Rule: each has a process session of its own (Windows: a process group).  So Ctrl-C reaches only their parent, which then
+      stops them in order: the campaign parks the ball while gateway and board still run.  They end with it, also after
+      kill -9.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+import uuid
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from gateway.processes.child import SAME_PRIORITY
 from protocol.errors import ServiceError
@@ -34,9 +38,14 @@ def start(*command: str, nicer: bool = True, **options: Any) -> Process:
         nicer: run at a lower priority than this process.
         options: of `subprocess.Popen`.
     """
-    return subprocess.Popen(
-        child_words(*command, nicer=nicer), stdin=subprocess.PIPE, start_new_session=True, **options
-    )
+    return subprocess.Popen(child_words(*command, nicer=nicer), stdin=subprocess.PIPE, **_apart(nicer=nicer), **options)
+
+
+def _apart(*, nicer: bool) -> dict[str, Any]:
+    if sys.platform != "win32":
+        return {"start_new_session": True}
+    priority = subprocess.BELOW_NORMAL_PRIORITY_CLASS if nicer else 0
+    return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | priority}
 
 
 def child_words(*command: str, nicer: bool = True) -> list[str]:
@@ -44,11 +53,23 @@ def child_words(*command: str, nicer: bool = True) -> list[str]:
     return [sys.executable, "-m", "gateway.processes.child", *(() if nicer else (SAME_PRIORITY,)), *command]
 
 
+def order(process: Process, with_signal: signal.Signals) -> None:
+    """Send a signal; Windows has only Ctrl-Break for another process, which acts as Ctrl-C (board51.py)."""
+    if sys.platform != "win32":
+        process.send_signal(with_signal)
+        return
+    try:
+        process.send_signal(signal.CTRL_BREAK_EVENT)
+    except OSError:  # a service has no console; the child takes the end of its input for a SIGTERM
+        if process.stdin is not None:
+            process.stdin.close()
+
+
 def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: float) -> list[Process]:
     """Signal all processes and wait; kill and return those that still run after `limit_s`."""
     running = [process for process in processes if process.poll() is None]
     for process in running:
-        process.send_signal(with_signal)
+        order(process, with_signal)
     unfinished: list[Process] = []
     end_s = time.monotonic() + limit_s
     try:
@@ -161,6 +182,24 @@ def wait(ready: Callable[[], bool], process: Process, what: str) -> None:
             problem = f"did not appear within {START_LIMIT_S:.0f} s" if code is None else f"ended with exit code {code}"
             raise ServiceError(f"{what} {problem}", remedy="Its messages are in the .log files of --out")
         time.sleep(0.05)
+
+
+class EmulatedLine(NamedTuple):
+    """The line between an emulated board and a gateway."""
+
+    url: str  # for the gateway
+    options: tuple[str, str]  # for `emulate`
+    served: Callable[[], bool]
+
+
+def emulated_line(folder: Path) -> EmulatedLine:
+    """Return a new line: a pty behind a link in `folder`, or TCP where the system has no ptys."""
+    if os.name == "posix":
+        # A link without a folder around it: the emulated board removes it, also when its parent is killed.
+        link = folder / f"board51-{uuid.uuid4().hex}"
+        return EmulatedLine(str(link), ("--pty", str(link)), link.exists)
+    port = free_port()
+    return EmulatedLine(f"socket://127.0.0.1:{port}", ("--tcp", f"127.0.0.1:{port}"), partial(listens, port))
 
 
 def free_port() -> int:

@@ -4,6 +4,7 @@ Rule 1: a failure of a child is logged and does not affect anything else.
 Rule 2: a failed child is restarted after 1 s, 2 s, ... at most 30 s; after a minute without failure, after 1 s again.
 Rule 3: exit code 2 means a wrong option or file, which a restart cannot correct: the child is not restarted.
 Rule 4: a hanging child is killed and restarted: each child sends beats (child.py), and HUNG_S without one is a hang.
+        On Windows there are no beats, and a hang is not noticed.
 Rule 5: no child outlives this process, not even after kill -9 (see child.py).
 """
 
@@ -19,8 +20,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from gateway.processes.child import BEAT_VARIABLE
+from gateway.processes.child import BEAT_VARIABLE, HAS_BEATS
 from gateway.processes.command import Process, end, start
 
 FIRST_WAIT_S = 1.0
@@ -101,6 +103,8 @@ class _Keeper:
 
     def _end_of(self, process: Process) -> int:
         """Wait for the process, or kill it if it hangs; return its exit code."""
+        if not HAS_BEATS:
+            return process.wait()
         beats, poll = self._beats, select.poll()
         poll.register(beats, select.POLLIN)
         try:
@@ -117,10 +121,12 @@ class _Keeper:
         with self._lock:
             if self._stop.is_set():
                 return None
-            self._beats, theirs = os.pipe()
-            environment = os.environ | {BEAT_VARIABLE: str(theirs)}
             with ExitStack() as last:
-                last.callback(os.close, theirs)
                 output = self._output and last.enter_context(self._output.open("ab"))
-                self._process = start(*self._command, pass_fds=(theirs,), env=environment, stdout=output, stderr=output)
+                options: dict[str, Any] = {"stdout": output, "stderr": output}
+                if HAS_BEATS:
+                    self._beats, theirs = os.pipe()
+                    last.callback(os.close, theirs)
+                    options |= {"pass_fds": (theirs,), "env": os.environ | {BEAT_VARIABLE: str(theirs)}}
+                self._process = start(*self._command, **options)
             return self._process

@@ -11,25 +11,39 @@ import select
 import socket
 import threading
 import time
-import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from gateway.record.byte_replay import RecordedBoard
-from protocol.errors import ServiceError
+from protocol.errors import ServiceError, UsageError
 
 POLL_S = 0.1  # largest delay of a request to stop
 DRAIN_S = 0.5  # time to answer remaining commands at the end
 
 
+class Line(NamedTuple):
+    """The board's end of a line, which does not block."""
+
+    descriptor: int  # to wait for
+    read: Callable[[int], bytes]
+    write: Callable[[bytes], int]
+
+
 @contextmanager
-def open_pty(link: Path) -> Iterator[int]:
+def open_pty(link: Path) -> Iterator[Line]:
     """Open a pty; yield the board's end, and make the other end available as `link`.
 
     Raises:
+        UsageError: this system has no ptys.
         ServiceError: the link exists or cannot be made.
     """
+    if os.name != "posix":
+        raise UsageError("A pty needs Linux or macOS", remedy="Give --tcp HOST:PORT instead")
+    import tty
+
     board, host = os.openpty()
     try:
         tty.setraw(host)
@@ -40,7 +54,8 @@ def open_pty(link: Path) -> Iterator[int]:
                 f"Pty {link} cannot be made: {(error.strerror or 'unknown').lower()}", remedy="Choose another path"
             ) from None
         try:
-            yield board
+            os.set_blocking(board, False)
+            yield Line(board, partial(os.read, board), partial(os.write, board))
         finally:
             link.unlink(missing_ok=True)
     finally:
@@ -49,7 +64,7 @@ def open_pty(link: Path) -> Iterator[int]:
 
 
 @contextmanager
-def open_tcp(host: str, port: int, *, stop: threading.Event) -> Iterator[int | None]:
+def open_tcp(host: str, port: int, *, stop: threading.Event) -> Iterator[Line | None]:
     """Wait for the first connection to host:port and yield it; None if `stop` is set first.
 
     Raises:
@@ -71,24 +86,24 @@ def open_tcp(host: str, port: int, *, stop: threading.Event) -> Iterator[int | N
                 continue
             with connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                yield connection.fileno()
+                connection.setblocking(False)
+                yield Line(connection.fileno(), connection.recv, connection.send)
             return
         yield None
 
 
-def serve(board: RecordedBoard, port: int, *, speed: float, stop: threading.Event) -> int:
-    """Play the board on an open file descriptor until its last byte, `stop`, or the host hangs up.
+def serve(board: RecordedBoard, port: Line, *, speed: float, stop: threading.Event) -> int:
+    """Play the board on an open line until its last byte, `stop`, or the host hangs up.
 
     Args:
         board: Board to play.
-        port: File descriptor of a pty or a socket.
+        port: Its end of the line.
         speed: Log seconds per second; 0 is as fast as the host reads.
         stop: Set it to end early.
 
     Returns:
         Number of pieces sent.
     """
-    os.set_blocking(port, False)
     out = b""
     position = 0
     begin_s: float | None = None
@@ -108,10 +123,10 @@ def serve(board: RecordedBoard, port: int, *, speed: float, stop: threading.Even
             end_s = end_s or now_s + DRAIN_S
             if now_s >= end_s:
                 break
-        readable, writable, _ = select.select([port], [port] if out else [], [], max(0.0, wait_s))
+        readable, writable, _ = select.select([port.descriptor], [port.descriptor] if out else [], [], max(0.0, wait_s))
         try:
             if readable:
-                data = os.read(port, 4096)
+                data = port.read(4096)
                 if not data:
                     break
                 answer = board.answer(data, position=position)
@@ -119,9 +134,9 @@ def serve(board: RecordedBoard, port: int, *, speed: float, stop: threading.Even
                 if answer and begin_s is None:
                     begin_s = time.monotonic()
             if writable or out:
-                out = out[os.write(port, out) :] if out else out
+                out = out[port.write(out) :] if out else out
         except BlockingIOError:
-            select.select([], [port], [], POLL_S)
+            select.select([], [port.descriptor], [], POLL_S)
         except OSError:  # the host hung up
             break
     return position

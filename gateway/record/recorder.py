@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import errno
 import logging
-import os
+import shutil
 import threading
 import time
 from collections import deque
@@ -239,8 +239,7 @@ class Recorder:
 
     def _check_free_space(self, factor: float = 1.0) -> None:
         try:
-            status = os.statvfs(self.directory)
-            if status.f_bavail * status.f_frsize < factor * self._options.min_free_bytes:
+            if shutil.disk_usage(self.directory).free < factor * self._options.min_free_bytes:
                 raise OSError(errno.ENOSPC, "below min_free_bytes")
         except OSError as error:
             raise LogError(self.directory, error) from None

@@ -112,7 +112,7 @@ class LogWriter:
     ) -> None:
         self.path = path
         try:
-            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
         except OSError as error:
             raise LogError(path, error) from None
         self.messages = 0
@@ -240,9 +240,10 @@ class LogWriter:
         memory = self._memory
         written = 0
         try:
+            os.lseek(self._fd, memory.on_disk, os.SEEK_SET)
             with memoryview(memory.held) as view:
                 while written < len(view):
-                    written += os.pwrite(self._fd, view[written:], memory.on_disk + written)
+                    written += os.write(self._fd, view[written:])
         except OSError as error:
             os.ftruncate(self._fd, memory.on_disk)  # half a chunk would stop every reader there
             raise LogError(self.path, error) from None

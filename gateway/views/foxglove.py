@@ -23,6 +23,7 @@ from gateway.client.connection import Subscription
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
+from protocol.ending import wait_for_end
 from protocol.errors import ServiceError
 
 BACKLOG = 4096  # messages that wait for one client; 8 boards with twins send 12 000 a second
@@ -112,5 +113,5 @@ def serve(
     view = FoxgloveView(session, site, host, port)
     _logger.info("Foxglove on ws://%s:%d", host, view.port)
     ready(view.port)
-    stop.wait()
+    wait_for_end(stop)
     view.close()

@@ -19,7 +19,7 @@ from datetime import datetime
 from pathlib import Path
 
 from protocol.errors import ConfigError
-from protocol.files import open_regular, parse_toml, read_small
+from protocol.files import OTHERS, open_regular, parse_toml, read_small
 
 VARIABLE = "BOARD51_IDENTITY"
 HELP = f"identity on a guarded bus: DIR/identities/NAME of `board51 security init` (default ${VARIABLE})"  # --identity
@@ -69,7 +69,7 @@ def login_name(otherwise: str = "unknown") -> str:
     """Return the name of the user who runs this process; the user of a container may have none."""
     try:
         return getpass.getuser()
-    except (KeyError, OSError):
+    except (KeyError, OSError, ImportError):  # ImportError: on Windows without a name in the environment
         return otherwise
 
 
@@ -93,7 +93,7 @@ def load_identity(folder: Path) -> Identity:
     for name in FILES:
         with open_regular(folder / name, remedy=_REMEDY, error=ConfigError) as file:
             mode = os.fstat(file.fileno()).st_mode
-        if name in _PRIVATE and mode & 0o077:
+        if name in _PRIVATE and mode & OTHERS:
             raise ConfigError(
                 f"{folder / name} is open to others (mode {mode & 0o777:04o})", remedy=f"chmod 600 {folder / name}"
             )

@@ -76,7 +76,8 @@ def record_live(args: argparse.Namespace, progress: Callable[[str], None]) -> tu
     from twin.live.source import find_board, from_bus, from_log
     from twin.mirror.bus.client import open_client
 
-    os.nice(_NICE)
+    if hasattr(os, "nice"):  # Windows has none
+        os.nice(_NICE)
     plant = load_plant(args.plant) if args.plant else None
     span_s = 60.0 * args.live
     with open_client(endpoints_of(args), find_identity(args.identity)) as session:

@@ -16,7 +16,7 @@ from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.client.recording import Recording
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
-from protocol.ending import note_end, on_end_signal
+from protocol.ending import note_end, on_end_signal, wait_for_end
 from protocol.errors import UsageError
 from protocol.files import make_folder
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
         with recording.start():
             print(f"recording {args.site}/{args.board}/** into {recording.stats.file}", file=sys.stderr, flush=True)
-            stop.wait(args.seconds)
+            wait_for_end(stop, args.seconds)
         note_end()
     stats = recording.stats
     if args.json:

@@ -19,6 +19,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from platformdirs import user_cache_path
+
 from protocol.errors import InstallError, ServiceError
 
 SOURCES = Path(__file__).resolve().parents[3] / "firmware"  # beside the packages, in the repository as in a wheel
@@ -124,7 +126,7 @@ def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[P
     key = hashlib.sha256(repr((options, platform.machine())).encode())
     for path in sorted(inputs):
         key.update(path.name.encode() + b"\0" + path.read_bytes())
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "board51"
+    folder = user_cache_path("board51", appauthor=False)
     stem, dot, ending = name.partition(".")
     target = folder / f"{stem}-{key.hexdigest()[:16]}{dot}{ending}"
     if target.exists():
@@ -137,6 +139,6 @@ def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[P
     except OSError as error:
         raise ServiceError(
             f"The compiled firmware cannot be kept in {folder}: {error.strerror or error}",
-            remedy="Set XDG_CACHE_HOME to a folder that can be written",
+            remedy="Make that folder writable (Linux: or set XDG_CACHE_HOME to another)",
         ) from None
     return target

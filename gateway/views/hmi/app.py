@@ -22,6 +22,7 @@ from starlette.routing import BaseRoute, Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from gateway.access.listeners import allow_restart
 from gateway.access.roles import Role
 from gateway.access.users import Users
 from gateway.views.feed import Feed
@@ -158,11 +159,12 @@ def listen(host: str, port: int) -> socket.socket:
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    allow_restart(listener)
     # Connections inherit both.  Without the second one that takes nothing stays for ever: what ends it, too, waits for
     # the bytes before it to be taken.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(STUCK_S * 1e3))
+    if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(STUCK_S * 1e3))
     try:
         listener.bind((host, port))
         listener.listen(128)

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from gateway.processes.command import Process, end, start
+from gateway.processes.command import Process, end, order, start
 from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
 from protocol.errors import UsageError
@@ -93,7 +93,7 @@ class Jobs:
         job = self._jobs.get((kind, board))
         if job is None or not job.running:
             return False
-        job.process.send_signal(signal.SIGINT)
+        order(job.process, signal.SIGINT)
         return True
 
     def close(self) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import resource
 import sys
 from asyncio.subprocess import PIPE, STDOUT, Process
 from collections.abc import AsyncIterator, Coroutine
@@ -92,6 +91,8 @@ async def _process(command: tuple[str, ...], memory: int, folder: str | None) ->
     )
     try:
         if sys.platform == "linux":
+            import resource
+
             with contextlib.suppress(ProcessLookupError):  # it has ended already
                 resource.prlimit(process.pid, resource.RLIMIT_AS, (memory, memory))
         yield process

@@ -21,6 +21,7 @@ from asyncua.server import binary_server_asyncio
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import nodeid_from_binary
 
+from gateway.access.listeners import allow_restart
 from gateway.access.roles import Role
 from gateway.access.users import User
 from gateway.views.feed import Feed
@@ -168,7 +169,7 @@ def _check_free(settings: OpcuaSettings) -> None:
     try:
         family, kind, _, _, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            allow_restart(probe)
             probe.bind(address)
             probe.listen(1)
     except OSError as error:

@@ -1,24 +1,45 @@
-"""Ports: what opens, what does not, and why."""
+"""Ports: what opens, what does not, and why.  A tty is tried by its descriptor, and through pyserial as on Windows."""
 
 from __future__ import annotations
 
+import io
 import os
 import select
 import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import serial
+from serial.tools import list_ports
 
+from gateway.config import load_config
+from gateway.link import port as module
 from gateway.link.port import Port, PortProblem, check_url, open_port
 from protocol.errors import ConfigError
 from tests.harness.ports import free_port
+from tests.harness.windows.sitecustomize import Module
 from tests.patience import HANG_S
 
 
+@pytest.fixture(params=["descriptor", "pyserial"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_descriptor(_device: serial.Serial) -> int:
+        raise io.UnsupportedOperation("fileno")  # as that of Windows
+
+    if request.param == "pyserial":
+        monkeypatch.setattr(serial.Serial, "fileno", no_descriptor)
+
+
 @pytest.fixture
-def pty() -> Iterator[tuple[int, str]]:
+def windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "os", Module(os, name="nt"))
+
+
+@pytest.fixture
+def pty(way: None) -> Iterator[tuple[int, str]]:
     master, slave = os.openpty()
     tty.setraw(slave)
     yield master, os.ttyname(slave)
@@ -91,6 +112,7 @@ def test_a_pattern_takes_the_first_match_that_is_free(pty: tuple[int, str], tmp_
     port.close()
 
 
+@pytest.mark.usefixtures("way")
 def test_the_end_of_a_pty_is_the_end_of_the_port() -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
@@ -118,6 +140,35 @@ def test_a_handler_without_a_descriptor_is_pumped() -> None:
 
     assert received == b"around"
     port.close()
+
+
+@pytest.mark.usefixtures("windows")
+@pytest.mark.parametrize(
+    ("said", "kind"),
+    [
+        ("could not open port 'COM3': FileNotFoundError(2, 'The system cannot find the file.', None, 2)", "absent"),
+        ("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)", "busy"),
+        ("Cannot configure port, something went wrong.", "failed"),
+    ],
+)
+def test_a_com_port_that_does_not_open_says_why(monkeypatch: pytest.MonkeyPatch, said: str, kind: str) -> None:
+    def refuse(*_words: object, **_options: object) -> serial.Serial:
+        raise serial.SerialException(said)
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    monkeypatch.setattr(
+        list_ports, "comports", lambda: [SimpleNamespace(device="COM3"), SimpleNamespace(device="LPT1")]
+    )
+
+    assert problem("COM3").kind == problem("COM*").kind == f"port-{kind}"
+    assert problem("COM9*").text == "No device matches COM9*."
+
+
+@pytest.mark.parametrize("name", ["COM3", r"\\.\COM10"])
+def test_a_com_port_is_a_name_like_any_other(name: str) -> None:
+    check_url(name)
+
+    assert load_config(None, {"BOARD51_BOARDS": f"rig1={name}"}).boards[0].port == name
 
 
 @pytest.mark.parametrize("url", ["nonsense://x", "socket://host", "socket://host:port", "socket://:80"])

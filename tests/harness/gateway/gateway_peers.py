@@ -7,7 +7,6 @@ import os
 import select
 import threading
 import time
-import tty
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -74,6 +73,8 @@ class ScriptedBoard:
 
     def __init__(self, *, answers: Callable[[Message], bytes | None] = lambda _: None, streaming: bool = True) -> None:
         self.master, slave = os.openpty()
+        import tty  # not on Windows, where the rest of this is used
+
         tty.setraw(slave)
         self.url = os.ttyname(slave)
         self.slave = slave  # held, so that the pty outlives a gateway that closes it
