@@ -109,6 +109,8 @@ class Watched:
             self._publish("twin/state", output.state)
         self._publish("twin/divergence", output.divergence)
         for alarm in output.alarms:
+            if alarm.active and alarm.threshold_on:  # the model is in doubt, not the line
+                alarm.text += f" under the model {self.belief.model.name}"
             self._alarm(alarm)
         if (request := self._request.sample(state, output.judges)) is not None:
             self._alarm(request)

@@ -103,6 +103,7 @@ def test_the_right_model_ends_the_alarms_of_the_wrong_one_without_a_gap(endpoint
             wait_for_count(lambda: len(divergences(heard)), 3000, "divergence")
 
     assert {alarm.name for alarm in before if alarm.active} == {"innovation", "divergence-i_c"}
+    assert all("under the model ce152" in alarm.text for alarm in before if alarm.active)
     (reply,) = replies.values()
     assert (reply.accepted, reply.id, reply.tick) == (True, "one", 1000)
     ended = alarms(heard)[len(before) :]
