@@ -33,6 +33,8 @@ try:
 except ModuleNotFoundError:  # Windows
     TtyError = OSError
 
+_READ_S = 0.05  # of a port without a descriptor: a thread looks so often whether it was closed
+_PUMP_ENDS_S = 1.0
 _USER_TIMEOUT_MS = 5000  # a TCP connection without acknowledgement for this long is lost: no power or network
 READ_SIZE = 65536
 _GLOB = frozenset("*?[")
@@ -52,6 +54,7 @@ class Port:
     def __init__(self, device: serial.SerialBase, name: str) -> None:
         self.name = name
         self._device = device
+        self._pumps: list[threading.Thread] = []
         self._receive: Callable[[], bytes]
         self._send: Callable[[bytes], int]
         self._end = self._socket()
@@ -88,6 +91,9 @@ class Port:
             if self._end is not None:
                 self._end.close()
             self._device.close()
+        # A read that has not ended holds the port: whoever opens it next would find it in use.
+        for pump in self._pumps:
+            pump.join(_PUMP_ENDS_S)
 
     def _socket(self) -> socket.socket | None:
         """Return the socket of a device that has one or is pumped; None for a tty."""
@@ -106,9 +112,11 @@ class Port:
 
     def _pump(self) -> socket.socket:
         local, remote = socket.socketpair()
-        self._device.timeout = 0.05
-        threading.Thread(target=_from_device, args=(self._device, remote), name="port-read", daemon=True).start()
-        threading.Thread(target=_to_device, args=(self._device, remote), name="port-write", daemon=True).start()
+        self._device.timeout = _READ_S
+        for name, work in (("port-read", _from_device), ("port-write", _to_device)):
+            pump = threading.Thread(target=work, args=(self._device, remote), name=name, daemon=True)
+            pump.start()
+            self._pumps.append(pump)
         return local
 
 
