@@ -161,13 +161,12 @@ def test_an_empty_environment_flies_a_ball(installed: Path, tmp_path: Path) -> N
                 subprocess.run(sent, cwd=folder, env=surroundings, check=True, timeout=HANG_S)
             wait_for(lambda: abs(heard.states("rig1")[-1].x_m - X_REF_M) < 1e-4, "a ball that flies")
             flying_s = time.monotonic() - begun_s
-            wait_for(lambda: heard.messages["rig1/twin/state"], "the twin beside it")
-            twin_s = time.monotonic() - begun_s
     finally:
         process.send_signal(signal.SIGINT)
         code = process.wait(HANG_S)
 
-    print(f"the ball flew {flying_s:.1f} s after `board51 start --emulated`, its twin {twin_s:.1f} s")  # seen with -rP
+    # Its twin is not awaited: it compiles its kernels for a minute, and test_compile_command.py compiles them, too.
+    print(f"the ball flew {flying_s:.1f} s after `board51 start --emulated`")  # seen with -rP
     assert told.stdout == f"board51 {VERSION}\n"
     assert code == 0
     assert list((folder / "logs").glob("*.mcap"))
