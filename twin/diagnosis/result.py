@@ -195,7 +195,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
                 "parameters": list(pair.names),
                 "correlation": pair.correlation,
                 "std": list(pair.stds),
-                "determined": list(pair.weights),
+                "determined": None if pair.weights is None else list(pair.weights),
                 "log_likelihood_drops": list(pair.drops),
             }
             for pair in diagnosis.trade_offs

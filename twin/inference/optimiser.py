@@ -109,7 +109,7 @@ def climb(
         tolerance: decrement of convergence, standard errors.
         patience: consecutive passes with little gain after which the decrement NEAR suffices; after twice as many it
             ends in any case, as slopes that promise more are those of a likelihood with kinks.
-        goal: log-likelihood; where the slope promises less than a part of the way there, nobody needs the maximum.
+        goal: log-likelihood; where slope and last step promise less than a part of the way, nobody needs the maximum.
     """
     point, damping, converged = start, Damping(), False
     # Fisher scoring, not Gauss-Newton or BFGS: the noise levels are parameters, so the weights of the residuals change.
@@ -134,7 +134,8 @@ def climb(
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < _LITTLE else 0
-            if value + settings.GOAL_REACH * 0.5 * decrement**2 < goal:
+            # Also by what the step gained: along a limit of the steps each gains more than its slope promised.
+            if value + settings.GOAL_REACH * max(0.5 * decrement**2, value - loglik) < goal:
                 point, loglik, outputs = trial, value, trial_outputs
                 break
             damping.accepted()

@@ -34,7 +34,7 @@ class TradeOff:
     values: tuple[float, float]  # at the maximum, in their units
     stds: tuple[float, float]  # standard errors, in their units
     correlation: float
-    weights: tuple[float, float]  # of relative changes, in the combination that is known best; unit length
+    weights: tuple[float, float] | None  # of relative changes in the combination that is known best; unit length
     contour: FloatArray  # of the 95 % region, in their units, shape (points, 2)
     drops: tuple[float, float]  # of log-likelihood at both ends of the long axis; END_DROP for a parabola
 
@@ -60,7 +60,7 @@ def trade_offs(criterion: Criterion, fit: Fit) -> tuple[TradeOff, ...]:
 
 
 def _pairs(fit: Fit) -> list[tuple[int, int]]:
-    """Return the indices of the strongest pairs of physical coordinates, the stronger effect second."""
+    """Return the indices of the strongest pairs of physical coordinates."""
     physical = [
         k for k, name in enumerate(fit.free) if ("." in name or name in PARAMETERS) and fit.covariance[k, k] > 0.0
     ]
@@ -111,8 +111,15 @@ def _sense(fit: Fit, name: str, plant: Plant) -> float:
     return 1.0 if up >= down else -1.0
 
 
-def _best_known(values: tuple[float, float], stds: tuple[float, float], correlation: float) -> tuple[float, float]:
-    """Return the direction of the least variance of relative changes, of unit length, the first weight positive."""
+def _best_known(
+    values: tuple[float, float], stds: tuple[float, float], correlation: float
+) -> tuple[float, float] | None:
+    """Return the direction of the least variance of relative changes, of unit length, the first weight positive.
+
+    None where a value is not told from 0: a change relative to it has no meaning.
+    """
+    if any(abs(value) < END * std for value, std in zip(values, stds, strict=True)):
+        return None
     relative = np.array(stds) / np.abs(values)
     covariance = np.outer(relative, relative) * np.array([[1.0, correlation], [correlation, 1.0]])
     first, second = np.linalg.eigh(covariance)[1][:, 0]

@@ -19,7 +19,7 @@ from matplotlib.ticker import NullLocator
 
 P = ParamSpec("P")
 R = TypeVar("R")
-# Light enough apart that a print in grey tells them, too: luminances 47, 97, 132 of 255.
+# Light enough apart that a print in grey tells them, too: luminances 48, 97 and 131 of 255.
 MEASURED, MODEL, EXTENDED, REFERENCE, ALARM = "#0b3a5d", "#c8391f", "#4ca561", "#555555", "#b8860b"
 _STYLE: Any = {
     "axes.grid": True,

@@ -132,8 +132,8 @@ CANDIDATES = 5  # fitted in a round
 MIN_SCORE_SHARE = 0.02  # of the best score: candidates below are not fitted
 PASSES = 30  # of a fit, at most
 PASSES_FIRST = 2  # of a candidate's first fit
-# Measured.  A climb towards a goal is given up where this many times what its slope promises does not reach it: climbs
-# gained up to 4.9 times as much.
+# Measured.  A climb towards a goal is given up where this many times what its slope promised, or its last step gained,
+# does not reach it: climbs went up to 5.1 times as far.
 GOAL_REACH = 10.0
 # Samples of the approach to the start of a fit, its passes over them, and the multiple of them from which it is used.
 APPROACH_SAMPLES = 8000

@@ -83,3 +83,32 @@ def test_a_noise_level_that_the_recordings_do_not_show_and_a_pair_that_is_one_do
     assert first.names == pair.names
     assert np.isfinite(first.contour).all()
     assert np.isfinite(first.narrowing)
+
+
+def test_relative_changes_of_a_value_that_may_be_zero_are_not_spoken_of(criterion: Criterion, fit: Fit) -> None:
+    """A shape is often 0, or near it."""
+    wide = fit.covariance.copy()
+    k = fit.free.index(D)
+    wide[k] *= 1e4
+    wide[:, k] *= 1e4
+    at_zero = replace(fit, theta=fit.theta.having(D, 0.0))
+
+    for doubtful in (replace(fit, covariance=wide), at_zero):
+        (first, *_) = [pair for pair in trade_offs(criterion, doubtful) if D in pair.names]
+
+        assert first.weights is None
+        assert not any("relative changes" in sentence for sentence in trade_off_sentences(first))
+
+
+def test_a_climb_without_hope_of_its_goal_ends_early_and_one_with_hope_as_without_a_goal(
+    criterion: Criterion, fit: Fit
+) -> None:
+    start = strong(CAUSE, 1e-4)
+    whole = climb(criterion, start, FREE)
+
+    hopeless = climb(criterion, start, FREE, goal=whole.loglik + 1e4)
+    hopeful = climb(criterion, start, FREE, goal=whole.loglik - 1.0)
+
+    assert hopeless.passes < whole.passes
+    assert hopeless.loglik < whole.loglik
+    assert hopeful.theta == whole.theta

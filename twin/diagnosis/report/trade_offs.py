@@ -28,14 +28,20 @@ def trade_off_sentences(pair: TradeOff) -> list[str]:
     a, b = map(_symbol, pair.names)
     change_a, change_b = (_change(pair, k) for k in (0, 1))
     direction = "larger" if pair.correlation > 0.0 else "smaller"
-    first, second = pair.weights
-    sign = "+" if second >= 0.0 else "\N{MINUS SIGN}"
     return [
         f"{a} and {b} trade off (correlation {pair.correlation:.3f}).",
         f"{b} larger by {change_b} with {a} {direction} by {change_a} explains the recordings almost as well.",
-        f"In relative changes, these data determine {first:.2f} {a} {sign} {abs(second):.2f} {b}.",
+        *_combination(pair, a, b),
         f"With one of them measured by other means, the interval of the other is {pair.narrowing:.2g} times narrower.",
     ]
+
+
+def _combination(pair: TradeOff, a: str, b: str) -> list[str]:
+    if pair.weights is None:
+        return []
+    first, second = pair.weights
+    sign = "+" if second >= 0.0 else "\N{MINUS SIGN}"
+    return [f"In relative changes, these data determine {first:.2f} {a} {sign} {abs(second):.2f} {b}."]
 
 
 def _caption(pair: TradeOff) -> str:
