@@ -32,8 +32,8 @@ from twin.estimation.prepare import CONTACT_SHARE
 from twin.estimation.propagate import copy
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
-from twin.model.causes import amplifier_gain_drift
-from twin.model.extended import FIELD, I_C, WARMTH, Base, X, current_of_reading, position_of_reading
+from twin.model.causes import amplifier_gain_drift, magnetic_hysteresis
+from twin.model.extended import FIELD, I_C, LOOP, WARMTH, Base, X, current_of_reading, position_of_reading
 from twin.model.parameters import Noise
 from twin.model.simulate import PlantNumbers
 
@@ -94,6 +94,7 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
         f.y[WARMTH] = current * current  # of a coil that has carried this for long
     else:
         measure_current(f, i)
+        f.y[LOOP] = magnetic_hysteresis.turned(f.c[:], f.y[LOOP], f.y[FIELD], f.y[I_C])
         f.y[FIELD] = f.y[I_C]
         f.y[WARMTH] += o.sample_time_s * amplifier_gain_drift.warmth_rate(f.c[:], current, f.y[WARMTH])
     start_flight(f, x)

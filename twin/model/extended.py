@@ -1,12 +1,12 @@
 """The extended model: the paper's (1) and (6) with all causes of the catalogue.
 
-    u_c --delay, dead zone--> target --limits, T_A(x), emf--> i --lag, remanence, saturation--> force --> x', x
+    u_c --delay, dead zone--> target --limits, T_A(x), emf--> i --lag, loop, remanence, saturation--> force --> x', x
     i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
 The state y has shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2),
-rate of the sensor s' (m/s).  Then follows how far each of `OFFSETS` has wandered, in its unit; the caller adds it to c.
-Then comes the coloured noise of the readings of i_c (A) and x (m), and last their lines, a pair for each harmonic.  The
-caller advances these and adds them to the readings.
+rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1).  Then follows how far each of `OFFSETS` has
+wandered, in its unit; the caller adds it to c.  Then comes the coloured noise of the readings of i_c (A) and x (m), and
+last their lines, a pair for each harmonic.  The caller advances these and adds them to the readings.
 
 Rule 1: with `catalogue.neutral()` the model is exactly (1) and (6), and f = i_c, s = x.
 Rule 2: within a substep the amplifier is integrated exactly for any T_A and slew rate.  The ball is integrated by
@@ -41,6 +41,7 @@ from twin.model.causes import (
     eddy_current_lag,
     force_exponent,
     freewheel_diode,
+    magnetic_hysteresis,
     motional_emf,
     periodic_disturbance,
     position_dependent_inductance,
@@ -57,8 +58,8 @@ from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import Vector
 from twin.model.causes.sensor_line import HARMONICS
 
-I_C, X, V, FIELD, SENSOR, WARMTH, RATE = range(7)
-WANDER = 7  # of the first of `OFFSETS`
+I_C, X, V, FIELD, SENSOR, WARMTH, RATE, LOOP = range(8)
+WANDER = 8  # of the first of `OFFSETS`
 I_COLOUR, X_COLOUR = WANDER + len(OFFSETS), WANDER + len(OFFSETS) + 1
 I_LINES = X_COLOUR + 1
 X_LINES = I_LINES + 2 * HARMONICS
@@ -212,8 +213,8 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
     coarse = short(p, c, duration)
     for part in range(1 if coarse else len(PARTS)):
         h = duration if coarse else duration * PARTS[part]
-        i, x, v, f, s = y[I_C], y[X], y[V], y[FIELD], y[SENSOR]
-        a1 = acceleration(p, c, f, x, v, t)
+        i, x, v, f, s, z = y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[LOOP]
+        a1 = acceleration(p, c, magnetic_hysteresis.field(c, f, z), x, v, t)
         free, brake, held = a1, 0.0, False
         if rubs:
             brake = coulomb_friction.brakes(c, p.mass_kg, v, free)
@@ -236,25 +237,29 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         w = eddy_current_lag.weight(c, plane - x, gap_mid)
         w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
         f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
-        a2 = 0.0 if held else acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
+        z_half = magnetic_hysteresis.turned(c, z, f, f_half)
+        seen_half = magnetic_hysteresis.field(c, f_half, z_half)
+        a2 = 0.0 if held else acceleration(p, c, seen_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
             i_next = _driven(p, c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, 0.5 * h, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
         w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
         f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
+        z_next = magnetic_hysteresis.turned(c, z_half, f_half, f_next)
+        seen_next = magnetic_hysteresis.field(c, f_next, z_next)
         v3 = v + 0.5 * h * a2
-        a3 = acceleration(p, c, f_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
+        a3 = acceleration(p, c, seen_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
         v4 = v + h * a3
-        a4 = acceleration(p, c, f_next, x + h * v3, v4, t + h) - brake
+        a4 = acceleration(p, c, seen_next, x + h * v3, v4, t + h) - brake
         x_next = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v_next = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         if held:
-            after = acceleration(p, c, f_next, x, 0.0, t + h)
+            after = acceleration(p, c, seen_next, x, 0.0, t + h)
             v_next, path = coulomb_friction.let_go(coulomb_friction.static_friction(c, p.mass_kg), free, after, h)
             x_next = x + path
         elif brake * v_next < 0.0:
-            after = acceleration(p, c, f_next, x, 0.0, t + h)
+            after = acceleration(p, c, seen_next, x, 0.0, t + h)
             v_next, path = coulomb_friction.turned(abs(brake), v, v_next, x_next - x, free, after, h)
             x_next = x + path
         if stops and max(x + 0.5 * h * v2, x + h * v3) > p.travel_m:
@@ -268,7 +273,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             c, s, y[RATE], position_reading(p, c, x, i), position_reading(p, c, x_next, i_next), h
         )
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
-        y[I_C], y[X], y[V], y[FIELD] = i_next, x_next, v_next, f_next
+        y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z_next
         t += h
 
 

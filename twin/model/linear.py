@@ -7,8 +7,8 @@ Rule 1: (14) is the matrix logarithm of differences of `extended.advance` over a
 Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale.  The states
         that causes add follow (field current of `eddy-current-lag`, settled reading of `position-sensor-lag` and its
         rate).
-Rule 3: warmth stays at its equilibrium value, as it changes over minutes.  A periodic force is left out.  So is dry
-        friction, as its linearisation at rest is a ball that sticks.
+Rule 3: warmth stays at its equilibrium value, as it changes over minutes.  A periodic force is left out.  So are
+        dry friction, as its linearisation at rest is a ball that sticks, and the loop of the iron.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from twin.model.causes import (
     coulomb_friction,
     current_sensor_gain,
     eddy_current_lag,
+    magnetic_hysteresis,
     periodic_disturbance,
     position_sensor_lag,
     sampling_delay,
@@ -59,7 +60,7 @@ def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np
 def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Linearise by (14), for parameters and causes in the form of the kernels; c has shape (PLACES,)."""
     c = c.copy()
-    c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = 0.0
+    c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = c[magnetic_hysteresis.HALF_WIDTH] = 0.0
     eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
     y0, u0 = at_rest(p, c, x_m, as_reading=True)
     places = [I_C, X, V, *([FIELD] if eddy > 0.0 else []), *([SENSOR] if lag > 0.0 else [])]

@@ -12,6 +12,7 @@ from twin.model.extended import (
     FIELD,
     I_C,
     I_COLOUR,
+    LOOP,
     RATE,
     SENSOR,
     WARMTH,
@@ -28,6 +29,7 @@ from twin.model.extended import (
 TELLING_READINGS = 5  # after the first of a flight; later ones do not depend on the start, even with a lag of 2 ms
 _ACCELERATION_M_S2 = 15.0  # standard deviation at the beginning of a flight
 _WARMTH = (0.25, 0.3)  # A^2: mean and standard deviation at the beginning of a recording
+_LOOP_STD = 0.7  # place of the iron on its loop at the beginning of a recording, of a range of -1 to 1
 _CURRENT_VARIANCE = 1e2  # A^2, initial variance without a reading of i_c
 
 
@@ -83,7 +85,7 @@ def _share_error(f: Memory) -> None:
 
 @kernel
 def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
-    """Initialise current and warmth at the first sample of a chain.
+    """Initialise current, warmth and loop at the first sample of a chain.
 
     Args:
         f: the filter.
@@ -110,6 +112,10 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
     if f.warmth >= 0:
         _forget(f, f.warmth)
         f.y[WARMTH], f.P[f.warmth, f.warmth] = _WARMTH[0], _WARMTH[1] ** 2
+    f.y[LOOP] = 0.0
+    if f.loop >= 0:
+        _forget(f, f.loop)
+        f.P[f.loop, f.loop] = _LOOP_STD**2
 
 
 @kernel

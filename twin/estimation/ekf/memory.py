@@ -20,6 +20,7 @@ from twin.model.causes import (
     current_sensor_gain,
     current_sensor_offset,
     eddy_current_lag,
+    magnetic_hysteresis,
     position_sensor_lag,
     position_sensor_offset,
 )
@@ -32,6 +33,7 @@ from twin.model.extended import (
     I_C,
     I_COLOUR,
     I_LINES,
+    LOOP,
     RATE,
     SENSOR,
     STATES,
@@ -51,6 +53,7 @@ _NAMED = {
     "sensor": SENSOR,
     "rate": RATE,
     "warmth": WARMTH,
+    "loop": LOOP,
     "x_offset": _WANDERS[position_sensor_offset.OFFSET],
     "i_offset": _WANDERS[current_sensor_offset.OFFSET],
     "i_colour": I_COLOUR,
@@ -80,15 +83,16 @@ class Memory(Protocol):
     high_m: float  # at the upper stop
     m: int
     places: NDArray[np.int64]  # indices of the m states in the state, I_C, X, V first
-    field: int  # place in the covariance; -1: not in it (likewise the next seven)
+    field: int  # place in the covariance; -1: not in it (likewise the next eight)
     sensor: int
     rate: int
     warmth: int
+    loop: int  # of the iron's hysteresis
     x_offset: int  # of the states that wander
     i_offset: int
     i_colour: int  # of coloured noise
     x_colour: int
-    lasting: int  # place of the first state that a flight leaves as it is: warmth, what wanders, coloured noise
+    lasting: int  # place of the first state that a flight leaves as it is: warmth, loop, what wanders, coloured noise
     wandering: int  # place of the first that wanders
     coloured: int  # place of the first of coloured noise
     lines: int  # place of the first of the lines, which are last
@@ -142,6 +146,7 @@ def active_states(c: Floats) -> list[int]:
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
         (RATE, c[position_sensor_lag.TAU] > 0.0 and c[position_sensor_lag.SECOND] > 0.0),
         (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
+        (LOOP, c[magnetic_hysteresis.HALF_WIDTH] > 0.0),
         *((WANDER + k, c[wander] > 0.0) for k, (_, wander) in enumerate(OFFSETS)),
     )
     return [I_C, X, V, *(state for state, lives in conditions if lives)]
@@ -191,7 +196,7 @@ def memory_for(system: System) -> Memory:
     for name, state in _NAMED.items():
         record[name] = places.index(state) if state in places else -1
     record["wandering"], record["coloured"] = sum(state < WANDER for state in places), coloured
-    record["lasting"] = record["wandering"] - (WARMTH in places)
+    record["lasting"] = record["wandering"] - (WARMTH in places) - (LOOP in places)
     for k, state in enumerate(places[record["wandering"] : coloured]):
         offset, wander = OFFSETS[state - WANDER]
         record["offsets"][k], record["q_w"][k] = offset, c[wander] ** 2 / MINUTE_S

@@ -14,12 +14,14 @@ from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, curr
 from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
+    magnetic_hysteresis,
 )
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.extended import (
     FIELD,
     I_C,
     I_COLOUR,
+    LOOP,
     RATE,
     SENSOR,
     WARMTH,
@@ -31,7 +33,7 @@ from twin.model.extended import (
 )
 
 # For the Jacobian; coloured noise needs none.
-_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5] + [1e-6] * len(OFFSETS))
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5, 1e-4] + [1e-6] * len(OFFSETS))
 
 
 @inlined
@@ -199,11 +201,12 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
 
 @kernel
 def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float) -> None:
-    """Predict current and warmth with the ball held at its last `reading`, m; other arguments as `propagate`."""
+    """Predict current, warmth and loop with the ball held at its last `reading`, m; other arguments as `propagate`."""
     wandered(f, f.y)
     base, c, y, P, moved = base_of(f), f.c[:], f.y[:], f.P, f.moved[:]
     p = Base(*base)
     held = min(max(reading, 0.0), p.travel_m)
+    i_before, loop_before = y[I_C], y[LOOP]
     copy(moved, y)
     y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
     if f.closed_form:
@@ -237,6 +240,12 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         if f.warmth >= 0:
             P[0, k] += f_iw * P[f.warmth, k]
         P[k, 0] = P[0, k]
+    if f.loop >= 0:
+        moved_loop = magnetic_hysteresis.turned(c, loop_before + _DELTA[LOOP], i_before, y[I_C])
+        left = (moved_loop - magnetic_hysteresis.turned(c, loop_before, i_before, y[I_C])) / _DELTA[LOOP]
+        for j in range(f.m):
+            P[f.loop, j] *= left
+            P[j, f.loop] *= left
     for k in range(f.coloured, f.lines):
         left = remembered(f.tau_i if k == f.i_colour else f.tau_x, T_s)
         for j in range(f.m):
