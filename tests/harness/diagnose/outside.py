@@ -30,6 +30,7 @@ OUTSIDE: Mapping[str, Outside] = MappingProxyType(
             strength=0.03,
             unit="A",
             about="the field follows the current with a play of this half width: a loop of remanence, not an offset",
+            cause="magnetic-hysteresis",
         ),
         "sensor-sticks": Outside(
             strength=40e-6, unit="m", about="the reading moves only when x has moved by this much (a worn guide)"

@@ -49,6 +49,7 @@ PATCH_M, PATCH_HALF_WIDTH_M = 2.4e-3, 0.15e-3  # friction-patch
 WIRE_FROM_M = 2.5e-3  # wire-spring: slack below
 DRIFT_TIME_S = 40.0  # sensor-warm-up
 SAG_TIME_S = 1.5  # supply-sag
+LOOP_TURN_A = 0.12
 HUM_HZ = 50.0  # sensor-hum
 
 # 12-bit converters like the board's: (offset, one count)
@@ -99,6 +100,7 @@ class Numbers(NamedTuple):
     sampling_steps: int
     # outside the catalogue
     hysteresis: float
+    loop: float
     stick: float
     warm_up: float
     wire: float
@@ -180,10 +182,14 @@ def pass_time(
         y[W] += h / c.heating_s * (i_mean * i_mean - y[W])
         y[LOAD] += h / SAG_TIME_S * (i_mean - y[LOAD])
 
-        # the field in the gap: play (hysteresis), then the lag of eddy currents
+        # the field in the gap: play or loop (hysteresis), then the lag of eddy currents
         if c.hysteresis > 0.0:
             y[H] = min(max(y[H], i_new - c.hysteresis), i_new + c.hysteresis)
             source = y[H]
+        elif c.loop > 0.0:  # of Bouc and Wen, order 2, beta = gamma = 1/2
+            rise = (i_new - i) / LOOP_TURN_A
+            y[H] += rise * (1.0 - (y[H] * y[H] if y[H] * rise > 0.0 else 0.0))
+            source = i_new - c.loop * y[H]
         else:
             source = i_new
         before = y[F]
@@ -499,6 +505,7 @@ def numbers(
         i_gain=strength("current-sensor-gain", 1.0),
         sampling_steps=round(strength("sampling-delay") / STEP_S),
         hysteresis=outside.get("force-hysteresis", 0.0),
+        loop=outside.get("force-loop", 0.0),
         stick=outside.get("sensor-sticks", 0.0),
         warm_up=outside.get("sensor-warm-up", 0.0),
         wire=outside.get("wire-spring", 0.0),
