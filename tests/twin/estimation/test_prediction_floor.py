@@ -33,6 +33,7 @@ STRENGTHS = {
     "current-sensor-line": 8e-3,
     "freewheel-diode": 0.5,
     "lost-samples": 0.03,
+    "magnetic-hysteresis": 0.03,
     "motional-emf": 0.2,
     "position-sensor-line": 20e-6,
     "slew-rate-limit": 10.0,
