@@ -83,19 +83,19 @@ def turned(c: Vector, z: float, f: float, f_next: float) -> float:
     if c[HALF_WIDTH] <= 0.0 or f_next == f:
         return z
     branch = 1.0 if f_next > f else -1.0
-    way, along = abs(f_next - f) / c[TURN], min(branch * z, _ON_THE_BRANCH)
-    if along < 0.0:
-        # d(1 - along) / d(way) = -(1 - along)^m, which is a power of a straight line, or an exponential.
-        power, left = 1.0 - c[BACK], 1.0 - along
+    way, level = abs(f_next - f) / c[TURN], min(branch * z, _ON_THE_BRANCH)
+    if level < 0.0:
+        # d(1 - level) / d(way) = -(1 - level)^m, which is a power of a straight line, or an exponential.
+        power, left = 1.0 - c[BACK], 1.0 - level
         straight = power > _SMALL
         back = (left**power - 1.0) / power if straight else math.log(left)
         if way <= back:
             left = (left**power - power * way) ** (1.0 / power) if straight else left * math.exp(-way)
             return branch * (1.0 - left)
-        way, along = way - back, 0.0
+        way, level = way - back, 0.0
     if c[ORDER] < _SHARP:
-        return branch * min(along + way, _ON_THE_BRANCH)
-    return branch * _after(_since_zero(along, c[ORDER]) + way, c[ORDER])
+        return branch * min(level + way, _ON_THE_BRANCH)
+    return branch * _after(_since_zero(level, c[ORDER]) + way, c[ORDER])
 
 
 @inlined
