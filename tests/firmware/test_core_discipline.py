@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.native.build import SOURCES
+from gateway.emulator.native.flags import SOURCES
 
 CORE = sorted(SOURCES.glob("core/*.c"))
 _NODE = re.compile(r'node: \{ title: "(?P<name>[^"]+)" label: "[^"]*?(?P<bytes>\d+) bytes \((?P<kind>[^)]+)\)')

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from firmware.sim.mcs51.board import TICK_CYCLES, Mcs51Board
-from firmware.sim.mcs51.build import CLOCK_HZ, CONFIGURATION, OPTIONS, actual_baud, image, image_sources
+from firmware.sim.mcs51.build import CLOCK_HZ, actual_baud, image, image_sources
 from gateway.emulator.firmware_model.flash import T_S_US
 from gateway.emulator.native.board import NativeFirmware
+from gateway.emulator.native.flags import flags
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.messages import Message, Value
@@ -180,7 +181,7 @@ def test_what_the_interrupt_calls_keeps_nothing_at_fixed_addresses(tmp_path: Pat
     kept: dict[str, list[str]] = {}
     for source in image_sources():
         out = tmp_path / f"{source.stem}.rel"
-        command = [str(shutil.which("sdcc")), *OPTIONS, *CONFIGURATION, "-c", str(source), "-o", str(out)]
+        command = [str(shutil.which("sdcc")), *flags("MCS51_FLAGS", "MCS51_CONFIG"), "-c", str(source), "-o", str(out)]
         subprocess.run(command, check=True, cwd=tmp_path)
         text = out.with_suffix(".asm").read_text(encoding="utf-8")
         for name, code in re.findall(r"^_(\w+):\n(.*?)(?=^_\w+:\n|\Z)", text.partition(".area CSEG")[2], re.M | re.S):

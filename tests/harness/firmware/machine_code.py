@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from firmware.sim.avr.build import compile_image
-from firmware.sim.mcs51.build import CONFIGURATION, OPTIONS, image_sources
+from firmware.sim.mcs51.build import image_sources
+from gateway.emulator.native.flags import flags
 
 _MODIFY = {"inc", "dec", "setb", "clr", "cpl", "anl", "orl", "xrl", "djnz", "jbc"}  # of an 8051, each without a gap
 
@@ -51,7 +52,7 @@ def mcs51_program(folder: Path) -> Program:
     texts = []
     for source in image_sources():
         out = folder / f"{source.stem}.rel"
-        command = [str(shutil.which("sdcc")), *OPTIONS, *CONFIGURATION, "-c", str(source), "-o", str(out)]
+        command = [str(shutil.which("sdcc")), *flags("MCS51_FLAGS", "MCS51_CONFIG"), "-c", str(source), "-o", str(out)]
         subprocess.run(command, check=True, cwd=folder)
         texts.append(out.with_suffix(".asm").read_text(encoding="utf-8"))
     sizes = {name: int(size) for name, size in re.findall(r"^_(\w+):+\n\t\.ds\s+(\d+)", texts[0], re.M)}
