@@ -10,14 +10,14 @@ SANITIZE_FLAGS = -g -O1 -fno-omit-frame-pointer -fsanitize=address,undefined -fn
 # ATmega328P.  Inlined, all functions of a signal would have their locals on the stack at a time.
 AVR_FLAGS = -mmcu=atmega328p -std=gnu99 -O2 -fno-inline
 # 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.
-AVR_CONFIG = -DCAPTURE_SIZE=200U -DCAPTURE_US=200U -DANSWER_DEPTH=2U -DEVENT_DEPTH=6U -DBLOCK_DEPTH=1U
+AVR_CONFIG = -DB51_CAPTURE_SIZE=200U -DB51_CAPTURE_US=200U -DB51_ANSWER_DEPTH=2U -DB51_EVENT_DEPTH=6U -DB51_BLOCK_DEPTH=1U
 # Not the EEPROM: a boot loader does not write it, and blank it gives way to the program's numbers.
 AVR_HEX_FLAGS = -R .eeprom
 
 # ADuC841.
 MCS51_FLAGS = -mmcs51 --std-c99 --model-small --opt-code-speed
 # What 2 kB of external RAM hold, and the fastest capture that its interrupt leaves time for.
-MCS51_CONFIG = -DCAPTURE_US=80U -DCAPTURE_SIZE=240U -DANSWER_DEPTH=3U -DEVENT_DEPTH=8U -DBLOCK_DEPTH=2U
+MCS51_CONFIG = -DB51_CAPTURE_US=80U -DB51_CAPTURE_SIZE=240U -DB51_ANSWER_DEPTH=3U -DB51_EVENT_DEPTH=8U -DB51_BLOCK_DEPTH=2U
 # 'Memory organization'; XRAM_KEPT in mcs51/part.h.
 MCS51_LINK = --iram-size 256 --xram-size 2040 --code-size 63488
 

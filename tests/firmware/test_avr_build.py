@@ -20,7 +20,7 @@ def test_it_compiles_without_a_warning(baud: int, tmp_path: Path) -> None:
 
     compile_image(tmp_path / "avr.elf", baud=baud, options=flags("WARNINGS"))
 
-    assert {"main", "board", "VIEW"} <= set(load(tmp_path / "avr.elf").symbols)
+    assert {"main", "b51_board", "B51_VIEW"} <= set(load(tmp_path / "avr.elf").symbols)
 
 
 def test_without_the_compiler_the_command_says_what_to_install(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def compile_image(target: Path, *, baud: int = 115200, profile: str = "", option
     """
     if shutil.which("avr-gcc") is None:
         raise InstallError("The firmware of the AVR needs avr-gcc, and it is not found", remedy=_REMEDY)
-    chosen = [build_option(), f"-DBAUD=UINT32_C({baud})", *([f'-DPROFILE="{profile}"'] if profile else [])]
+    chosen = [build_option(), f"-DB51_BAUD=UINT32_C({baud})", *([f'-DB51_PROFILE="{profile}"'] if profile else [])]
     _run(["avr-gcc", *_flags(), *chosen, *options, *map(str, sources()), "-o", str(target)])
 
 

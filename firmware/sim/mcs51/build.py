@@ -44,20 +44,19 @@ def build_image(target: Path, *, baud: int = 115200, options: Sequence[str] = ()
         InstallError: there is no sdcc.
         ServiceError: it fails, or finds anything to warn of.
     """
-    program = shutil.which("sdcc")
-    if program is None:
+    if shutil.which("sdcc") is None:
         raise InstallError("The firmware of the 8051 needs sdcc, and it is not found", remedy=_REMEDY)
-    chosen = [build_option(), f"-DBAUD=UINT32_C({baud})", *options]
+    chosen = [build_option(), f"-DB51_BAUD=UINT32_C({baud})", *options]
     with tempfile.TemporaryDirectory() as scratch:
-        # A copy and short names, as in the Makefile: the registers that sdcc chooses depend on the length of its paths.
+        # By the words of the Makefile, in a copy: the registers that sdcc chooses depend on the length of its paths.
         for part in ("core", "mcs51"):
             shutil.copytree(SOURCES / part, Path(scratch) / part)
         files = [source.relative_to(SOURCES).as_posix() for source in image_sources()]
         for file in files:
-            command = [program, *flags("MCS51_FLAGS", "MCS51_WARNINGS", "MCS51_CONFIG"), *chosen, "-c", file]
+            command = ["sdcc", *flags("MCS51_FLAGS", "MCS51_WARNINGS", "MCS51_CONFIG"), *chosen, "-c", file]
             _run(command, Path(scratch))
         objects = [f"{Path(file).stem}.rel" for file in files]
-        _run([program, *flags("MCS51_FLAGS", "MCS51_LINK"), *objects, "-o", "image.ihx"], Path(scratch))
+        _run(["sdcc", *flags("MCS51_FLAGS", "MCS51_LINK"), *objects, "-o", "image.ihx"], Path(scratch))
         linked = Path(scratch) / "image.ihx"
         image = {
             "code": code_of(linked.read_text(encoding="ascii")).hex(),

@@ -96,7 +96,7 @@ def build_of_sources() -> bytes:
 
 def build_option() -> str:
     """Return the compiler's option for it."""
-    return "-DFIRMWARE_BUILD=" + ",".join(map(str, build_of_sources()))
+    return "-DB51_FIRMWARE_BUILD=" + ",".join(map(str, build_of_sources()))
 
 
 def _git(*words: str) -> str:

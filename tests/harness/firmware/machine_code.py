@@ -74,7 +74,7 @@ def _of_mcs51(function: str, code: str, sizes: Mapping[str, int]) -> Iterable[Ac
             guarded = True
         elif re.fullmatch(r"setb\t_E(A|T2)|mov\tea,c", line):
             guarded = False
-        elif address := re.fullmatch(r"mov\tdptr,#\(_board \+ (0x\w+)\)", line):
+        elif address := re.fullmatch(r"mov\tdptr,#\(_b51_board \+ (0x\w+)\)", line):
             pointer = int(address[1], 16)
         elif line == "inc\tdptr":
             pointer = None if pointer is None else pointer + 1
@@ -120,7 +120,7 @@ def _variable(at: int, variables: Iterable[tuple[int, int, str]]) -> tuple[str, 
     """The name of what lies at an address, and its size; a byte of `board` is a variable."""
     for begin, size, name in variables:
         if begin <= at < begin + size:
-            return (f"board+{at - begin}", 1) if name == "board" else (name, size)
+            return (f"board+{at - begin}", 1) if name == "b51_board" else (name, size)
     return f"register {at:#x}", 1
 
 
