@@ -18,8 +18,8 @@ AVR_HEX_FLAGS = -R .eeprom
 MCS51_FLAGS = -mmcs51 --std-c99 --model-small --opt-code-speed
 # What 2 kB of external RAM hold, and the fastest capture that its interrupt leaves time for.
 MCS51_CONFIG = -DB51_CAPTURE_US=80U -DB51_CAPTURE_SIZE=240U -DB51_ANSWER_DEPTH=3U -DB51_EVENT_DEPTH=8U -DB51_BLOCK_DEPTH=2U
-# 'Memory organization'; XRAM_KEPT in mcs51/part.h.
-MCS51_LINK = --iram-size 256 --xram-size 2040 --code-size 63488
+# 'Memory organization'; B51_XRAM_KEPT in mcs51/part.h.  88 bytes of stack were the most that a test has met.
+MCS51_LINK = --iram-size 256 --stack-size 104 --xram-size 2040 --code-size 63488
 
 # Each is an error in the tests and in the Makefile.
 WARNINGS = -Wall -Wextra -Wconversion -Wshadow -Werror

@@ -8,6 +8,12 @@
 
 #include "avr.h"
 
+/* The bytes of the EEPROM are those of the structures, which this chip does not pad. */
+B51_STATIC_ASSERT(b51_the_identity_is_not_padded, sizeof(struct b51_identity) == 40U);
+B51_STATIC_ASSERT(b51_the_settings_are_not_padded, sizeof(struct b51_settings) == 29U);
+B51_STATIC_ASSERT(b51_both_fit_the_eeprom,
+                  sizeof(struct b51_identity) + sizeof(struct b51_settings) + 4U <= E2END + 1U);
+
 /* A board without a number of its own is number 0. */
 #ifdef B51_PROFILE
 static const __flash struct b51_identity IDENTITY_OF_PROGRAM = {

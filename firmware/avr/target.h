@@ -57,5 +57,9 @@
 /* Bytes, powers of two: what a tick of 2 ms brings at 250000, and what leaves within 1 ms at 115200. */
 #define B51_RX_RING 64U
 #define B51_TX_RING 16U
+#if B51_RX_RING > 256 || (B51_RX_RING & (B51_RX_RING - 1)) != 0 || \
+    B51_TX_RING > 256 || (B51_TX_RING & (B51_TX_RING - 1)) != 0
+#error "A ring has a power of two of places, 256 at most: its ends are counted in 8 bits"
+#endif
 
 #endif

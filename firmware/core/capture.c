@@ -11,6 +11,8 @@
 
 #define SETTLE_US 20000U
 
+B51_STATIC_ASSERT(b51_the_first_sample_is_at_a_tick, SETTLE_US % B51_TICK_US == 0U);
+
 void b51_capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) B51_ON_STACK {
     b51_board.capture.u_from = u_from;
     b51_board.capture.u_to = u_to;

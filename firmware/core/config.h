@@ -18,6 +18,9 @@
 #define B51_UNCOMMANDED_CURRENT_COUNTS 512U
 #endif
 
+/* What has to hold when it is compiled; C99 has no word for it. */
+#define B51_STATIC_ASSERT(name, condition) typedef char name[(condition) ? 1 : -1]
+
 /* Where the state lies: external RAM on an 8051, whose 256 bytes of its own are for the stack and for variables. */
 #ifdef __SDCC_mcs51
 #define B51_STATE_MEMORY __xdata

@@ -3,6 +3,9 @@
 
 #define HARMONICS 8U
 
+/* Twice the largest sum and the largest peak, which `multisine` divides: 4095 * 8 * 32767 * 2 + 224331. */
+B51_STATIC_ASSERT(b51_a_multisine_has_32_bits, INT64_C(65534) * B51_COUNTS_MAX * HARMONICS + 224331 <= INT32_MAX);
+
 /* Sets sweep to 2^48 / divisor, rounded down, 16 bits at a time. */
 static void divide_turn(uint16_t divisor) B51_ON_STACK {
     uint32_t rest = 1;

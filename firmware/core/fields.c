@@ -57,6 +57,8 @@ static const B51_TABLE_MEMORY struct row ROWS[] = {
     /* RESET */ ID_ONLY,
 };
 
+B51_STATIC_ASSERT(b51_each_command_has_its_row, sizeof ROWS / sizeof ROWS[0] == B51_RESET - B51_HELLO + 1);
+
 /* Of a bound of a field. */
 static uint16_t magnitude(uint8_t type, uint16_t bound) B51_ON_STACK {
     if (type != I16) {
@@ -115,11 +117,13 @@ bool b51_is_sent_by_board(uint8_t type) {
     return type >= B51_STATE && type <= B51_CAPTURE_BLOCK;
 }
 
+/* From STATE on. */
+static const B51_TABLE_MEMORY uint8_t SIZES[] = {B51_STATE_BODY, B51_ANSWER_BODY, 10, 7, 6, 40, B51_EVENT_BODY,
+                                                 B51_BLOCK_BODY};
+B51_STATIC_ASSERT(b51_each_message_has_its_size, sizeof SIZES == B51_CAPTURE_BLOCK - B51_STATE + 1);
+
 /* Of a message to the host. */
 uint8_t b51_body_size(uint8_t type) {
-    static const B51_TABLE_MEMORY uint8_t SIZES[] = {B51_STATE_BODY, B51_ANSWER_BODY, 10, 7, 6, 40, B51_EVENT_BODY,
-                                                     B51_BLOCK_BODY};
-
     return SIZES[type - B51_STATE];
 }
 

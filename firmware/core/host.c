@@ -7,6 +7,14 @@
 #define RETAINED_IDS 8U
 #define HOST_LOSS_MS 500U
 
+#define PLACES(array) (sizeof(array) / sizeof((array)[0]))
+B51_STATIC_ASSERT(b51_commands_wait_in_a_power_of_two,
+                  PENDING_COMMANDS == PLACES(b51_board.host.pending) &&
+                      (PENDING_COMMANDS & (PENDING_COMMANDS - 1U)) == 0U);
+B51_STATIC_ASSERT(b51_each_kept_answer_has_its_place,
+                  RETAINED_IDS == PLACES(b51_board.host.kept) && RETAINED_IDS == PLACES(b51_board.host.kept_order));
+B51_STATIC_ASSERT(b51_the_longest_time_out_has_32_bits, UINT64_C(1000) * UINT16_MAX + B51_TICK_US <= UINT32_MAX);
+
 /* After `b51_board` was cleared. */
 void b51_host_boot(void) {
     b51_board.host.divider = 1;

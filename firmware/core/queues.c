@@ -7,6 +7,8 @@
 
 enum { QUEUE_STATE, QUEUE_ANSWER, QUEUE_EVENT, QUEUE_BLOCK, QUEUES }; /* highest priority first */
 
+B51_STATIC_ASSERT(b51_each_queue_has_its_ring, QUEUES * sizeof(struct b51_ring) == sizeof b51_board.queues.rings);
+
 static const B51_TABLE_MEMORY uint8_t DEPTH[QUEUES] = {B51_STATE_DEPTH, B51_ANSWER_DEPTH, B51_EVENT_DEPTH,
                                                         B51_BLOCK_DEPTH};
 

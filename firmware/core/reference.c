@@ -3,6 +3,9 @@
 
 #define MILLION UINT32_C(1000000)
 
+B51_STATIC_ASSERT(b51_the_largest_allowance_has_32_bits, UINT64_C(1000000) * B51_COUNTS_MAX <= UINT32_MAX);
+B51_STATIC_ASSERT(b51_the_largest_refill_has_32_bits, (uint64_t)UINT16_MAX * B51_TICK_US <= UINT32_MAX);
+
 /* After the limits are in force; the products are made here, once. */
 void b51_reference_boot(uint16_t x_ref) {
     b51_board.reference.x_ref = x_ref;

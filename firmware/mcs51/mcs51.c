@@ -8,6 +8,8 @@
 #define RECEIVED 64U /* bytes, powers of 2: 5.5 ms of a line without a gap */
 #define SENT 16U
 #define KEPT_VALID 0xB51AU
+B51_STATIC_ASSERT(b51_a_ring_is_a_power_of_two, (RECEIVED & (RECEIVED - 1U)) == 0U && (SENT & (SENT - 1U)) == 0U);
+B51_STATIC_ASSERT(b51_a_ring_is_counted_in_8_bits, RECEIVED <= 256U && SENT <= 256U);
 
 static volatile uint8_t ticks_due;
 static volatile uint8_t until_tick; /* interrupts of the timer */
@@ -21,6 +23,7 @@ static __xdata __at(B51_XRAM_KEPT) struct {
     uint16_t valid, resets, check;
     uint8_t cause, why; /* of this start, and of the watchdog's next reset */
 } kept;
+B51_STATIC_ASSERT(b51_what_is_kept_has_its_room, sizeof kept <= 8U && B51_XRAM_KEPT + 8U <= 0x800U);
 enum { BY_A_FAULT, BY_COMMAND, BY_THE_SUPPLY };
 
 /* What the board is, as it lies in the data memory: with a CRC over it as over a frame. */
@@ -33,6 +36,10 @@ static __xdata union {
     uint8_t bytes[72];
 } memory;
 #define MEMORY_SIZE sizeof memory.is
+B51_STATIC_ASSERT(b51_whole_pages_hold_the_memory,
+                  MEMORY_SIZE <= sizeof memory.bytes && sizeof memory.bytes % 4U == 0U);
+B51_STATIC_ASSERT(b51_the_identity_is_not_padded, sizeof(struct b51_identity) == 40U);
+B51_STATIC_ASSERT(b51_the_settings_are_not_padded, sizeof(struct b51_settings) == 29U);
 
 /* Where nothing valid was programmed: the emulated rig's scalings, gains and limits (gateway/emulator/firmware_model). */
 static const __code struct b51_identity IDENTITY_OF_PROGRAM = {

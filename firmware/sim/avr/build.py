@@ -34,8 +34,8 @@ class Image:
 
 
 def sources() -> list[Path]:
-    """Return the C files of the core and of the chip's hardware layer."""
-    return sorted([*SOURCES.glob("core/*.c"), *SOURCES.glob("avr/*.c")])
+    """Return the C files of the core and of the chip's hardware layer, and what the linker checks."""
+    return [*sorted([*SOURCES.glob("core/*.c"), *SOURCES.glob("avr/*.c")]), SOURCES / "avr" / "stack.ld"]
 
 
 def missing() -> str | None:
