@@ -49,10 +49,10 @@
 #define B51_TWI_RATE UINT32_C(400000)
 #define B51_TWI_DIVIDER ((F_CPU / B51_TWI_RATE - 16U) / 2U)
 #define B51_TWI_PATIENCE 250U /* looks at a byte on the bus; it takes 23 us, 50 looks */
-#define B51_TWI_SDA (1 << 4)    /* of port C */
-#define B51_TWI_SCL (1 << 5)
+#define B51_TWI_SDA (1U << 4)   /* of port C */
+#define B51_TWI_SCL (1U << 5)
 #define B51_TWI_HALF_CYCLES 32U /* 2 us: a clock made by hand, slower than the 400 kHz */
-#define B51_DAC_ADDRESS 0x60
+#define B51_DAC_ADDRESS 0x60U
 
 /* Bytes, powers of two: what a tick of 2 ms brings at 250000, and what leaves within 1 ms at 115200. */
 #define B51_RX_RING 64U

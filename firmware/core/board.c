@@ -12,7 +12,7 @@ void b51_board_boot(void) {
     uint8_t field;
 
     b51_hal_capture_timer(0);
-    memset(&b51_board, 0, sizeof b51_board);
+    (void)memset(&b51_board, 0, sizeof b51_board);
     b51_output_boot();
     b51_board.ticks_since_overrun = B51_TICKS_PER_S;
     field = b51_settings_boot();

@@ -40,11 +40,11 @@ static void answer_identity(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
     at = b51_put_u16(at, (uint16_t)B51_TICK_US);
     *at++ = identity->adc_bits;
     *at++ = identity->dac_bits;
-    memcpy(at, identity->scalings, sizeof identity->scalings);
+    (void)memcpy(at, identity->scalings, sizeof identity->scalings);
     at = b51_put_u16(at + sizeof identity->scalings, B51_CAPTURE_US);
     at = b51_put_u16(at, B51_CAPTURE_SIZE);
     *at++ = b51_hal_reset_cause();
-    memcpy(at, identity->build, sizeof identity->build);
+    (void)memcpy(at, identity->build, sizeof identity->build);
 }
 
 /* Rule 2.  Returns the reason of a refusal, as all below. */

@@ -61,8 +61,8 @@ static void add_steps(void) B51_ON_STACK {
     b51_board.excitation.of.chirp.phase += b51_board.excitation.of.chirp.step;
 }
 
-/* From one value of a chirp to the next; the first is at phase 0.  The step, 2^48 // period, is needed for the second,
- * its change, (2^48 // period_end - step) // duration, for the third: so an 8051 has a tick for each division; and a
+/* From one value of a chirp to the next; the first is at phase 0.  The step, 2^48 / period rounded down, is needed for the
+ * second, its change, (2^48 / period_end - step) / duration, for the third: so an 8051 has a tick for each division; and a
  * function for each part, as it has little stack. */
 static void advance_chirp(void) {
     uint32_t duration = b51_board.excitation.signal.duration;

@@ -38,7 +38,7 @@ static const B51_TABLE_MEMORY struct field READ_CAPTURE_FIELDS[] = {{U16, 0, 199
 static const B51_TABLE_MEMORY struct field SET_STREAM_FIELDS[] = {{U16, 0, 1000}};
 static const B51_TABLE_MEMORY struct field SET_HOST_LOSS_FIELDS[] = {{U8, 0, 2}, {U16, 50, 60000}};
 
-#define ROW(size, fields) {size, sizeof(fields) / sizeof(fields[0]), fields}
+#define ROW(size, fields) {(size), sizeof(fields) / sizeof((fields)[0]), (fields)}
 #define ID_ONLY {2, 0, 0}
 
 static const B51_TABLE_MEMORY struct row ROWS[] = {

@@ -9,7 +9,7 @@ static void enter(struct b51_posix_board *to) {
     if (here == to) {
         return;
     }
-    if (here != 0) {
+    if (here != NULL) {
         here->state = b51_board;
     }
     b51_board = to->state;
@@ -78,7 +78,7 @@ int16_t b51_hal_receive(void) {
 
 /* As many bytes as the caller has room for, and one frame at a time: the next waits for the next `b51_posix_take`. */
 bool b51_hal_send(uint8_t byte) {
-    if (here->sent == 0 || here->sent_count == here->room || here->delimiters == 2U) {
+    if (here->sent == NULL || here->sent_count == here->room || here->delimiters == 2U) {
         return false;
     }
     here->sent[here->sent_count++] = byte;
@@ -147,7 +147,7 @@ uint32_t b51_posix_size(void) {
 
 void b51_posix_open(struct b51_posix_board *to, const struct b51_identity *identity,
                     const struct b51_settings *settings) {
-    memset(to, 0, sizeof *to);
+    (void)memset(to, 0, sizeof *to);
     to->identity = *identity;
     to->settings = *settings;
     to->settings_of_program = *settings;
@@ -159,7 +159,7 @@ void b51_posix_open(struct b51_posix_board *to, const struct b51_identity *ident
 /* Before its memory is given back. */
 void b51_posix_close(const struct b51_posix_board *to) {
     if (here == to) {
-        here = 0;
+        here = NULL;
     }
 }
 
@@ -243,7 +243,7 @@ void b51_posix_tick(struct b51_posix_board *to, uint16_t i, uint16_t x, bool los
             reset(B51_RESET_WATCHDOG);
         }
     } else {
-        memcpy(states, b51_board.queues.states, sizeof states);
+        (void)memcpy(states, b51_board.queues.states, sizeof states);
         ring = b51_board.queues.rings[0];
         here->i = i;
         here->x = x;
@@ -253,7 +253,7 @@ void b51_posix_tick(struct b51_posix_board *to, uint16_t i, uint16_t x, bool los
         if (here->restart) {
             reset(B51_RESET_COMMANDED);
         } else if (lose_state) {
-            memcpy(b51_board.queues.states, states, sizeof states);
+            (void)memcpy(b51_board.queues.states, states, sizeof states);
             /* the oldest is back, too */
             b51_board.queues.dropped -= b51_board.queues.rings[0].first != ring.first ? 1U : 0U;
             b51_board.queues.rings[0] = ring;
@@ -273,7 +273,7 @@ uint8_t b51_posix_take(struct b51_posix_board *to, uint8_t *data, uint8_t room) 
     here->sent_count = 0;
     here->delimiters = (uint8_t)(here->delimiters % 2U);
     b51_send_frames();
-    here->sent = 0;
+    here->sent = NULL;
     show();
     return here->sent_count;
 }
