@@ -1,7 +1,8 @@
-"""Build the release: sdist and wheel of the last commit, and print their sizes and hashes.
+"""Build the release: sdist and wheel of the last commit, the firmware's images, and print their sizes and hashes.
 
 The wheel is built from the sdist, so the sdist is complete.  Two builds of a commit with the same lock are equal to
-the byte, wherever and by whomever they are made: files of git alone, fixed modes, and the time of the commit.
+the byte, wherever and by whomever they are made: files of git alone, fixed modes, and the time of the commit.  So are
+those of an image with the same compilers, whose versions are printed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -29,7 +31,7 @@ BACKEND = "import sys, setuptools.build_meta as backend; getattr(backend, sys.ar
 def main() -> int:
     """Return 0 when both files are built and their metadata is valid."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path, help="folder of the two files")
+    parser.add_argument("out", type=Path, help="folder of the files")
     parser.add_argument("--uncommitted", action="store_true", help="build the tracked files as they are now")
     args = parser.parse_args()
     changed = git("status", "--porcelain", "--untracked-files=no")
@@ -39,7 +41,7 @@ def main() -> int:
     os.environ["SOURCE_DATE_EPOCH"] = git("log", "-1", "--format=%ct")
     args.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        built = build(Path(folder))
+        built = [*build(Path(folder)), *build_images(Path(folder), dirty=bool(changed))]
         for path in built:
             shutil.copyfile(path, args.out / path.name)
     for path in built:
@@ -69,6 +71,27 @@ def build(folder: Path) -> tuple[Path, Path]:
     call_backend("build_wheel", folder / sdist.name.removesuffix(".tar.gz"), made)
     (wheel,) = made.glob("*.whl")
     return sdist, wheel
+
+
+def build_images(folder: Path, *, dirty: bool) -> list[Path]:
+    """Return the images of the chips, of the sources that `build` has put into this folder; none without compilers."""
+    absent = [name for name in ("make", "avr-gcc", "sdcc") if shutil.which(name) is None]
+    if absent:
+        print(f"Without the firmware's images: {', '.join(absent)} is not installed.", file=sys.stderr)
+        return []
+    commit = git("rev-parse", "HEAD")
+    build_name = f"{commit[:7]}+" if dirty else commit[:8]  # as gateway/emulator/native/build.py
+    command = ["make", "-s", f"--directory={folder / 'source' / 'firmware'}", f"OUT={folder / 'images'}"]
+    command += [f"BUILD={build_name}", "hashes"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"release: the firmware's images failed:\n{done.stdout}{done.stderr}")
+    for compiler in ("avr-gcc", "sdcc"):
+        said = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True).stdout
+        print(f"{compiler}: {said.splitlines()[0]}")
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    images = sorted((folder / "images").glob("*.hex"))
+    return [image.rename(folder / f"board51-{version}-{image.name}") for image in images]
 
 
 def normalise(sdist: Path) -> None:

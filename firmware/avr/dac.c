@@ -11,33 +11,33 @@ static void free_bus(void) {
     uint8_t clocks = 9;
 
     TWCR = 0;
-    for (; (PINC & TWI_SDA) == 0 && clocks != 0U; clocks--) {
-        DDRC |= TWI_SCL;
-        __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
-        DDRC &= (uint8_t)~TWI_SCL;
-        __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
+    for (; (PINC & B51_TWI_SDA) == 0 && clocks != 0U; clocks--) {
+        DDRC |= B51_TWI_SCL;
+        __builtin_avr_delay_cycles(B51_TWI_HALF_CYCLES);
+        DDRC &= (uint8_t)~B51_TWI_SCL;
+        __builtin_avr_delay_cycles(B51_TWI_HALF_CYCLES);
     }
-    DDRC |= TWI_SCL;
-    DDRC |= TWI_SDA;
-    __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
-    DDRC &= (uint8_t)~TWI_SCL;
-    __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
-    DDRC &= (uint8_t)~TWI_SDA;
-    __builtin_avr_delay_cycles(TWI_HALF_CYCLES);
+    DDRC |= B51_TWI_SCL;
+    DDRC |= B51_TWI_SDA;
+    __builtin_avr_delay_cycles(B51_TWI_HALF_CYCLES);
+    DDRC &= (uint8_t)~B51_TWI_SCL;
+    __builtin_avr_delay_cycles(B51_TWI_HALF_CYCLES);
+    DDRC &= (uint8_t)~B51_TWI_SDA;
+    __builtin_avr_delay_cycles(B51_TWI_HALF_CYCLES);
     TWCR = 1 << TWEN;
 }
 
 /* As it is called before RAM is initialised, it keeps no variable. */
-void dac_start(void) {
+void b51_dac_start(void) {
     TWSR = 0;
-    TWBR = TWI_DIVIDER;
+    TWBR = B51_TWI_DIVIDER;
     free_bus();
 }
 
 /* One step on the bus, and whether it came to its end.  The wait is bounded: a bus that is stuck must not stop the loop.
  * The bus is then free for the next write: the core writes again at each tick. */
 static bool step(uint8_t control) {
-    uint8_t patience = TWI_PATIENCE;
+    uint8_t patience = B51_TWI_PATIENCE;
 
     TWCR = (uint8_t)((1 << TWINT) | (1 << TWEN) | control);
     while ((TWCR & (1 << TWINT)) == 0 && patience != 0U) {
@@ -59,28 +59,28 @@ static bool put(uint8_t byte) {
 
 /* Fast mode: two bytes, in force with the acknowledge of the second one; its EEPROM stays as it is.  The stop condition
  * of a write that has just ended comes first.  True: the converter has acknowledged each byte. */
-bool dac_write(uint16_t u) {
-    uint8_t patience = TWI_PATIENCE;
+bool b51_dac_write(uint16_t u) {
+    uint8_t patience = B51_TWI_PATIENCE;
     bool confirmed;
 
     while ((TWCR & (1 << TWSTO)) != 0 && patience != 0U) {
         patience--;
     }
-    confirmed = step(1 << TWSTA) && put(DAC_ADDRESS << 1) && put((uint8_t)(u >> 8)) && put((uint8_t)u);
+    confirmed = step(1 << TWSTA) && put(B51_DAC_ADDRESS << 1) && put((uint8_t)(u >> 8)) && put((uint8_t)u);
     if ((TWCR & (1 << TWINT)) != 0) { /* else `free_bus` has made the stop condition */
         TWCR = (1 << TWINT) | (1 << TWEN) | (1 << TWSTO);
     }
     return confirmed;
 }
 
-#ifdef INPUT_TABLE
-static const __flash uint16_t CODES[] = {INPUT_TABLE};
+#ifdef B51_INPUT_TABLE
+static const __flash uint16_t CODES[] = {B51_INPUT_TABLE};
 
-bool hal_write_input(uint16_t u) {
-    return dac_write(between(CODES, u, 6));
+bool b51_hal_write_input(uint16_t u) {
+    return b51_dac_write(b51_between(CODES, u, 6));
 }
 #else
-bool hal_write_input(uint16_t u) {
-    return dac_write(u);
+bool b51_hal_write_input(uint16_t u) {
+    return b51_dac_write(u);
 }
 #endif

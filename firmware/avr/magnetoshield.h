@@ -1,21 +1,21 @@
 /* A MagnetoShield (R3, R4), by gateway/emulator/firmware_model/magnetoshield.py, `header`; numbers
  * are explained there and in ../magnetoshield.md. */
-#define PROFILE_FIRMWARE 1, 2, 10, 12
-#define PROFILE_SCALINGS \
+#define B51_PROFILE_FIRMWARE 1, 2, 10, 12
+#define B51_PROFILE_SCALINGS \
     0x00, 0x00, 0x00, 0x00, 0xAE, 0x47, 0xE1, 0x37, \
     0x6F, 0x12, 0x83, 0xB9, 0xCD, 0xCC, 0xCC, 0x35, \
     0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x20, 0x3B
-#define PROFILE_GAINS 0, {16, 13, 11, 19}, {21627, 26624, 24320, -25559}, 786, 1802, 1686
-#define PROFILE_LIMITS 492, 3113, 1638, 13107, 4095
+#define B51_PROFILE_GAINS 0, {16, 13, 11, 19}, {21627, 26624, 24320, -25559}, 786, 1802, 1686
+#define B51_PROFILE_LIMITS 492, 3113, 1638, 13107, 4095
 /* Counts of x at each 16th code of A3. */
-#define POSITION_TABLE \
+#define B51_POSITION_TABLE \
     0, 27, 80, 134, 189, 244, 301, 358, 417, 477, 538, 601, 664, \
     729, 796, 864, 933, 1005, 1078, 1153, 1230, 1309, 1390, 1474, 1560, 1650, \
     1742, 1837, 1936, 2039, 2146, 2258, 2375, 2497, 2626, 2762, 2906, 3059, 3223, \
     3400, 3592, 3802, 4036, 4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095, \
     4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095, 4095
 /* Codes of the MCP4725 at each 64th count of u_c. */
-#define INPUT_TABLE \
+#define B51_INPUT_TABLE \
     0, 49, 108, 167, 226, 284, 341, 397, 454, 509, 564, 619, 673, \
     727, 781, 834, 887, 940, 993, 1045, 1097, 1150, 1202, 1254, 1306, 1358, \
     1410, 1462, 1515, 1567, 1620, 1673, 1726, 1780, 1833, 1887, 1942, 1997, 2052, \

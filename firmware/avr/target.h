@@ -16,46 +16,50 @@
  *     between interrupts                 "Idle Mode"                           SMCR
  *     identity, settings     EEPROM      "EEPROM Data Memory"                  through avr-libc
  */
-#ifndef BOARD51_AVR_TARGET_H
-#define BOARD51_AVR_TARGET_H
+#ifndef B51_AVR_TARGET_H
+#define B51_AVR_TARGET_H
 
 #define F_CPU UINT32_C(16000000)
 
 /* The rate that the divider gives may be off by 2.5 % at most: 115200 is by 2.1 %; 250000, 500000, 1000000 not. */
-#ifndef BAUD
-#define BAUD UINT32_C(115200)
+#ifndef B51_BAUD
+#define B51_BAUD UINT32_C(115200)
 #endif
-#define UBRR_VALUE ((F_CPU + BAUD * 4U) / (BAUD * 8U) - 1U)
-#define BAUD_GIVEN (F_CPU / (8U * (UBRR_VALUE + 1U)))
-#if BAUD_GIVEN * 1000 > BAUD * 1025 || BAUD_GIVEN * 1000 < BAUD * 975 || UBRR_VALUE > 4095
+#define B51_UBRR_VALUE ((F_CPU + B51_BAUD * 4U) / (B51_BAUD * 8U) - 1U)
+#define B51_BAUD_GIVEN (F_CPU / (8U * (B51_UBRR_VALUE + 1U)))
+#if B51_BAUD_GIVEN * 1000 > B51_BAUD * 1025 || B51_BAUD_GIVEN * 1000 < B51_BAUD * 975 || B51_UBRR_VALUE > 4095
 #error "BAUD cannot be made from 16 MHz within 2.5 %: take 38400, 57600, 115200, 250000"
 #endif
 
 /* Timers: 0.5 us a count for the tick, 4 us for the capture. */
-#define TICK_COUNTS (TICK_US * 2U)
-#define CAPTURE_COUNTS (CAPTURE_US / 4U)
-#if TICK_COUNTS > 65536 || CAPTURE_US % 4 != 0 || CAPTURE_US > 1024 || CAPTURE_US < 200
-#error "T_s is 32 ms at most; CAPTURE_US a multiple of 4 us from 200 (a conversion, and a write of u_c) to 1024"
+#define B51_TICK_COUNTS (B51_TICK_US * 2U)
+#define B51_CAPTURE_COUNTS (B51_CAPTURE_US / 4U)
+#if B51_TICK_COUNTS > 65536 || B51_CAPTURE_US % 4 != 0 || B51_CAPTURE_US > 1024 || B51_CAPTURE_US < 200
+#error "T_s is 32 ms at most; B51_CAPTURE_US a multiple of 4 us from 200 (a conversion, and a write of u_c) to 1024"
 #endif
 
 /* 250 kHz: a conversion takes 52 us, its sample is taken 6 us after its start.  Up to 200 kHz give all 10 bits. */
-#define ADC_PRESCALER ((1 << ADPS2) | (1 << ADPS1)) /* 64 */
-#define ADC_REFERENCE 0                             /* the AREF pin, which the shield drives with 3.3 V */
-#define ADC_PATIENCE 250U /* looks at a conversion, 8 cycles each; it takes 832 cycles, the first one 1600 */
-#define ADC_TOP 1023U
-#define ADC_CURRENT 2
-#define ADC_POSITION 3
+#define B51_ADC_PRESCALER ((1 << ADPS2) | (1 << ADPS1)) /* 64 */
+#define B51_ADC_REFERENCE 0                             /* the AREF pin, which the shield drives with 3.3 V */
+#define B51_ADC_PATIENCE 250U /* looks at a conversion, 8 cycles each; it takes 832 cycles, the first one 1600 */
+#define B51_ADC_TOP 1023U
+#define B51_ADC_CURRENT 2
+#define B51_ADC_POSITION 3
 
-#define TWI_RATE UINT32_C(400000)
-#define TWI_DIVIDER ((F_CPU / TWI_RATE - 16U) / 2U)
-#define TWI_PATIENCE 250U /* looks at a byte on the bus; it takes 23 us, 50 looks */
-#define TWI_SDA (1 << 4)    /* of port C */
-#define TWI_SCL (1 << 5)
-#define TWI_HALF_CYCLES 32U /* 2 us: a clock made by hand, slower than the 400 kHz */
-#define DAC_ADDRESS 0x60
+#define B51_TWI_RATE UINT32_C(400000)
+#define B51_TWI_DIVIDER ((F_CPU / B51_TWI_RATE - 16U) / 2U)
+#define B51_TWI_PATIENCE 250U /* looks at a byte on the bus; it takes 23 us, 50 looks */
+#define B51_TWI_SDA (1U << 4)   /* of port C */
+#define B51_TWI_SCL (1U << 5)
+#define B51_TWI_HALF_CYCLES 32U /* 2 us: a clock made by hand, slower than the 400 kHz */
+#define B51_DAC_ADDRESS 0x60U
 
 /* Bytes, powers of two: what a tick of 2 ms brings at 250000, and what leaves within 1 ms at 115200. */
-#define RX_RING 64U
-#define TX_RING 16U
+#define B51_RX_RING 64U
+#define B51_TX_RING 16U
+#if B51_RX_RING > 256 || (B51_RX_RING & (B51_RX_RING - 1)) != 0 || \
+    B51_TX_RING > 256 || (B51_TX_RING & (B51_TX_RING - 1)) != 0
+#error "A ring has a power of two of places, 256 at most: its ends are counted in 8 bits"
+#endif
 
 #endif

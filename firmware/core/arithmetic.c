@@ -14,14 +14,14 @@
 #endif
 
 /* value / 2^bits, rounded towards minus infinity: the page's `>>`. */
-int32_t shift_down(int32_t value, uint8_t bits) {
+int32_t b51_shift_down(int32_t value, uint8_t bits) {
     if (value >= 0) {
         return (int32_t)((uint32_t)value >> bits);
     }
     return -1 - (int32_t)((uint32_t)(-1 - value) >> bits);
 }
 
-int32_t saturated_sum(int32_t a, int32_t b) {
+int32_t b51_saturated_sum(int32_t a, int32_t b) {
     if (b > 0 && a > INT32_MAX - b) {
         return INT32_MAX;
     }
@@ -31,7 +31,7 @@ int32_t saturated_sum(int32_t a, int32_t b) {
     return a + b;
 }
 
-int32_t saturated_difference(int32_t a, int32_t b) {
+int32_t b51_saturated_difference(int32_t a, int32_t b) {
     if (b < 0 && a > INT32_MAX + b) {
         return INT32_MAX;
     }
@@ -45,7 +45,7 @@ int32_t saturated_difference(int32_t a, int32_t b) {
  *
  * The magnitude of the product has 38 bits: `high` all but the last 8, `low` those.  It is put together of products of
  * bytes, which are what an 8051 multiplies.  A negative quotient is rounded away from 0, as `>>` does. */
-int32_t scaled_product(int16_t mantissa, uint8_t shift, int32_t operand) {
+int32_t b51_scaled_product(int16_t mantissa, uint8_t shift, int32_t operand) {
     bool negative = (mantissa < 0) != (operand < 0);
     uint16_t a = (uint16_t)(mantissa < 0 ? -mantissa : mantissa);
     uint32_t b = (uint32_t)(operand < 0 ? -operand : operand);
@@ -89,7 +89,7 @@ int32_t scaled_product(int16_t mantissa, uint8_t shift, int32_t operand) {
 }
 
 /* The nearest integer, halves upwards; denominator > 0, and 2 numerator + denominator fits 32 bits. */
-int32_t divide_rounded(int32_t numerator, int32_t denominator) ON_STACK {
+int32_t b51_divide_rounded(int32_t numerator, int32_t denominator) B51_ON_STACK {
     int32_t dividend = 2 * numerator + denominator;
     int32_t divisor = 2 * denominator;
     int32_t quotient = dividend / divisor;
@@ -98,11 +98,11 @@ int32_t divide_rounded(int32_t numerator, int32_t denominator) ON_STACK {
 }
 
 /* 32767 sin(2 pi phase / 2^32), by the table with linear interpolation, rounded downwards. */
-int16_t sine_q15(uint32_t phase) ON_STACK {
+int16_t b51_sine_q15(uint32_t phase) B51_ON_STACK {
     uint8_t n = (uint8_t)(phase >> 24);
     uint8_t fraction = (uint8_t)(phase >> 16);
-    int16_t low = SINE_Q15[n];
-    int16_t rise = (int16_t)(SINE_Q15[n + 1U] - low); /* at most 804 */
+    int16_t low = B51_SINE_Q15[n];
+    int16_t rise = (int16_t)(B51_SINE_Q15[n + 1U] - low); /* at most 804 */
     uint16_t size = (uint16_t)(rise < 0 ? -rise : rise);
     uint16_t lower = PRODUCT((uint8_t)size, fraction);
     uint16_t part = (uint16_t)(PRODUCT((uint8_t)(size >> 8), fraction) + (lower >> 8));
@@ -113,6 +113,6 @@ int16_t sine_q15(uint32_t phase) ON_STACK {
     return (int16_t)(low - (int16_t)part - ((lower & 0xFFU) != 0U ? 1 : 0));
 }
 
-uint16_t distance(uint16_t a, uint16_t b) {
+uint16_t b51_distance(uint16_t a, uint16_t b) {
     return (uint16_t)(a > b ? a - b : b - a);
 }

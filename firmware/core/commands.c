@@ -7,256 +7,256 @@
 
 #include "core.h"
 
-static STATE_MEMORY uint8_t *begin(uint8_t type, const STATE_MEMORY uint8_t *body) ON_STACK {
-    board.host.answer[0] = type;
-    board.host.answer[1] = body[1]; /* the id */
-    return board.host.answer + 2;
+static B51_STATE_MEMORY uint8_t *begin(uint8_t type, const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    b51_board.host.answer[0] = type;
+    b51_board.host.answer[1] = body[1]; /* the id */
+    return b51_board.host.answer + 2;
 }
 
-void answer_ack(const STATE_MEMORY uint8_t *body) ON_STACK {
-    STATE_MEMORY uint8_t *at = begin(ACK, body);
+void b51_answer_ack(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    B51_STATE_MEMORY uint8_t *at = begin(B51_ACK, body);
 
     *at = body[0];
-    (void)put_u32(at + 1, board.next_tick);
+    (void)b51_put_u32(at + 1, b51_board.next_tick);
 }
 
-void answer_nack(const STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t detail) ON_STACK {
-    STATE_MEMORY uint8_t *at = begin(NACK, body);
+void b51_answer_nack(const B51_STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t detail) B51_ON_STACK {
+    B51_STATE_MEMORY uint8_t *at = begin(B51_NACK, body);
 
     at[0] = body[0];
     at[1] = reason;
-    (void)put_u16(at + 2, detail);
+    (void)b51_put_u16(at + 2, detail);
 }
 
-static void answer_identity(const STATE_MEMORY uint8_t *body) ON_STACK {
-    const struct identity *identity = hal_identity();
-    STATE_MEMORY uint8_t *at = begin(IDENTITY, body);
+static void answer_identity(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    const struct b51_identity *identity = b51_hal_identity();
+    B51_STATE_MEMORY uint8_t *at = begin(B51_IDENTITY, body);
 
-    *at++ = PROTOCOL_VERSION;
+    *at++ = B51_PROTOCOL_VERSION;
     *at++ = identity->firmware_major;
     *at++ = identity->firmware_minor;
-    at = put_u32(at, identity->board_id);
-    at = put_u32(at, board.next_tick);
-    at = put_u16(at, (uint16_t)TICK_US);
+    at = b51_put_u32(at, identity->board_id);
+    at = b51_put_u32(at, b51_board.next_tick);
+    at = b51_put_u16(at, (uint16_t)B51_TICK_US);
     *at++ = identity->adc_bits;
     *at++ = identity->dac_bits;
-    memcpy(at, identity->scalings, sizeof identity->scalings);
-    at = put_u16(at + sizeof identity->scalings, CAPTURE_US);
-    at = put_u16(at, CAPTURE_SIZE);
-    *at++ = hal_reset_cause();
-    memcpy(at, identity->build, sizeof identity->build);
+    (void)memcpy(at, identity->scalings, sizeof identity->scalings);
+    at = b51_put_u16(at + sizeof identity->scalings, B51_CAPTURE_US);
+    at = b51_put_u16(at, B51_CAPTURE_SIZE);
+    *at++ = b51_hal_reset_cause();
+    (void)memcpy(at, identity->build, sizeof identity->build);
 }
 
 /* Rule 2.  Returns the reason of a refusal, as all below. */
-uint8_t answer_hello(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
-    uint16_t session = get_u16(body + 2);
+uint8_t b51_answer_hello(const B51_STATE_MEMORY uint8_t *body, uint16_t *detail) B51_ON_STACK {
+    uint16_t session = b51_get_u16(body + 2);
 
-    if (body[4] > PROTOCOL_VERSION || body[5] < PROTOCOL_VERSION) {
-        *detail = PROTOCOL_VERSION;
-        return VERSION;
+    if (body[4] > B51_PROTOCOL_VERSION || body[5] < B51_PROTOCOL_VERSION) {
+        *detail = B51_PROTOCOL_VERSION;
+        return B51_VERSION;
     }
-    if (!board.host.session_open || session != board.host.session) {
-        board.host.session_open = true;
-        board.host.session = session;
-        board.host.kept_count = 0;
+    if (!b51_board.host.session_open || session != b51_board.host.session) {
+        b51_board.host.session_open = true;
+        b51_board.host.session = session;
+        b51_board.host.kept_count = 0;
     }
     answer_identity(body);
-    return ACCEPTED;
+    return B51_ACCEPTED;
 }
 
-static void answer_pong(const STATE_MEMORY uint8_t *body) ON_STACK {
-    STATE_MEMORY uint8_t *at = put_u32(begin(PONG, body), board.next_tick);
+static void answer_pong(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    B51_STATE_MEMORY uint8_t *at = b51_put_u32(begin(B51_PONG, body), b51_board.next_tick);
 
-    (void)put_u16(put_u16(at, board.receiver.bad_frames), board.overruns);
+    (void)b51_put_u16(b51_put_u16(at, b51_board.receiver.bad_frames), b51_board.overruns);
 }
 
-void answer_parameters(const STATE_MEMORY uint8_t *body) ON_STACK {
-    const STATE_MEMORY struct gains *gains = &board.law.gains;
-    const STATE_MEMORY struct limits *limits = &board.loop.limits;
-    STATE_MEMORY uint8_t *at = begin(PARAMETERS, body);
+void b51_answer_parameters(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    const B51_STATE_MEMORY struct b51_gains *gains = &b51_board.law.gains;
+    const B51_STATE_MEMORY struct b51_limits *limits = &b51_board.loop.limits;
+    B51_STATE_MEMORY uint8_t *at = begin(B51_PARAMETERS, body);
     uint8_t n;
 
     *at++ = gains->law;
     for (n = 0; n < 4U; n++) {
-        at = put_u16(at, (uint16_t)gains->mantissa[n]);
+        at = b51_put_u16(at, (uint16_t)gains->mantissa[n]);
         *at++ = gains->shift[n];
     }
-    at = put_u16(put_u16(put_u16(at, gains->i_0), gains->x_0), gains->u_0);
-    at = put_u16(put_u16(put_u16(at, limits->x_ref_min), limits->x_ref_max), limits->x_ref_step);
-    at = put_u16(put_u16(put_u16(at, limits->x_ref_slew), limits->u_max), board.host.divider);
-    *at++ = board.host.policy;
-    (void)put_u32(put_u16(at, board.host.timeout_ms), board.loop.gains_tick);
+    at = b51_put_u16(b51_put_u16(b51_put_u16(at, gains->i_0), gains->x_0), gains->u_0);
+    at = b51_put_u16(b51_put_u16(b51_put_u16(at, limits->x_ref_min), limits->x_ref_max), limits->x_ref_step);
+    at = b51_put_u16(b51_put_u16(b51_put_u16(at, limits->x_ref_slew), limits->u_max), b51_board.host.divider);
+    *at++ = b51_board.host.policy;
+    (void)b51_put_u32(b51_put_u16(at, b51_board.host.timeout_ms), b51_board.loop.gains_tick);
 }
 
-static uint8_t set_mode(const STATE_MEMORY uint8_t *body) ON_STACK {
-    if (board.capture.running && body[2] != MODE_IDLE) {
-        return BUSY;
+static uint8_t set_mode(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    if (b51_board.capture.running && body[2] != B51_MODE_IDLE) {
+        return B51_BUSY;
     }
-    board.loop.fault = false;
-    output_rearm();
-    loop_set_mode(body[2]);
-    return ACCEPTED;
+    b51_board.loop.fault = false;
+    b51_output_rearm();
+    b51_loop_set_mode(body[2]);
+    return B51_ACCEPTED;
 }
 
-static uint8_t set_reference(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
-    const STATE_MEMORY struct limits *limits = &board.loop.limits;
-    uint16_t x_ref = get_u16(body + 2);
+static uint8_t set_reference(const B51_STATE_MEMORY uint8_t *body, uint16_t *detail) B51_ON_STACK {
+    const B51_STATE_MEMORY struct b51_limits *limits = &b51_board.loop.limits;
+    uint16_t x_ref = b51_get_u16(body + 2);
 
     if (x_ref < limits->x_ref_min || x_ref > limits->x_ref_max) {
         *detail = x_ref < limits->x_ref_min ? limits->x_ref_min : limits->x_ref_max;
-        return OUT_OF_RANGE;
+        return B51_OUT_OF_RANGE;
     }
-    if (distance(x_ref, board.reference.x_ref) > reference_allowance()) {
-        *detail = reference_allowance();
-        return SLEW;
+    if (b51_distance(x_ref, b51_board.reference.x_ref) > b51_reference_allowance()) {
+        *detail = b51_reference_allowance();
+        return B51_SLEW;
     }
-    loop_set_reference(x_ref);
-    return ACCEPTED;
+    b51_loop_set_reference(x_ref);
+    return B51_ACCEPTED;
 }
 
-static void set_gains(const STATE_MEMORY uint8_t *body) ON_STACK {
-    STATE_MEMORY struct gains *gains = &board.law.gains;
+static void set_gains(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    B51_STATE_MEMORY struct b51_gains *gains = &b51_board.law.gains;
     uint8_t n;
 
     gains->law = body[2];
     for (n = 0; n < 4U; n++) {
-        gains->mantissa[n] = get_i16(body + 3U + 3U * n);
+        gains->mantissa[n] = b51_get_i16(body + 3U + 3U * n);
         gains->shift[n] = body[5U + 3U * n];
     }
-    gains->i_0 = get_u16(body + 15);
-    gains->x_0 = get_u16(body + 17);
-    gains->u_0 = get_u16(body + 19);
-    board.loop.gains_tick = board.next_tick;
+    gains->i_0 = b51_get_u16(body + 15);
+    gains->x_0 = b51_get_u16(body + 17);
+    gains->u_0 = b51_get_u16(body + 19);
+    b51_board.loop.gains_tick = b51_board.next_tick;
 }
 
-static uint8_t excite(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
-    const STATE_MEMORY struct limits *limits = &board.loop.limits;
-    static STATE_MEMORY struct signal signal; /* not on the stack, which an 8051 has little of */
+static uint8_t excite(const B51_STATE_MEMORY uint8_t *body, uint16_t *detail) B51_ON_STACK {
+    const B51_STATE_MEMORY struct b51_limits *limits = &b51_board.loop.limits;
+    static B51_STATE_MEMORY struct b51_signal signal; /* not on the stack, which an 8051 has little of */
     uint16_t low, high, amplitude;
 
     signal.shape = body[2];
     signal.target = body[3];
-    signal.amplitude = get_i16(body + 4);
-    signal.offset = get_u16(body + 6);
-    signal.period = get_u16(body + 8);
-    signal.period_end = get_u16(body + 10);
-    signal.seed = get_u16(body + 12);
-    signal.duration = get_u32(body + 14);
-    if (board.loop.fault) {
-        return FAULT_ACTIVE;
+    signal.amplitude = b51_get_i16(body + 4);
+    signal.offset = b51_get_u16(body + 6);
+    signal.period = b51_get_u16(body + 8);
+    signal.period_end = b51_get_u16(body + 10);
+    signal.seed = b51_get_u16(body + 12);
+    signal.duration = b51_get_u32(body + 14);
+    if (b51_board.loop.fault) {
+        return B51_FAULT_ACTIVE;
     }
-    if (board.capture.running) {
-        return BUSY;
+    if (b51_board.capture.running) {
+        return B51_BUSY;
     }
-    if (board.loop.mode != (signal.target == TARGET_U ? MODE_OPEN_LOOP : MODE_CLOSED_LOOP)) {
-        *detail = board.loop.mode;
-        return WRONG_MODE;
+    if (b51_board.loop.mode != (signal.target == B51_TARGET_U ? B51_MODE_OPEN_LOOP : B51_MODE_CLOSED_LOOP)) {
+        *detail = b51_board.loop.mode;
+        return B51_WRONG_MODE;
     }
-    low = signal.target == TARGET_U ? 0U : limits->x_ref_min;
-    high = signal.target == TARGET_U ? limits->u_max : limits->x_ref_max;
+    low = signal.target == B51_TARGET_U ? 0U : limits->x_ref_min;
+    high = signal.target == B51_TARGET_U ? limits->u_max : limits->x_ref_max;
     amplitude = (uint16_t)(signal.amplitude < 0 ? -signal.amplitude : signal.amplitude);
     if (signal.offset < low + amplitude) {
         *detail = low;
-        return OUT_OF_RANGE;
+        return B51_OUT_OF_RANGE;
     }
     if (signal.offset + amplitude > high) {
         *detail = high;
-        return OUT_OF_RANGE;
+        return B51_OUT_OF_RANGE;
     }
-    if (signal.shape == SHAPE_CHIRP && signal.duration == 0U) {
+    if (signal.shape == B51_SHAPE_CHIRP && signal.duration == 0U) {
         *detail = 1;
-        return OUT_OF_RANGE;
+        return B51_OUT_OF_RANGE;
     }
-    excitation_start(&signal);
-    return ACCEPTED;
+    b51_excitation_start(&signal);
+    return B51_ACCEPTED;
 }
 
-static uint8_t capture(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
-    uint16_t u_from = get_u16(body + 2);
-    uint16_t u_to = get_u16(body + 4);
-    uint16_t pre = get_u16(body + 6);
-    uint16_t count = get_u16(body + 8);
+static uint8_t capture(const B51_STATE_MEMORY uint8_t *body, uint16_t *detail) B51_ON_STACK {
+    uint16_t u_from = b51_get_u16(body + 2);
+    uint16_t u_to = b51_get_u16(body + 4);
+    uint16_t pre = b51_get_u16(body + 6);
+    uint16_t count = b51_get_u16(body + 8);
 
-    if (board.loop.fault) {
-        return FAULT_ACTIVE;
+    if (b51_board.loop.fault) {
+        return B51_FAULT_ACTIVE;
     }
-    if (board.capture.running) {
-        return BUSY;
+    if (b51_board.capture.running) {
+        return B51_BUSY;
     }
-    if (board.loop.mode == MODE_CLOSED_LOOP) {
-        *detail = board.loop.mode;
-        return WRONG_MODE;
+    if (b51_board.loop.mode == B51_MODE_CLOSED_LOOP) {
+        *detail = b51_board.loop.mode;
+        return B51_WRONG_MODE;
     }
-    if (u_from > board.loop.limits.u_max || u_to > board.loop.limits.u_max) {
-        *detail = board.loop.limits.u_max;
-        return OUT_OF_RANGE;
+    if (u_from > b51_board.loop.limits.u_max || u_to > b51_board.loop.limits.u_max) {
+        *detail = b51_board.loop.limits.u_max;
+        return B51_OUT_OF_RANGE;
     }
-#if CAPTURE_SIZE < 2000U /* the range of the table */
-    if (count > CAPTURE_SIZE) {
-        *detail = CAPTURE_SIZE;
-        return OUT_OF_RANGE;
+#if B51_CAPTURE_SIZE < 2000U /* the range of the table */
+    if (count > B51_CAPTURE_SIZE) {
+        *detail = B51_CAPTURE_SIZE;
+        return B51_OUT_OF_RANGE;
     }
 #endif
-    capture_start(u_from, u_to, pre, count, board.next_tick);
-    return ACCEPTED;
+    b51_capture_start(u_from, u_to, pre, count, b51_board.next_tick);
+    return B51_ACCEPTED;
 }
 
-static uint8_t read_capture(const STATE_MEMORY uint8_t *body) ON_STACK {
-    uint16_t index = get_u16(body + 2);
-    STATE_MEMORY uint8_t *at;
+static uint8_t read_capture(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    uint16_t index = b51_get_u16(body + 2);
+    B51_STATE_MEMORY uint8_t *at;
 
-    if (board.capture.running) {
-        return BUSY;
+    if (b51_board.capture.running) {
+        return B51_BUSY;
     }
-    if (!board.capture.there || index >= board.capture.count) {
-        return NOT_AVAILABLE;
+    if (!b51_board.capture.there || index >= b51_board.capture.count) {
+        return B51_NOT_AVAILABLE;
     }
-    at = put_u16(put_u16(begin(CAPTURE_BLOCK, body), index), board.capture.count);
-    capture_pack(index, put_u32(at, board.capture.began_tick));
-    return ACCEPTED;
+    at = b51_put_u16(b51_put_u16(begin(B51_CAPTURE_BLOCK, body), index), b51_board.capture.count);
+    b51_capture_pack(index, b51_put_u32(at, b51_board.capture.began_tick));
+    return B51_ACCEPTED;
 }
 
 /* Executes a command that was checked, composes its answer unless it is refused, and returns the reason. */
-uint8_t command_execute(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
-    uint8_t reason = ACCEPTED;
+uint8_t b51_command_execute(const B51_STATE_MEMORY uint8_t *body, uint16_t *detail) B51_ON_STACK {
+    uint8_t reason = B51_ACCEPTED;
 
     *detail = 0;
     switch (body[0]) {
-        case PING:
+        case B51_PING:
             answer_pong(body);
-            return ACCEPTED;
-        case GET_PARAMETERS:
-            answer_parameters(body);
-            return ACCEPTED;
-        case READ_CAPTURE:
+            return B51_ACCEPTED;
+        case B51_GET_PARAMETERS:
+            b51_answer_parameters(body);
+            return B51_ACCEPTED;
+        case B51_READ_CAPTURE:
             return read_capture(body);
-        case SET_MODE:
+        case B51_SET_MODE:
             reason = set_mode(body);
             break;
-        case SET_REFERENCE:
+        case B51_SET_REFERENCE:
             reason = set_reference(body, detail);
             break;
-        case SET_GAINS:
+        case B51_SET_GAINS:
             set_gains(body);
             break;
-        case EXCITE:
+        case B51_EXCITE:
             reason = excite(body, detail);
             break;
-        case CAPTURE:
+        case B51_CAPTURE:
             reason = capture(body, detail);
             break;
-        case SET_STREAM:
-            board.host.divider = get_u16(body + 2);
+        case B51_SET_STREAM:
+            b51_board.host.divider = b51_get_u16(body + 2);
             break;
-        case SET_HOST_LOSS:
-            host_set_loss(body[2], get_u16(body + 3));
+        case B51_SET_HOST_LOSS:
+            b51_host_set_loss(body[2], b51_get_u16(body + 3));
             break;
         default: /* RESET: STOP and HELLO do not come here */
-            board.host.reset_wait = RESET_WAIT_TICKS;
+            b51_board.host.reset_wait = B51_RESET_WAIT_TICKS;
             break;
     }
-    if (reason == ACCEPTED) {
-        answer_ack(body);
+    if (reason == B51_ACCEPTED) {
+        b51_answer_ack(body);
     }
     return reason;
 }

@@ -3,43 +3,45 @@
  * The bounds leave half of a tick of 2 ms to the core.  A target with a longer tick may scale them; the capture
  * interrupt's are in force whatever the tick.  None of these functions waits for the host.
  */
-#ifndef BOARD51_HAL_H
-#define BOARD51_HAL_H
+#ifndef B51_HAL_H
+#define B51_HAL_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-struct identity;
-struct settings;
+struct b51_identity;
+struct b51_settings;
 
 /* Converters, in counts of 12 bits: a finer converter gives its upper 12 bits. */
-uint16_t hal_read_current(void);   /* i_c; 20 us, as it is read in the capture interrupt, too */
-uint16_t hal_read_position(void);  /* x; 100 us */
-bool hal_write_input(uint16_t u);  /* u_c, in force on return; 100 us, or 10 us where the board captures.  False: the
-                                    * converter has not confirmed it, and what it gives is not known to have changed */
+uint16_t b51_hal_read_current(void);   /* i_c; 20 us, as it is read in the capture interrupt, too */
+uint16_t b51_hal_read_position(void);  /* x; 100 us */
+bool b51_hal_write_input(uint16_t u);  /* u_c, in force on return; 100 us, or 10 us where the board captures.  False:
+                                        * the converter has not confirmed it, and what it gives is not known to have
+                                        * changed */
 
 /* Time. */
-bool hal_tick_due(void);              /* true once in each T_s; 5 us */
-bool hal_has_time(uint8_t work);      /* whether this, one of core.h's, can be done before the next tick is due; 5 us */
-void hal_capture_timer(uint16_t us);  /* calls `capture_interrupt` after us, then each CAPTURE_US; 0: stop; 5 us */
-bool hal_capture_due(void);           /* its time has come, but its interrupt is still to be served; 5 us */
+bool b51_hal_tick_due(void);              /* true once in each T_s; 5 us */
+bool b51_hal_has_time(uint8_t work);      /* whether this, one of core.h's, can be done before the next tick; 5 us */
+void b51_hal_capture_timer(uint16_t us);  /* calls `b51_capture_interrupt` after us, then each B51_CAPTURE_US;
+                                           * 0: stop; 5 us */
+bool b51_hal_capture_due(void);           /* its time has come, but its interrupt is still to be served; 5 us */
 
 /* UART, 8N1.  Behind both a buffer: the core looks once in each turn of its main loop. */
-int16_t hal_receive(void);        /* below 0: no byte is there; 10 us */
-bool hal_send(uint8_t byte);      /* false: the transmitter is full, nothing was sent; 10 us */
+int16_t b51_hal_receive(void);        /* below 0: no byte is there; 10 us */
+bool b51_hal_send(uint8_t byte);      /* false: the transmitter is full, nothing was sent; 10 us */
 
-/* Resets.  The watchdog resets the chip after 50 ms without `hal_feed_watchdog`.  The start-up code of every target
+/* Resets.  The watchdog resets the chip after 50 ms without `b51_hal_feed_watchdog`.  The start-up code of every target
  * writes 0 to the input converter before anything else: a converter may keep its output through a reset. */
-void hal_feed_watchdog(void);   /* 2 us */
-uint8_t hal_reset_cause(void);  /* RESET_POWER_ON, RESET_WATCHDOG or RESET_COMMANDED; 5 us */
-uint16_t hal_resets(void);      /* since power-on, saturating: kept in RAM that start-up does not clear; 5 us */
-void hal_restart(void);         /* resets the chip; on a chip it does not return */
+void b51_hal_feed_watchdog(void);   /* 2 us */
+uint8_t b51_hal_reset_cause(void);  /* RESET_POWER_ON, RESET_WATCHDOG or RESET_COMMANDED; 5 us */
+uint16_t b51_hal_resets(void);      /* since power-on, saturating: kept in RAM that start-up does not clear; 5 us */
+void b51_hal_restart(void);         /* resets the chip; on a chip it does not return */
 
 /* Of this board and not of the program: serial number, scalings; gains, operating point, limits.  A target that keeps
  * them in memory that can fail (EEPROM) checks its CRC, and gives those of its program memory where that is wrong.  The
  * core checks each field of the settings, and asks for those of the program where one is out of its range. */
-const struct identity *hal_identity(void);  /* 5 us */
-const struct settings *hal_settings(void);  /* 1 ms, once after a reset */
-const struct settings *hal_program_settings(void);  /* 1 ms; in place of the others, which are then gone */
+const struct b51_identity *b51_hal_identity(void);  /* 5 us */
+const struct b51_settings *b51_hal_settings(void);  /* 1 ms, once after a reset */
+const struct b51_settings *b51_hal_program_settings(void);  /* 1 ms; in place of the others, which are then gone */
 
 #endif

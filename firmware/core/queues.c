@@ -7,92 +7,96 @@
 
 enum { QUEUE_STATE, QUEUE_ANSWER, QUEUE_EVENT, QUEUE_BLOCK, QUEUES }; /* highest priority first */
 
-static const TABLE_MEMORY uint8_t DEPTH[QUEUES] = {STATE_DEPTH, ANSWER_DEPTH, EVENT_DEPTH, BLOCK_DEPTH};
+B51_STATIC_ASSERT(b51_each_queue_has_its_ring, QUEUES * sizeof(struct b51_ring) == sizeof b51_board.queues.rings);
+
+static const B51_TABLE_MEMORY uint8_t DEPTH[QUEUES] = {B51_STATE_DEPTH, B51_ANSWER_DEPTH, B51_EVENT_DEPTH,
+                                                        B51_BLOCK_DEPTH};
 
 static uint8_t queue_of(uint8_t type) {
     switch (type) {
-        case STATE:
+        case B51_STATE:
             return QUEUE_STATE;
-        case EVENT:
+        case B51_EVENT:
             return QUEUE_EVENT;
-        case CAPTURE_BLOCK:
+        case B51_CAPTURE_BLOCK:
             return QUEUE_BLOCK;
         default:
             return QUEUE_ANSWER;
     }
 }
 
-static STATE_MEMORY uint8_t *place(uint8_t queue, uint8_t n) ON_STACK {
+static B51_STATE_MEMORY uint8_t *place(uint8_t queue, uint8_t n) B51_ON_STACK {
     switch (queue) {
         case QUEUE_STATE:
-            return board.queues.states[n];
+            return b51_board.queues.states[n];
         case QUEUE_EVENT:
-            return board.queues.events[n];
+            return b51_board.queues.events[n];
         case QUEUE_BLOCK:
-            return board.queues.blocks[n];
+            return b51_board.queues.blocks[n];
         default:
-            return board.queues.answers[n];
+            return b51_board.queues.answers[n];
     }
 }
 
 /* A place behind the last one is one at the beginning; an 8051 has no remainder to spare for it. */
-static uint8_t wrapped(uint8_t queue, uint8_t n) ON_STACK {
+static uint8_t wrapped(uint8_t queue, uint8_t n) B51_ON_STACK {
     uint8_t depth = DEPTH[queue];
 
     return n < depth ? n : (uint8_t)(n - depth);
 }
 
 static void drop_first(uint8_t queue) {
-    STATE_MEMORY struct ring *ring = &board.queues.rings[queue];
+    B51_STATE_MEMORY struct b51_ring *ring = &b51_board.queues.rings[queue];
 
     ring->first = wrapped(queue, (uint8_t)(ring->first + 1U));
     ring->count--;
 }
 
 static bool is_full(uint8_t queue) {
-    return board.queues.rings[queue].count >= DEPTH[queue];
+    return b51_board.queues.rings[queue].count >= DEPTH[queue];
 }
 
-void queue_put(const STATE_MEMORY uint8_t *body) ON_STACK {
+void b51_queue_put(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
     uint8_t queue = queue_of(body[0]);
-    STATE_MEMORY struct ring *ring = &board.queues.rings[queue];
+    B51_STATE_MEMORY struct b51_ring *ring = &b51_board.queues.rings[queue];
 
     if (is_full(queue)) {
-        board.queues.dropped++;
+        b51_board.queues.dropped++;
         if (queue != QUEUE_STATE) {
             return;
         }
         drop_first(queue);
     }
-    copy(place(queue, wrapped(queue, (uint8_t)(ring->first + ring->count))), body, body_size(body[0]));
+    b51_copy(place(queue, wrapped(queue, (uint8_t)(ring->first + ring->count))), body, b51_body_size(body[0]));
     ring->count++;
 }
 
 /* Whether an answer to a command of this type would not be lost. */
-bool is_room_for_answer(uint8_t command) {
-    return !is_full(QUEUE_ANSWER) && (command != READ_CAPTURE || !is_full(QUEUE_BLOCK));
+bool b51_is_room_for_answer(uint8_t command) {
+    return !is_full(QUEUE_ANSWER) && (command != B51_READ_CAPTURE || !is_full(QUEUE_BLOCK));
 }
 
 /* Whether nothing that RESET has to wait for is waiting or on its way. */
-bool answers_have_left(void) {
-    return board.queues.rings[QUEUE_ANSWER].count == 0U && board.queues.frame_sent == board.queues.frame_size;
+bool b51_answers_have_left(void) {
+    return b51_board.queues.rings[QUEUE_ANSWER].count == 0U &&
+           b51_board.queues.frame_sent == b51_board.queues.frame_size;
 }
 
-static void load_next_frame(uint8_t queue) ON_STACK {
-    const STATE_MEMORY uint8_t *body = place(queue, board.queues.rings[queue].first);
+static void load_next_frame(uint8_t queue) B51_ON_STACK {
+    const B51_STATE_MEMORY uint8_t *body = place(queue, b51_board.queues.rings[queue].first);
 
-    board.queues.frame_size = frame_encode(body, body_size(body[0]), board.queues.frame);
+    b51_board.queues.frame_size = b51_frame_encode(body, b51_body_size(body[0]), b51_board.queues.frame);
     drop_first(queue);
 }
 
 /* The queue whose turn it is; QUEUES where none has a frame, or no time is left for it. */
-static uint8_t next_queue(void) ON_STACK {
-    const STATE_MEMORY struct ring *ring = board.queues.rings;
+static uint8_t next_queue(void) B51_ON_STACK {
+    const B51_STATE_MEMORY struct b51_ring *ring = b51_board.queues.rings;
     uint8_t queue;
 
     for (queue = 0; queue < QUEUES; queue++, ring++) {
         if (ring->count != 0U) {
-            return hal_has_time(queue == QUEUE_STATE ? FOR_STATE : FOR_FRAME) ? queue : QUEUES;
+            return b51_hal_has_time(queue == QUEUE_STATE ? B51_FOR_STATE : B51_FOR_FRAME) ? queue : QUEUES;
         }
     }
     return QUEUES;
@@ -101,22 +105,22 @@ static uint8_t next_queue(void) ON_STACK {
 /* Hands the transmitter what it takes, a frame's length at most; a frame that has begun is finished first.
  *
  * The next frame is chosen when its delimiter was taken and not before, so that a newer STATE still goes first. */
-void send_frames(void) {
+void b51_send_frames(void) {
     uint8_t n, queue;
 
-    for (n = 0; n < MAX_FRAME; n++) {
-        if (board.queues.frame_sent < board.queues.frame_size) {
-            if (!hal_send(board.queues.frame[board.queues.frame_sent])) {
+    for (n = 0; n < B51_MAX_FRAME; n++) {
+        if (b51_board.queues.frame_sent < b51_board.queues.frame_size) {
+            if (!b51_hal_send(b51_board.queues.frame[b51_board.queues.frame_sent])) {
                 return;
             }
-            board.queues.frame_sent++;
+            b51_board.queues.frame_sent++;
         } else {
             queue = next_queue();
-            if (queue == QUEUES || !hal_send(0)) {
+            if (queue == QUEUES || !b51_hal_send(0)) {
                 return;
             }
             load_next_frame(queue);
-            board.queues.frame_sent = 1;
+            b51_board.queues.frame_sent = 1;
         }
     }
 }

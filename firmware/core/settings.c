@@ -4,9 +4,9 @@
 
 #define FIELD_X_REF_MAX 14U
 
-static void take(const struct settings *settings) {
-    board.law.gains = settings->gains;
-    board.loop.limits = settings->limits;
+static void take(const struct b51_settings *settings) {
+    b51_board.law.gains = settings->gains;
+    b51_board.loop.limits = settings->limits;
 }
 
 /* The first field that is out of its range, counted from 1 in the order of PARAMETERS, which is composed to be read by
@@ -14,19 +14,19 @@ static void take(const struct settings *settings) {
 static uint8_t first_bad_field(void) {
     uint8_t n;
 
-    answer_parameters(board.host.answer);
-    n = fields_check_settings(board.host.answer + 2);
-    return n == 0U && board.loop.limits.x_ref_min > board.loop.limits.x_ref_max ? FIELD_X_REF_MAX : n;
+    b51_answer_parameters(b51_board.host.answer);
+    n = b51_fields_check_settings(b51_board.host.answer + 2);
+    return n == 0U && b51_board.loop.limits.x_ref_min > b51_board.loop.limits.x_ref_max ? FIELD_X_REF_MAX : n;
 }
 
-/* After `board` was cleared; the field for which those of the program are in force, or 0. */
-uint8_t settings_boot(void) {
+/* After `b51_board` was cleared; the field for which those of the program are in force, or 0. */
+uint8_t b51_settings_boot(void) {
     uint8_t field;
 
-    take(hal_settings());
+    take(b51_hal_settings());
     field = first_bad_field();
     if (field != 0U) {
-        take(hal_program_settings());
+        take(b51_hal_program_settings());
     }
     return field;
 }

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 
 from gateway.emulator.native.build import compile_to
+from gateway.emulator.native.flags import flags
 from tests.harness.firmware.core import Core
 from tests.harness.gateway.board_host import skip_without_compiler
 
-WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror")
+WARNINGS = flags("WARNINGS", "POSIX_WARNINGS")
 
 
 @pytest.fixture(scope="session")

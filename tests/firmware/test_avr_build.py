@@ -9,19 +9,18 @@ from pathlib import Path
 import pytest
 
 from firmware.sim.avr.build import compile_image, load
+from gateway.emulator.native.flags import flags
 from tests.harness.firmware.avr_bench import skip_without_avr
 from tests.patience import HANG_S
-
-WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror")  # as of the core (test_chip_compilers.py)
 
 
 @pytest.mark.parametrize("baud", [38400, 115200, 1000000])
 def test_it_compiles_without_a_warning(baud: int, tmp_path: Path) -> None:
     skip_without_avr()
 
-    compile_image(tmp_path / "avr.elf", baud=baud, options=WARNINGS)
+    compile_image(tmp_path / "avr.elf", baud=baud, options=flags("WARNINGS"))
 
-    assert {"main", "board", "VIEW"} <= set(load(tmp_path / "avr.elf").symbols)
+    assert {"main", "b51_board", "B51_VIEW"} <= set(load(tmp_path / "avr.elf").symbols)
 
 
 def test_without_the_compiler_the_command_says_what_to_install(tmp_path: Path) -> None:

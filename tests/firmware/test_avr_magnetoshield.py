@@ -10,10 +10,10 @@ import pytest
 from firmware.sim.avr.board import CYCLES_PER_TICK, AvrBoard
 from firmware.sim.avr.build import compile_image
 from gateway.emulator.firmware_model.magnetoshield import header, magnetoshield
-from gateway.emulator.native.build import SOURCES, build_of_sources
+from gateway.emulator.native.build import build_of_sources
+from gateway.emulator.native.flags import SOURCES, flags
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 from protocol.wire.messages import EventCode, HostLoss, Mode
-from tests.firmware.test_avr_build import WARNINGS
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr
 
 PROFILE = magnetoshield()
@@ -26,7 +26,7 @@ def test_the_header_of_the_image_has_the_numbers_of_the_profile() -> None:
 def test_it_compiles_without_a_warning(tmp_path: Path) -> None:
     skip_without_avr()
 
-    compile_image(tmp_path / "avr.elf", profile=PROFILE.program, options=WARNINGS)
+    compile_image(tmp_path / "avr.elf", profile=PROFILE.program, options=flags("WARNINGS"))
 
 
 def test_the_image_alone_flies_the_magnet_within_its_ticks() -> None:

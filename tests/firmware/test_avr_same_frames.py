@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from firmware.sim.avr.board import ADC_BITS, AvrBoard
-from firmware.sim.avr.build import OPTIONS
 from gateway.emulator.firmware_model.flash import CURRENT, POSITION
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compile_to
+from gateway.emulator.native.flags import flags
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.messages import ROW_OF_TYPE, EventCode, Message
 from tests.harness.firmware.avr_bench import skip_without_avr
@@ -36,7 +36,7 @@ def small_core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The core with the chip's queues and capture, for this machine."""
     skip_without_avr()
     path: Path = tmp_path_factory.mktemp("small") / "firmware.so"
-    compile_to(path, options=[option for option in OPTIONS if option.startswith("-D")])
+    compile_to(path, options=flags("AVR_CONFIG"))
     return path
 
 

@@ -11,14 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.native.build import SOURCES
+from gateway.emulator.native.flags import SOURCES, flags
 
 CORE = sorted(SOURCES.glob("core/*.c"))
-SMALL = ("-DCAPTURE_SIZE=256U", "-DCAPTURE_US=200U", "-DANSWER_DEPTH=2U", "-DEVENT_DEPTH=6U", "-DBLOCK_DEPTH=1U")
-STRICT = ("-std=gnu99", "-Os", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror")
 COMMANDS = {
-    "avr-gcc": ("-mmcu=atmega328p", *STRICT, *SMALL),
-    "sdcc": ("-mmcs51", "--std-c99", "--model-small"),
+    "avr-gcc": flags("AVR_FLAGS", "WARNINGS", "AVR_CONFIG"),
+    "sdcc": flags("MCS51_FLAGS", "MCS51_WARNINGS", "MCS51_CONFIG"),
 }
 
 

@@ -19,7 +19,7 @@ LEAST, MOST = -(1 << 31), (1 << 31) - 1
 
 @given(value=INT32, bits=st.integers(0, 31))
 def test_a_shift_rounds_down(core: Core, value: int, bits: int) -> None:
-    assert core.c.shift_down(value, bits) == value >> bits
+    assert core.c.b51_shift_down(value, bits) == value >> bits
 
 
 @given(a=INT32, b=INT32)
@@ -28,8 +28,8 @@ def test_a_shift_rounds_down(core: Core, value: int, bits: int) -> None:
 @example(LEAST, LEAST)
 @example(0, LEAST)
 def test_sums_saturate(core: Core, a: int, b: int) -> None:
-    assert core.c.saturated_sum(a, b) == saturate(a + b, 32)
-    assert core.c.saturated_difference(a, b) == saturate(a - b, 32)
+    assert core.c.b51_saturated_sum(a, b) == saturate(a + b, 32)
+    assert core.c.b51_saturated_difference(a, b) == saturate(a - b, 32)
 
 
 @settings(max_examples=300)
@@ -38,17 +38,17 @@ def test_sums_saturate(core: Core, a: int, b: int) -> None:
 @example(-32767, 0, (1 << 23) - 1)
 @example(-1, 30, 1)
 def test_a_product_of_40_bits_is_shifted_and_saturated(core: Core, mantissa: int, shift: int, operand: int) -> None:
-    assert core.c.scaled_product(mantissa, shift, operand) == scaled_product(mantissa, shift, operand)
+    assert core.c.b51_scaled_product(mantissa, shift, operand) == scaled_product(mantissa, shift, operand)
 
 
 @given(numerator=st.integers(-(1 << 29), 1 << 29), denominator=st.integers(1, 300_000))
 def test_a_quotient_is_rounded_halves_upwards(core: Core, numerator: int, denominator: int) -> None:
-    assert core.c.divide_rounded(numerator, denominator) == divide_rounded(numerator, denominator)
+    assert core.c.b51_divide_rounded(numerator, denominator) == divide_rounded(numerator, denominator)
 
 
 @given(phase=st.integers(0, (1 << 32) - 1))
 def test_the_sine_is_that_of_the_page(core: Core, phase: int) -> None:
-    assert core.c.sine_q15(phase) == sine_q15(phase)
+    assert core.c.b51_sine_q15(phase) == sine_q15(phase)
 
 
 def test_the_tables_are_what_the_page_says(core: Core) -> None:
@@ -79,7 +79,7 @@ def test_a_signal_is_that_of_python(core: Core, signal: Signal) -> None:
     expected = [excitation.next() for _ in range(300)]
 
     assert core.play(signal, 300) == expected
-    assert core.c.excitation_done() == excitation.has_ended
+    assert core.c.b51_excitation_done() == excitation.has_ended
 
 
 def test_a_long_chirp_downwards_keeps_its_phase(core: Core) -> None:

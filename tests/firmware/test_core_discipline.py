@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.native.build import SOURCES
+from gateway.emulator.native.flags import SOURCES
 
 CORE = sorted(SOURCES.glob("core/*.c"))
 _NODE = re.compile(r'node: \{ title: "(?P<name>[^"]+)" label: "[^"]*?(?P<bytes>\d+) bytes \((?P<kind>[^)]+)\)')
@@ -45,7 +45,7 @@ def test_no_function_calls_itself_by_any_way(graph: tuple[dict[str, int], dict[s
     stack, calls, _ = graph
 
     assert len(stack) > 60
-    assert {"board_boot", "board_poll", "board_late", "capture_interrupt"} <= stack.keys()
+    assert {"b51_board_boot", "b51_board_poll", "b51_board_late", "b51_capture_interrupt"} <= stack.keys()
     for name in stack:
         reached: set[str] = set()
         todo = list(calls.get(name, ()))
@@ -65,8 +65,8 @@ def test_the_stack_is_shallow(graph: tuple[dict[str, int], dict[str, set[str]], 
         return stack.get(name, 0) + max(map(depth, calls.get(name, ())), default=0)
 
     # On a 64-bit machine, where a return address and each saved register are 8 bytes; the hardware's own comes on top.
-    assert depth("capture_interrupt") <= 64
-    assert depth("board_poll") <= 640
+    assert depth("b51_capture_interrupt") <= 64
+    assert depth("b51_board_poll") <= 640
 
 
 def test_nothing_is_called_but_the_core_the_hardware_and_two_functions_on_memory(
@@ -76,8 +76,8 @@ def test_nothing_is_called_but_the_core_the_hardware_and_two_functions_on_memory
 
     outside = set().union(*calls.values()) - stack.keys()
 
-    assert {name for name in outside if not name.startswith("hal_")} <= {"memcpy", "memset"}
-    assert len({name for name in outside if name.startswith("hal_")}) == 16
+    assert {name for name in outside if not name.startswith("b51_hal_")} <= {"memcpy", "memset"}
+    assert len({name for name in outside if name.startswith("b51_hal_")}) == 16
 
 
 @pytest.mark.parametrize("path", [*CORE, *sorted(SOURCES.glob("core/*.h"))], ids=lambda path: path.name)

@@ -83,7 +83,7 @@ def test_before_rounding_the_accumulator_is_that_of_python(core: Core) -> None:
         law.sum = core.law.sum = chance.randint(-(1 << 23), (1 << 23) - 1)
         i, x, x_ref = chance.randrange(4096), chance.randrange(4096), chance.randrange(4096)
 
-        assert core.c.law_accumulate(i, x, x_ref) == law.accumulate(i, x, x_ref), (law.gains, i, x, x_ref)
+        assert core.c.b51_law_accumulate(i, x, x_ref) == law.accumulate(i, x, x_ref), (law.gains, i, x, x_ref)
 
 
 def test_the_twin_rounds_half_a_count_as_the_board_does(core: Core) -> None:

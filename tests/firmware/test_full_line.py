@@ -142,7 +142,7 @@ def test_a_tick_that_takes_longer_than_its_time_is_reported() -> None:
     skip_without_sdcc()
     host = ChipHost(Mcs51Board(Bench()))
     host.run(40)
-    step_to(host.board, "loop_run")
+    step_to(host.board, "b51_loop_run")
     host.board.chip.held_until = host.board.chip.cpu.cycles + int(1.1 * TICK_CYCLES)
 
     host.until(EventCode.OVERRUN)

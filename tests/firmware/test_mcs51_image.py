@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from firmware.sim.mcs51.board import TICK_CYCLES, Mcs51Board
-from firmware.sim.mcs51.build import CLOCK_HZ, CONFIGURATION, OPTIONS, actual_baud, image, image_sources
+from firmware.sim.mcs51.build import CLOCK_HZ, actual_baud, image, image_sources
 from gateway.emulator.firmware_model.flash import T_S_US
 from gateway.emulator.native.board import NativeFirmware
+from gateway.emulator.native.flags import flags
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.messages import Message, Value
@@ -23,12 +24,12 @@ from tests.harness.gateway.board_host import Bench, frame
 from tests.harness.protocol.port import take_output
 
 CALLED_BY_THE_INTERRUPT = {
-    "capture_interrupt",
+    "b51_capture_interrupt",
     "store",
     "convert",
-    "hal_read_current",
-    "hal_write_input",
-    "hal_capture_timer",
+    "b51_hal_read_current",
+    "b51_hal_write_input",
+    "b51_hal_capture_timer",
 }
 GAINS = {"law": 0, "i_0": 1304, "x_0": 2034, "u_0": 1756}
 GAINS |= {f"k{n}_mantissa": m for n, m in enumerate((25690, 32576, 21199, -21585), 1)}
@@ -180,7 +181,7 @@ def test_what_the_interrupt_calls_keeps_nothing_at_fixed_addresses(tmp_path: Pat
     kept: dict[str, list[str]] = {}
     for source in image_sources():
         out = tmp_path / f"{source.stem}.rel"
-        command = [str(shutil.which("sdcc")), *OPTIONS, *CONFIGURATION, "-c", str(source), "-o", str(out)]
+        command = [str(shutil.which("sdcc")), *flags("MCS51_FLAGS", "MCS51_CONFIG"), "-c", str(source), "-o", str(out)]
         subprocess.run(command, check=True, cwd=tmp_path)
         text = out.with_suffix(".asm").read_text(encoding="utf-8")
         for name, code in re.findall(r"^_(\w+):\n(.*?)(?=^_\w+:\n|\Z)", text.partition(".area CSEG")[2], re.M | re.S):
@@ -189,7 +190,7 @@ def test_what_the_interrupt_calls_keeps_nothing_at_fixed_addresses(tmp_path: Pat
         for variable in re.findall(r"^_(\w+?):+\n\t\.ds", data, re.M):
             kept.setdefault(source.stem, []).append(variable)
     reached: set[str] = set()
-    todo = ["on_time"]
+    todo = ["b51_on_time"]
     while todo:
         name = todo.pop()
         todo += calls.get(name, set()) - reached
@@ -197,7 +198,7 @@ def test_what_the_interrupt_calls_keeps_nothing_at_fixed_addresses(tmp_path: Pat
     fixed = [v for names in kept.values() for v in names for function in reached if v.startswith(f"{function}_")]
 
     assert reached == CALLED_BY_THE_INTERRUPT  # and no routine of the compiler's
-    assert any(v.startswith("scaled_product_") for v in kept["arithmetic"])  # the search does find such variables
+    assert any(v.startswith("b51_scaled_product_") for v in kept["arithmetic"])  # the search does find such variables
     assert fixed == []
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from firmware.sim.mcs51.board import Mcs51Board
-from firmware.sim.mcs51.build import CONFIGURATION
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.native.build import compile_to
+from gateway.emulator.native.flags import flags
 from protocol.wire.messages import ROW_OF_NAME, ROWS
 from tests.harness.firmware.mcs51_bench import (
     Readings,
@@ -33,7 +33,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The core as the image has it: its capture and its queues."""
     skip_without_sdcc()
     path: Path = tmp_path_factory.mktemp("core") / "core.so"
-    compile_to(path, options=CONFIGURATION)
+    compile_to(path, options=flags("MCS51_CONFIG"))
     return path
 
 

@@ -13,12 +13,13 @@ from pathlib import Path
 import pytest
 
 from gateway.emulator.native.build import compile_to, compiler
+from gateway.emulator.native.flags import flags
 from protocol.errors import ServiceError
 from tests.harness.gateway.board_host import skip_without_compiler
 
 pytestmark = pytest.mark.slow
 
-OPTIONS = ("-g", "-O1", "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+OPTIONS = flags("SANITIZE_FLAGS")
 REPOSITORY = Path(__file__).parents[2]
 
 

@@ -22,18 +22,18 @@ from tests.harness.firmware.machine_code import Access, Program, avr_program, mc
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.board_host import Bench
 
-OF_THE_CAPTURE = {"capture_start", "leave"}  # before its timer starts and after it has ended
+OF_THE_CAPTURE = {"b51_capture_start", "leave"}  # before its timer starts and after it has ended
 AVR_ALLOWED = {
     ("rest", "woken"),  # cleared after the sleep: the turn that begins then looks at everything
-    ("hal_capture_timer", "capture_waits"),  # its interrupt is off
-    ("hal_capture_timer", "capturing"),
-    ("hal_capture_timer", "register 0x70"),  # TIMSK2: a byte is set, whatever it was
-    ("hal_send", "register 0xc1"),  # UCSR0B: the interrupt clears only what is set here, when it has sent all
-    ("dac_write", "register 0xbc"),  # TWCR: a capture that is running has the bus to itself
+    ("b51_hal_capture_timer", "capture_waits"),  # its interrupt is off
+    ("b51_hal_capture_timer", "capturing"),
+    ("b51_hal_capture_timer", "register 0x70"),  # TIMSK2: a byte is set, whatever it was
+    ("b51_hal_send", "register 0xc1"),  # UCSR0B: the interrupt clears only what is set here, when it has sent all
+    ("b51_dac_write", "register 0xbc"),  # TWCR: a capture that is running has the bus to itself
     ("step", "register 0xbc"),
     ("free_bus", "register 0xbc"),
     ("put", "register 0xbb"),  # TWDR, likewise
-    ("hal_capture_timer", "register 0xb2"),  # TCNT2, its interrupt off
+    ("b51_hal_capture_timer", "register 0xb2"),  # TCNT2, its interrupt off
     ("start", "register 0x7a"),  # ADCSRA and UCSR0B, before interrupts are admitted
     ("start", "register 0xc1"),
 }
@@ -60,7 +60,7 @@ def split(one: Access, other: Access) -> bool:
 
 def test_the_main_loop_of_the_8051_and_its_interrupts_do_not_undo_each_other(tmp_path: Path) -> None:
     skip_without_sdcc()
-    shared, bad = both_write(mcs51_program(tmp_path), {"on_time", "on_line"})
+    shared, bad = both_write(mcs51_program(tmp_path), {"b51_on_time", "b51_on_line"})
 
     assert {"ticks_due", "until_tick", "capture_us", "received_in", "sent_out", "sending"} <= shared
     assert len([name for name in shared if name.startswith("board+")]) >= 5
@@ -119,7 +119,7 @@ def test_a_tick_that_comes_while_the_8051_takes_one_is_not_lost() -> None:
     for ahead in range(80):
         run, late = count_ticks(host)
         begun = (chip.cpu.cycles - due) // TICK_CYCLES
-        step_to(board, "hal_tick_due")
+        step_to(board, "b51_hal_tick_due")
         latest = due + (chip.cpu.cycles - due) // TICK_CYCLES * TICK_CYCLES
         chip.held_until = latest + 2 * TICK_CYCLES - ahead
         host.run(6)
@@ -141,7 +141,7 @@ def cycle_of_tick(board: Mcs51Board) -> int:
     """The cycle of an interrupt that makes a tick due: its loop begins with a conversion."""
     converts, run = 1, load(simulator()).chip_run
     while True:
-        step_to(board, "on_time")
+        step_to(board, "b51_on_time")
         cycle = int(board.chip.cpu.cycles)
         if run(board.chip, cycle + 700) == converts:
             return cycle

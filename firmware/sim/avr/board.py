@@ -119,7 +119,7 @@ class AvrBoard:
         self.image = image(baud, profile.program) if program is None else program
         self._chip = self._library.chip_open(self.image.code, len(self.image.code))
         self._view: _Chip = self._chip.contents
-        self._fields = struct.unpack_from("<5H", self.image.code, self.image.symbols["VIEW"])
+        self._fields = struct.unpack_from("<5H", self.image.code, self.image.symbols["B51_VIEW"])
         self._ticks = 0  # of the emulator
         self._plant_steps = 0
         self._u = 0  # that the plant has had so far
@@ -271,7 +271,7 @@ class AvrBoard:
 
     def _number(self, field: int, size: int) -> int:
         """A field of `struct board`; 0 until start-up has cleared the RAM."""
-        board = self.image.ram("board")
+        board = self.image.ram("b51_board")
         if self._view.memory[board + self._fields[3]] == _RAM_PATTERN:
             return 0
         at = board + self._fields[field]

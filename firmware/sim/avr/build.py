@@ -13,15 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from gateway.emulator.native.build import SOURCES, build_option, cached, compiler
+from gateway.emulator.native.build import build_option, cached, compiler
+from gateway.emulator.native.flags import SOURCES, flags
 from protocol.errors import InstallError, ServiceError, UsageError
 
-# 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.  Inlined, all functions of a signal
-# would have their locals on it at a time.
-OPTIONS = (
-    "-mmcu=atmega328p -std=gnu99 -O2 -fno-inline -DCAPTURE_SIZE=200U -DCAPTURE_US=200U -DANSWER_DEPTH=2U "
-    "-DEVENT_DEPTH=6U -DBLOCK_DEPTH=1U"
-).split()
 _SHIM = Path(__file__).with_name("simavr.c")
 _REMEDY = "Install them (Debian: apt-get install gcc gcc-avr avr-libc libsimavr-dev), or fly --firmware python or c"
 
@@ -39,8 +34,8 @@ class Image:
 
 
 def sources() -> list[Path]:
-    """Return the C files of the core and of the chip's hardware layer."""
-    return sorted([*SOURCES.glob("core/*.c"), *SOURCES.glob("avr/*.c")])
+    """Return the C files of the core and of the chip's hardware layer, and what the linker checks."""
+    return [*sorted([*SOURCES.glob("core/*.c"), *SOURCES.glob("avr/*.c")]), SOURCES / "avr" / "stack.ld"]
 
 
 def missing() -> str | None:
@@ -71,8 +66,8 @@ def compile_image(target: Path, *, baud: int = 115200, profile: str = "", option
     """
     if shutil.which("avr-gcc") is None:
         raise InstallError("The firmware of the AVR needs avr-gcc, and it is not found", remedy=_REMEDY)
-    chosen = [build_option(), f"-DBAUD=UINT32_C({baud})", *([f'-DPROFILE="{profile}"'] if profile else [])]
-    _run(["avr-gcc", *OPTIONS, *chosen, *options, *map(str, sources()), "-o", str(target)])
+    chosen = [build_option(), f"-DB51_BAUD=UINT32_C({baud})", *([f'-DB51_PROFILE="{profile}"'] if profile else [])]
+    _run(["avr-gcc", *_flags(), *chosen, *options, *map(str, sources()), "-o", str(target)])
 
 
 def hex_of(target: Path, *, baud: int = 115200, profile: str = "") -> int:
@@ -84,15 +79,14 @@ def hex_of(target: Path, *, baud: int = 115200, profile: str = "") -> int:
     with tempfile.TemporaryDirectory() as scratch:
         elf, flat = Path(scratch) / "firmware.elf", Path(scratch) / "code"
         compile_image(elf, baud=baud, profile=profile)
-        # Not the EEPROM: a boot loader does not write it, and blank it gives way to the program's numbers.
-        _run(["avr-objcopy", "-O", "ihex", "-R", ".eeprom", str(elf), str(target)])
-        _run(["avr-objcopy", "-O", "binary", "-R", ".eeprom", str(elf), str(flat)])
+        for form, file in (("ihex", target), ("binary", flat)):
+            _run(["avr-objcopy", "-O", form, *flags("AVR_HEX_FLAGS"), str(elf), str(file)])
         return flat.stat().st_size
 
 
 def image_inputs() -> tuple[list[Path], tuple[object, ...]]:
     """Return the files and options that an image is made of, whatever its baud rate and profile."""
-    return [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, build_option())
+    return [*sources(), *SOURCES.glob("*/*.h")], (_flags(), build_option())
 
 
 @cache
@@ -135,6 +129,10 @@ def simulator() -> Path:
     options = ["-O2", "-fPIC", "-shared"]
     command = [str(compiler()), *options, str(_SHIM), "-lsimavr", "-o"]
     return cached("simavr.so", [_SHIM], options, lambda target: _run([*command, str(target)]))
+
+
+def _flags() -> tuple[str, ...]:
+    return flags("AVR_FLAGS", "AVR_CONFIG")
 
 
 def _run(command: list[str]) -> str:

@@ -76,8 +76,8 @@ class Mcs51Board:
         chip.clock_hz = CLOCK_HZ
         chip.cpu.code[:] = code.ljust(len(chip.cpu.code), b"\xff")
         chip.eeprom[:] = (memory_of(board_id) if eeprom is None else eeprom).ljust(len(chip.eeprom), b"\xff")
-        chip.watched_pc = self.symbols["board_poll"]
-        table = struct.unpack_from(f"<{len(_WATCHED)}H", code, self.symbols["WATCHED"])
+        chip.watched_pc = self.symbols["b51_board_poll"]
+        table = struct.unpack_from(f"<{len(_WATCHED)}H", code, self.symbols["B51_WATCHED"])
         self._watched = {name: (at, kind) for (name, kind), at in zip(_WATCHED, table, strict=True)}
         self._buffer = (ctypes.c_uint8 * 1024)()
         self._sent = b""
@@ -99,7 +99,7 @@ class Mcs51Board:
         elif cause == EventCode.RESET_WATCHDOG:
             self._library.chip_watchdog(self.chip)
         else:
-            self.chip.cpu.pc = self.symbols["hal_restart"]
+            self.chip.cpu.pc = self.symbols["b51_hal_restart"]
         self._follow_input()
 
     def pull_reset(self) -> None:

@@ -15,21 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.emulator.native.build import SOURCES, build_option, cached, compile_to
+from gateway.emulator.native.build import build_option, cached, compile_to
+from gateway.emulator.native.flags import SOURCES, flags
 from protocol.errors import InstallError, ServiceError, UsageError
 
 CLOCK_HZ: Final = 20_000_000  # firmware/mcs51/part.h
 
-# What 2 kB of external RAM hold, and the fastest capture that its interrupt leaves time for.
-CONFIGURATION = (
-    "-DCAPTURE_US=80U",
-    "-DCAPTURE_SIZE=240U",
-    "-DANSWER_DEPTH=3U",
-    "-DEVENT_DEPTH=8U",
-    "-DBLOCK_DEPTH=2U",
-)
-OPTIONS = ("-mmcs51", "--std-c99", "--model-small", "--opt-code-speed")
-_MEMORY = ("--iram-size", "256", "--xram-size", "2040", "--code-size", "63488")  # 'Memory organization'; XRAM_KEPT
 _FOLDER = Path(__file__).resolve().parent
 _SIMULATOR = (_FOLDER / "cpu.c", _FOLDER / "chip.c")
 _REMEDY = "Install it (Debian: apt-get install gcc libc6-dev sdcc), or fly --firmware python or c"
@@ -53,25 +44,20 @@ def build_image(target: Path, *, baud: int = 115200, options: Sequence[str] = ()
         InstallError: there is no sdcc.
         ServiceError: it fails, or finds anything to warn of.
     """
-    program = shutil.which("sdcc")
-    if program is None:
+    if shutil.which("sdcc") is None:
         raise InstallError("The firmware of the 8051 needs sdcc, and it is not found", remedy=_REMEDY)
-    compile_command = [
-        program,
-        *OPTIONS,
-        "--Werror",
-        *CONFIGURATION,
-        build_option(),
-        f"-DBAUD=UINT32_C({baud})",
-        *options,
-        "-c",
-    ]
+    chosen = [build_option(), f"-DB51_BAUD=UINT32_C({baud})", *options]
     with tempfile.TemporaryDirectory() as scratch:
-        objects = [Path(scratch) / f"{source.stem}.rel" for source in image_sources()]
-        for source, compiled in zip(image_sources(), objects, strict=True):
-            _run([*compile_command, str(source), "-o", str(compiled)])
+        # By the words of the Makefile, in a copy: the registers that sdcc chooses depend on the length of its paths.
+        for part in ("core", "mcs51"):
+            shutil.copytree(SOURCES / part, Path(scratch) / part)
+        files = [source.relative_to(SOURCES).as_posix() for source in image_sources()]
+        for file in files:
+            command = ["sdcc", *flags("MCS51_FLAGS", "MCS51_WARNINGS", "MCS51_CONFIG"), *chosen, "-c", file]
+            _run(command, Path(scratch))
+        objects = [f"{Path(file).stem}.rel" for file in files]
+        _run(["sdcc", *flags("MCS51_FLAGS", "MCS51_LINK"), *objects, "-o", "image.ihx"], Path(scratch))
         linked = Path(scratch) / "image.ihx"
-        _run([program, *OPTIONS, *_MEMORY, *map(str, objects), "-o", str(linked)])
         image = {
             "code": code_of(linked.read_text(encoding="ascii")).hex(),
             "symbols": _symbols(linked.with_suffix(".map").read_text(encoding="utf-8")),
@@ -95,7 +81,9 @@ def image(baud: int = 115200) -> Path:
         )
     made_of = [*image_sources(), *SOURCES.glob("core/*.h"), *SOURCES.glob("mcs51/*.h")]
     make = partial(build_image, baud=baud)
-    return cached("mcs51.json", made_of, (OPTIONS, _MEMORY, CONFIGURATION, build_option(), baud), make)
+    return cached(
+        "mcs51.json", made_of, (flags("MCS51_FLAGS", "MCS51_LINK", "MCS51_CONFIG"), build_option(), baud), make
+    )
 
 
 def actual_baud(baud: int, clock_hz: int = CLOCK_HZ) -> float:
@@ -142,8 +130,8 @@ def _sizes(mem_file: str) -> dict[str, int]:
     return {"code": code, "external_ram": external, "stack_from": int(stack, 16) + 1}
 
 
-def _run(command: list[str]) -> None:
-    process = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+def _run(command: list[str], folder: Path) -> None:
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
     if process.returncode != 0:
         message = next((line for line in process.stderr.splitlines() if "rror" in line), process.stderr.strip())
         raise ServiceError(f"{command[0]} fails: {message}", remedy=_REMEDY)

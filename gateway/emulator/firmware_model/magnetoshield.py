@@ -165,17 +165,17 @@ def header(profile: MagnetoShieldProfile) -> str:
         (
             "/* A MagnetoShield (R3, R4), by gateway/emulator/firmware_model/magnetoshield.py, `header`; numbers",
             " * are explained there and in ../magnetoshield.md. */",
-            f"#define PROFILE_FIRMWARE {FIRMWARE[0]}, {FIRMWARE[1]}, {profile.adc_bits}, {DAC_BITS}",
-            "#define PROFILE_SCALINGS \\",
+            f"#define B51_PROFILE_FIRMWARE {FIRMWARE[0]}, {FIRMWARE[1]}, {profile.adc_bits}, {DAC_BITS}",
+            "#define B51_PROFILE_SCALINGS \\",
             _rows([f"0x{byte:02X}" for byte in profile.scalings], 8),
-            f"#define PROFILE_GAINS {int(gains.law)}, {_braced(gains.shifts)}, {_braced(gains.mantissas)}, "
+            f"#define B51_PROFILE_GAINS {int(gains.law)}, {_braced(gains.shifts)}, {_braced(gains.mantissas)}, "
             f"{gains.i_0}, {gains.x_0}, {gains.u_0}",
-            f"#define PROFILE_LIMITS {', '.join(map(str, numbers))}",
+            f"#define B51_PROFILE_LIMITS {', '.join(map(str, numbers))}",
             "/* Counts of x at each 16th code of A3. */",
-            "#define POSITION_TABLE \\",
+            "#define B51_POSITION_TABLE \\",
             _rows([str(entry) for entry in profile.positions], 13),
             "/* Codes of the MCP4725 at each 64th count of u_c. */",
-            "#define INPUT_TABLE \\",
+            "#define B51_INPUT_TABLE \\",
             _rows([str(entry) for entry in profile.inputs], 13),
             "",
         )

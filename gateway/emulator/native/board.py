@@ -52,38 +52,38 @@ class NativeFirmware:
         self._plant = plant
         self._profile = profile
         self._library = load(library() if path is None else path)
-        words = -(-self._library.posix_size() // 8)
+        words = -(-self._library.b51_posix_size() // 8)
         self._memory = (ctypes.c_uint64 * words)()
         self._board = ctypes.addressof(self._memory)
         self._view = CView.from_buffer(self._memory)
         self._frame = ctypes.create_string_buffer(_LONGEST_FRAME)
         self._elapsed_us = 0  # plant time since the last tick
         identity = CIdentity.from_buffer_copy(profile.identity(board_id, profile.adc_bits))
-        self._library.posix_open(self._board, ctypes.byref(identity), ctypes.byref(settings_of(profile.settings)))
+        self._library.b51_posix_open(self._board, ctypes.byref(identity), ctypes.byref(settings_of(profile.settings)))
 
     def __del__(self) -> None:
         if hasattr(self, "_board"):
-            self._library.posix_close(self._board)
+            self._library.b51_posix_close(self._board)
 
     def reset(self, cause: EventCode) -> None:
         """Restart: coil off, no output during the boot, then tick 0; a power cycle also clears the count of resets."""
-        self._library.posix_reset(self._board, int(cause))
+        self._library.b51_posix_reset(self._board, int(cause))
 
     def hang(self) -> None:
         """Hang the program: no loop, no answers, u_c unchanged, until the watchdog resets the board."""
-        self._library.posix_hang(self._board)
+        self._library.b51_posix_hang(self._board)
 
     def overrun(self) -> None:
         """Let the board report the next tick as late."""
-        self._library.posix_late(self._board)
+        self._library.b51_posix_late(self._board)
 
     def fail_output(self, fault: OutputFault) -> None:
         """Let the converter of u_c fail from now on, or work again."""
-        self._library.posix_fail_output(self._board, int(fault))
+        self._library.b51_posix_fail_output(self._board, int(fault))
 
     def store(self, settings: Settings) -> None:
         """Write the memory of gains, operating point and limits, which the board reads at its next boot."""
-        self._library.posix_store(self._board, ctypes.byref(settings_of(settings)))
+        self._library.b51_posix_store(self._board, ctypes.byref(settings_of(settings)))
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
@@ -93,7 +93,7 @@ class NativeFirmware:
         if self._view.capture_wait_us >= 0:
             self._advance_to(now_us)
         u = self._view.u
-        self._library.posix_feed(self._board, data, len(data))
+        self._library.b51_posix_feed(self._board, data, len(data))
         if self._view.written:  # by a STOP: until its last byte the input was what it had been
             self._advance_to(now_us, u=u)
 
@@ -107,11 +107,11 @@ class NativeFirmware:
             i_pin, x_pin = self._plant.sense()
             i, x = self._profile.current_count(i_pin), self._profile.position_count(x_pin)
             lost = self._plant.drop_sample()
-        self._library.posix_tick(self._board, i, x, lost)
+        self._library.b51_posix_tick(self._board, i, x, lost)
 
     def take_frame(self, room: int = _LONGEST_FRAME) -> bytes:
         """Return the next frame for the line, or its next `room` bytes, or b""."""
-        size: int = self._library.posix_take(self._board, self._frame, room)
+        size: int = self._library.b51_posix_take(self._board, self._frame, room)
         return self._frame.raw[:size]
 
     @property
@@ -141,7 +141,7 @@ class NativeFirmware:
 
     @next_tick.setter
     def next_tick(self, tick: int) -> None:
-        self._library.posix_set_tick(self._board, tick)
+        self._library.b51_posix_set_tick(self._board, tick)
 
     def _advance_to(self, time_us: int, *, u: int | None = None) -> None:
         """Advance the plant to this time after the last tick, taking capture samples on the way."""
@@ -150,11 +150,11 @@ class NativeFirmware:
             step_us = time_us - self._elapsed_us
             if view.capture_wait_us >= 0 and view.running:
                 if view.capture_wait_us == 0:
-                    self._library.posix_capture(self._board, self._profile.current_count(self._plant.sense()[0]))
+                    self._library.b51_posix_capture(self._board, self._profile.current_count(self._plant.sense()[0]))
                 step_us = min(step_us, view.capture_wait_us)
             self._plant.advance(self._profile.input_pin(view.u if u is None else u), step_us * 1e-6)
             self._elapsed_us += step_us
-            self._library.posix_pass(self._board, step_us)
+            self._library.b51_posix_pass(self._board, step_us)
 
 
 def settings_of(settings: Settings) -> CSettings:

@@ -21,12 +21,10 @@ from pathlib import Path
 
 from platformdirs import user_cache_path
 
+from gateway.emulator.native.flags import SOURCES, flags
 from protocol.errors import InstallError, ServiceError
 
-SOURCES = Path(__file__).resolve().parents[3] / "firmware"  # beside the packages, in the repository as in a wheel
-OPTIONS = ("-std=c99", "-O2", "-fPIC", "-shared")
-# Its functions call each other, whatever another library of the process has called by the same name.
-_LINK_OPTIONS = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
+_LINUX = ("POSIX_LINUX",) if sys.platform == "linux" else ()
 _COMPILERS = ("cc", "gcc", "clang")
 
 
@@ -61,7 +59,15 @@ def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[st
             f"The firmware in C needs a C compiler, and {looked_for} found",
             remedy="Install one (Debian: apt-get install gcc libc6-dev), or fly the Python firmware, the default",
         )
-    command = [program, *OPTIONS, *options, *map(str, files or sources()), *_LINK_OPTIONS, "-o", str(target)]
+    command = [
+        program,
+        *flags("POSIX_FLAGS"),
+        *options,
+        *map(str, files or sources()),
+        *flags(*_LINUX),
+        "-o",
+        str(target),
+    ]
     process = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if process.returncode != 0:
         message = next((line for line in process.stderr.splitlines() if "error" in line), process.stderr.strip())
@@ -90,7 +96,7 @@ def build_of_sources() -> bytes:
 
 def build_option() -> str:
     """Return the compiler's option for it."""
-    return "-DFIRMWARE_BUILD=" + ",".join(map(str, build_of_sources()))
+    return "-DB51_FIRMWARE_BUILD=" + ",".join(map(str, build_of_sources()))
 
 
 def _git(*words: str) -> str:
@@ -108,7 +114,7 @@ def library() -> Path:
         InstallError: there is no C compiler.
         ServiceError: it fails, or the cache cannot be written.
     """
-    return cached("firmware.so", [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, _LINK_OPTIONS), compile_to)
+    return cached("firmware.so", [*sources(), *SOURCES.glob("*/*.h")], flags("POSIX_FLAGS", *_LINUX), compile_to)
 
 
 def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:

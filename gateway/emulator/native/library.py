@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 class CGains(ctypes.Structure):
-    """struct gains."""
+    """struct b51_gains."""
 
     _fields_ = (
         ("law", c_uint8),
@@ -22,19 +22,19 @@ class CGains(ctypes.Structure):
 
 
 class CLimits(ctypes.Structure):
-    """struct limits."""
+    """struct b51_limits."""
 
     _fields_ = tuple((name, c_uint16) for name in ("x_ref_min", "x_ref_max", "x_ref_step", "x_ref_slew", "u_max"))
 
 
 class CSettings(ctypes.Structure):
-    """struct settings."""
+    """struct b51_settings."""
 
     _fields_ = (("gains", CGains), ("limits", CLimits))
 
 
 class CIdentity(ctypes.Structure):
-    """struct identity."""
+    """struct b51_identity."""
 
     _fields_ = (
         ("board_id", c_uint32),
@@ -48,7 +48,7 @@ class CIdentity(ctypes.Structure):
 
 
 class CView(ctypes.Structure):
-    """struct posix_view: what a board shows between two calls."""
+    """struct b51_posix_view: what a board shows between two calls."""
 
     _fields_ = (
         ("next_tick", c_uint32),
@@ -65,19 +65,19 @@ class CView(ctypes.Structure):
 
 
 _FUNCTIONS = {  # name: result, arguments behind the board
-    "posix_open": (None, (POINTER(CIdentity), POINTER(CSettings))),
-    "posix_close": (None, ()),
-    "posix_reset": (None, (c_uint8,)),
-    "posix_hang": (None, ()),
-    "posix_late": (None, ()),
-    "posix_fail_output": (None, (c_uint8,)),
-    "posix_store": (None, (POINTER(CSettings),)),
-    "posix_feed": (None, (c_char_p, c_uint32)),
-    "posix_pass": (None, (c_uint16,)),
-    "posix_capture": (None, (c_uint16,)),
-    "posix_tick": (None, (c_uint16, c_uint16, c_bool)),
-    "posix_take": (c_uint8, (c_char_p, c_uint8)),
-    "posix_set_tick": (None, (c_uint32,)),
+    "b51_posix_open": (None, (POINTER(CIdentity), POINTER(CSettings))),
+    "b51_posix_close": (None, ()),
+    "b51_posix_reset": (None, (c_uint8,)),
+    "b51_posix_hang": (None, ()),
+    "b51_posix_late": (None, ()),
+    "b51_posix_fail_output": (None, (c_uint8,)),
+    "b51_posix_store": (None, (POINTER(CSettings),)),
+    "b51_posix_feed": (None, (c_char_p, c_uint32)),
+    "b51_posix_pass": (None, (c_uint16,)),
+    "b51_posix_capture": (None, (c_uint16,)),
+    "b51_posix_tick": (None, (c_uint16, c_uint16, c_bool)),
+    "b51_posix_take": (c_uint8, (c_char_p, c_uint8)),
+    "b51_posix_set_tick": (None, (c_uint32,)),
 }
 
 
@@ -85,8 +85,8 @@ _FUNCTIONS = {  # name: result, arguments behind the board
 def load(path: Path) -> ctypes.PyDLL:
     """Load the library; one board at a time may be in it, so its calls keep Python's lock."""
     library = ctypes.PyDLL(str(path))
-    library.posix_size.restype = c_uint32
-    library.posix_size.argtypes = ()
+    library.b51_posix_size.restype = c_uint32
+    library.b51_posix_size.argtypes = ()
     for name, (result, arguments) in _FUNCTIONS.items():
         function = getattr(library, name)
         function.restype = result

@@ -12,7 +12,7 @@ from gateway.emulator.native.library import CGains
 
 
 class CSignal(ctypes.Structure):
-    """struct signal."""
+    """struct b51_signal."""
 
     _fields_ = (
         ("shape", c_uint8),
@@ -27,28 +27,28 @@ class CSignal(ctypes.Structure):
 
 
 class CLaw(ctypes.Structure):
-    """struct law_state, with which struct board begins."""
+    """struct b51_law_state, with which struct b51_board begins."""
 
     _fields_ = (("gains", CGains), ("sum", c_int32), ("x_previous", c_uint16), ("x_known", c_bool))
 
 
 _FUNCTIONS = {
-    "shift_down": (c_int32, (c_int32, c_uint8)),
-    "saturated_sum": (c_int32, (c_int32, c_int32)),
-    "saturated_difference": (c_int32, (c_int32, c_int32)),
-    "scaled_product": (c_int32, (c_int16, c_uint8, c_int32)),
-    "divide_rounded": (c_int32, (c_int32, c_int32)),
-    "sine_q15": (c_int16, (c_uint32,)),
-    "law_reset": (None, ()),
-    "law_accumulate": (c_int32, (c_uint16, c_uint16, c_uint16)),
-    "law_run": (c_uint16, (c_uint16, c_uint16, c_uint16, POINTER(c_bool))),
-    "excitation_start": (None, (POINTER(CSignal),)),
-    "excitation_done": (c_bool, ()),
-    "excitation_next": (c_uint16, ()),
-    "crc_of": (c_uint16, (c_char_p, c_uint8)),
-    "frame_encode": (c_uint8, (c_char_p, c_uint8, c_char_p)),
-    "frame_decode": (c_uint8, (c_char_p, c_uint8)),
-    "fields_check": (c_uint8, (c_char_p, c_uint8, POINTER(c_uint16))),
+    "b51_shift_down": (c_int32, (c_int32, c_uint8)),
+    "b51_saturated_sum": (c_int32, (c_int32, c_int32)),
+    "b51_saturated_difference": (c_int32, (c_int32, c_int32)),
+    "b51_scaled_product": (c_int32, (c_int16, c_uint8, c_int32)),
+    "b51_divide_rounded": (c_int32, (c_int32, c_int32)),
+    "b51_sine_q15": (c_int16, (c_uint32,)),
+    "b51_law_reset": (None, ()),
+    "b51_law_accumulate": (c_int32, (c_uint16, c_uint16, c_uint16)),
+    "b51_law_run": (c_uint16, (c_uint16, c_uint16, c_uint16, POINTER(c_bool))),
+    "b51_excitation_start": (None, (POINTER(CSignal),)),
+    "b51_excitation_done": (c_bool, ()),
+    "b51_excitation_next": (c_uint16, ()),
+    "b51_crc_of": (c_uint16, (c_char_p, c_uint8)),
+    "b51_frame_encode": (c_uint8, (c_char_p, c_uint8, c_char_p)),
+    "b51_frame_decode": (c_uint8, (c_char_p, c_uint8)),
+    "b51_fields_check": (c_uint8, (c_char_p, c_uint8, POINTER(c_uint16))),
 }
 
 
@@ -60,9 +60,9 @@ class Core:
         for name, (result, arguments) in _FUNCTIONS.items():
             function = getattr(self.c, name)
             function.restype, function.argtypes = result, arguments
-        self.law = CLaw.in_dll(self.c, "board")
-        self.sines = (c_int16 * 257).in_dll(self.c, "SINE_Q15")
-        self.peaks = (c_uint32 * 128).in_dll(self.c, "MULTISINE_PEAK")
+        self.law = CLaw.in_dll(self.c, "b51_board")
+        self.sines = (c_int16 * 257).in_dll(self.c, "B51_SINE_Q15")
+        self.peaks = (c_uint32 * 128).in_dll(self.c, "B51_MULTISINE_PEAK")
 
     def load(self, gains: Gains) -> None:
         """Load gains, and reset the law."""
@@ -74,34 +74,34 @@ class Core:
             gains.x_0,
             gains.u_0,
         )
-        self.c.law_reset()
+        self.c.b51_law_reset()
 
     def run(self, i: int, x: int, x_ref: int) -> tuple[int, bool]:
         """Run one tick of the law."""
         limited = c_bool()
-        u: int = self.c.law_run(i, x, x_ref, byref(limited))
+        u: int = self.c.b51_law_run(i, x, x_ref, byref(limited))
         return u, limited.value
 
     def play(self, signal: Signal, ticks: int) -> list[int]:
         """Return the first ticks of a signal."""
         names = [name for name, _ in CSignal._fields_]
-        self.c.excitation_start(byref(CSignal(*(getattr(signal, name) for name in names))))
-        return [self.c.excitation_next() for _ in range(ticks)]
+        self.c.b51_excitation_start(byref(CSignal(*(getattr(signal, name) for name in names))))
+        return [self.c.b51_excitation_next() for _ in range(ticks)]
 
     def encode(self, body: bytes) -> bytes:
         """Return the frame of a body."""
         frame = ctypes.create_string_buffer(len(body) + 5)
-        size = self.c.frame_encode(body, len(body), frame)
+        size = self.c.b51_frame_encode(body, len(body), frame)
         return frame.raw[:size]
 
     def decode(self, encoded: bytes) -> bytes | None:
         """Return the body of what stands between two delimiters, None for a bad frame."""
         data = ctypes.create_string_buffer(encoded, len(encoded))
-        size = self.c.frame_decode(data, len(encoded))
+        size = self.c.b51_frame_decode(data, len(encoded))
         return data.raw[1 : 1 + size] if size else None
 
     def check(self, body: bytes) -> tuple[int, int]:
         """Return reason (0: none) and detail of a command's refusal by its fields."""
         detail = c_uint16()
-        reason: int = self.c.fields_check(body, len(body), byref(detail))
+        reason: int = self.c.b51_fields_check(body, len(body), byref(detail))
         return reason, detail.value

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from firmware.sim.avr.build import compile_image
-from firmware.sim.mcs51.build import CONFIGURATION, OPTIONS, image_sources
+from firmware.sim.mcs51.build import image_sources
+from gateway.emulator.native.flags import flags
 
 _MODIFY = {"inc", "dec", "setb", "clr", "cpl", "anl", "orl", "xrl", "djnz", "jbc"}  # of an 8051, each without a gap
 
@@ -51,7 +52,7 @@ def mcs51_program(folder: Path) -> Program:
     texts = []
     for source in image_sources():
         out = folder / f"{source.stem}.rel"
-        command = [str(shutil.which("sdcc")), *OPTIONS, *CONFIGURATION, "-c", str(source), "-o", str(out)]
+        command = [str(shutil.which("sdcc")), *flags("MCS51_FLAGS", "MCS51_CONFIG"), "-c", str(source), "-o", str(out)]
         subprocess.run(command, check=True, cwd=folder)
         texts.append(out.with_suffix(".asm").read_text(encoding="utf-8"))
     sizes = {name: int(size) for name, size in re.findall(r"^_(\w+):+\n\t\.ds\s+(\d+)", texts[0], re.M)}
@@ -73,7 +74,7 @@ def _of_mcs51(function: str, code: str, sizes: Mapping[str, int]) -> Iterable[Ac
             guarded = True
         elif re.fullmatch(r"setb\t_E(A|T2)|mov\tea,c", line):
             guarded = False
-        elif address := re.fullmatch(r"mov\tdptr,#\(_board \+ (0x\w+)\)", line):
+        elif address := re.fullmatch(r"mov\tdptr,#\(_b51_board \+ (0x\w+)\)", line):
             pointer = int(address[1], 16)
         elif line == "inc\tdptr":
             pointer = None if pointer is None else pointer + 1
@@ -119,7 +120,7 @@ def _variable(at: int, variables: Iterable[tuple[int, int, str]]) -> tuple[str, 
     """The name of what lies at an address, and its size; a byte of `board` is a variable."""
     for begin, size, name in variables:
         if begin <= at < begin + size:
-            return (f"board+{at - begin}", 1) if name == "board" else (name, size)
+            return (f"board+{at - begin}", 1) if name == "b51_board" else (name, size)
     return f"register {at:#x}", 1
 
 
