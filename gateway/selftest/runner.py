@@ -1,0 +1,101 @@
+"""Runs checks in their order, and leaves the coil off at each end.
+
+Rule 1: a check that cannot go on ends with a verdict; the ones after it run.
+Rule 2: what the board reports by itself meanwhile (a restart, a fault) is a fault of the check in which it comes.
+Rule 3: at the end, after an error and after Ctrl-C, STOP is sent, and u_c must be seen to be 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from gateway.selftest.bench import Bench, NotReadyError
+from gateway.selftest.connection import BOOT_S, NoAnswerError, RefusedError
+from gateway.selftest.table import Check
+from gateway.selftest.verdict import Verdict, fault, passed, skipped
+from protocol.wire.messages import FAULT_EVENTS, RESETS, EventCode
+
+_REPORTED = FAULT_EVENTS - RESETS
+_REMEDIES = {
+    EventCode.OUTPUT_FAULT: "CUT THE SUPPLY OF THE COIL: the input converter confirms no write",
+    EventCode.UNCOMMANDED_CURRENT: "CUT THE SUPPLY OF THE COIL: current flows at u_c = 0, the driver is shorted",
+    EventCode.OVER_CURRENT: "i_c is at the top of its converter: look at its amplifier, and for a short circuit",
+    EventCode.SENSOR_FAULT: "x is at an end of its converter: look at the sensor and its plug",
+}
+
+
+def run_checks(bench: Bench, checks: Sequence[Check]) -> Iterator[Verdict]:
+    """Call the board, run the checks, and yield their verdicts as they are found."""
+    dead = ""
+    try:
+        bench.connect()
+    except (NoAnswerError, RefusedError) as error:
+        yield replace(fault("start", "the first commands", error.problem, remedy=error.remedy), check="start")
+    for check in checks:
+        if dead:
+            yield replace(skipped(check.name, check.summary, dead), check=check.name)
+            continue
+        events, restarts = len(bench.line.events), bench.line.restarts
+        expected = bench.expected_resets
+        try:
+            for verdict in check.run(bench):
+                yield replace(verdict, check=check.name)
+        except NotReadyError as reason:
+            yield replace(skipped(check.name, check.summary, str(reason)), check=check.name)
+        except (NoAnswerError, RefusedError) as error:
+            name = "refused" if isinstance(error, RefusedError) else "no-answer"
+            yield replace(fault(name, "the check ends:", error.problem, remedy=error.remedy), check=check.name)
+        unexpected = bench.line.restarts - restarts - (bench.expected_resets - expected)
+        for verdict in _reported(bench, events, unexpected):
+            yield replace(verdict, check=check.name)
+        dead = _recover(bench)
+
+
+def switch_off(bench: Bench) -> Verdict:
+    """Send STOP, and say what u_c and i_c are then."""
+    if not bench.line.identities:
+        bench.line.switch_off()  # it may hear us although we do not hear it
+        return replace(skipped("coil-off", "the coil at the end", "the board does not answer"), check="end")
+    if not bench.line.switch_off():
+        verdict = fault("coil-off", "the coil at the end", "NOT KNOWN TO BE OFF", remedy="CUT THE SUPPLY OF THE COIL")
+        return replace(verdict, check="end")
+    try:
+        i_a = bench.scaling.i_a(bench.line.samples[-1].state.i_c)
+    except NotReadyError:
+        return replace(passed("coil-off", "the coil at the end", "u_c 0"), check="end")
+    limit_a = bench.rig.current_offset_a[1] + 6 * bench.rig.current_noise_a[1]
+    if i_a > limit_a:
+        value = f"u_c 0, but i_c {i_a:.3g} A"
+        verdict = fault("coil-off", "the coil at the end", value, remedy="CUT THE SUPPLY OF THE COIL")
+        return replace(verdict, check="end")
+    return replace(passed("coil-off", "the coil at the end: off,", f"u_c 0 V, i_c {1e3 * i_a:.2g} mA"), check="end")
+
+
+def _reported(bench: Bench, first: int, unexpected: int) -> Iterator[Verdict]:
+    """Yield what the board reported by itself."""
+    events = bench.line.events[first:]
+    resets = [event.code for event in events if event.code in RESETS - {EventCode.RESET_COMMANDED}]
+    if unexpected > 0 or resets:
+        causes = ", ".join(sorted({code.name for code in resets})) or "no event said why"
+        yield fault(
+            "unexpected-reset",
+            "restarts that nobody ordered",
+            f"{max(unexpected, len(resets))}, {causes}",
+            bound="0",
+            remedy="look at the supply under load, the brown-out level, the reset line and the watchdog",
+        )
+    for code in sorted({event.code for event in events} & _REPORTED):
+        name = code.name.lower().replace("_", "-")
+        yield fault(f"reported-{name}", "the board reports", code.name, remedy=_REMEDIES[code])
+
+
+def _recover(bench: Bench) -> str:
+    """Let the coil be off and the session open before the next check; return why there cannot be one."""
+    try:
+        if not bench.line.until(lambda: bench.line.session.is_open, BOOT_S):
+            return "the board does not answer any more"
+        bench.line.stop()
+    except NoAnswerError as error:
+        return error.problem
+    return ""
