@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     started_s = time.time()
     try:
         with on_signals(_interrupt, signal.SIGTERM, signal.SIGINT):
-            verdicts = _verdicts(bench, checks, console.show)
+            verdicts = run_to_the_end(bench, checks, console.show)
     finally:
         wire.close()
     report = Report(
@@ -119,7 +119,7 @@ class Console:
             print(f"\n{report.answer}\nreport: {', '.join(map(str, paths))}")
 
 
-def _verdicts(bench: Bench, checks: Sequence[Check], show: Callable[[Verdict], None]) -> list[Verdict]:
+def run_to_the_end(bench: Bench, checks: Sequence[Check], show: Callable[[Verdict], None]) -> list[Verdict]:
     """Run the checks, and switch the coil off whatever happens."""
     verdicts: list[Verdict] = []
     try:

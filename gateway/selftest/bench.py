@@ -14,6 +14,7 @@ from gateway.board.scaling import Scaling, scaling_of
 from gateway.selftest.connection import BOOT_S, Connection
 from gateway.selftest.estimates import mean_and_deviation
 from gateway.selftest.rigs import RigNumbers
+from gateway.selftest.verdict import Verdict, fault
 from protocol.wire.events import BoardEvent, Sample
 from protocol.wire.messages import HostLoss, Message, Mode, Shape
 
@@ -23,6 +24,14 @@ _SETTLE_S = 0.15  # a ball that was lifted a millimetre is at rest again
 
 class NotReadyError(Exception):
     """Something that a check needs is missing; its text is the reason why the check is skipped."""
+
+
+class FaultFoundError(Exception):
+    """A fault ends a check."""
+
+    def __init__(self, verdict: Verdict) -> None:
+        super().__init__(verdict.what)
+        self.verdict = verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +65,7 @@ class Bench:
         port: As it was given, for commands to copy.
         baud: Speed of the line, bit/s.
         quick: Fewer repetitions.
+        faults: Names of those found so far: what follows from one is skipped, not found again.
         progress: Called with what goes on and its share done, 0 to 1.
     """
 
@@ -67,7 +77,7 @@ class Bench:
     progress: Callable[[str, float], None] = lambda _text, _share: None
     begin: Begin = field(default_factory=Begin)
     parameters: Message | None = None
-    input_gain: float | None = None  # K_A as measured, A/V
+    faults: set[str] = field(default_factory=set)
     expected_resets: int = 0
     _rest: Rest | None = None
     _scaling: Scaling | None = None
@@ -130,6 +140,19 @@ class Bench:
             i_a, x_m = self.currents(samples), self.positions(samples)
             self._rest = Rest(*mean_and_deviation(i_a), *mean_and_deviation(x_m), samples)
         return self._rest
+
+    def no_current(self) -> Exception:
+        """Return what to raise where no current flows: a fault, unless it is known."""
+        if self.faults & {"no-current", "input-not-followed"}:
+            return NotReadyError("no current flows: see staircase")
+        return FaultFoundError(
+            fault(
+                "no-current",
+                "i_c",
+                "does not follow u_c",
+                remedy="look at the coil and its wires, its supply, the driver and the shunt",
+            )
+        )
 
     def currents(self, samples: Sequence[Sample]) -> list[float]:
         """Return i_c of samples, A."""

@@ -5,6 +5,8 @@ Begin a new session after it: the board then forgets the ids of the flood.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from gateway.selftest.wire import Wire
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
@@ -14,6 +16,7 @@ from protocol.wire.messages import EventCode, Message
 _BITS_PER_BYTE = 10  # 8N1
 _AHEAD_S = 0.01  # so much may wait in this computer: a STOP stands behind it
 _STOP_ID = 255
+_RESTART = 1000
 
 
 class Flood:
@@ -59,11 +62,9 @@ class Flood:
 
     @property
     def lost_states(self) -> int:
-        """The number of ticks without a state between the first and the last."""
-        if not self.states:
-            return 0
-        span = (self.states[-1][1].sequence - self.states[0][1].sequence) & 0xFFFF
-        return span + 1 - len(self.states)
+        """The number of ticks without a state."""
+        steps = ((b.sequence - a.sequence) & 0xFFFF for (_, a), (_, b) in pairwise(self.states))
+        return sum(step - 1 for step in steps if step < _RESTART)  # a restart is found by the next handshake
 
     def _next(self, *, stop: bool) -> bytes:
         if stop and not self._stop:

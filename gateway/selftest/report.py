@@ -13,6 +13,14 @@ from gateway.selftest.verdict import Result, Verdict
 from protocol.errors import UsageError
 
 _TEMPLATE = "report.html"
+_CUT = "CUT THE SUPPLY"
+_CAUSES = (
+    "unexpected-reset",
+    "current-sensor",
+    "stuck-bit-i-c",
+    "time-constant",
+    "position-polarity",
+)  # of the faults found before them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,14 +46,19 @@ class Report:
             ok, skipped = len(self._of(Result.OK)), len(self._of(Result.SKIPPED))
             counted = f"{ok} ok, {len(warnings)} warning{'s' * (len(warnings) != 1)}, {skipped} skipped"
             return f"No fault: {counted}."
-        # What makes a coil unsafe comes before what was found first.
-        first = next((verdict for verdict in faults if "CUT THE SUPPLY" in verdict.remedy), faults[0])
+        first = cause_of(faults)
+        unsafe = next((verdict for verdict in faults if _CUT in verdict.remedy), None)
         count = "One fault" if len(faults) == 1 else f"{len(faults)} faults, the first"
-        remedy = first.remedy[:1].upper() + first.remedy[1:]
-        return f"{count} ({first.check}): {first.what} {first.value}. {remedy}."
+        remedy = (unsafe or first).remedy
+        return f"{count} ({first.check}): {first.what} {first.value}. {remedy[:1].upper()}{remedy[1:]}."
 
     def _of(self, result: Result) -> list[Verdict]:
         return [verdict for verdict in self.verdicts if verdict.result == result]
+
+
+def cause_of(faults: Sequence[Verdict]) -> Verdict:
+    """Return the fault that explains the others: the first, unless one is known to cause what is before it."""
+    return next((verdict for name in _CAUSES for verdict in faults if verdict.name == name), faults[0])
 
 
 def write_report(report: Report, folder: Path) -> list[Path]:

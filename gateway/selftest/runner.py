@@ -1,8 +1,9 @@
 """Runs checks in their order, and leaves the coil off at each end.
 
 Rule 1: a check that cannot go on ends with a verdict; the ones after it run.
-Rule 2: what the board reports by itself meanwhile (a restart, a fault) is a fault of the check in which it comes.
-Rule 3: at the end, after an error and after Ctrl-C, STOP is sent, and u_c must be seen to be 0.
+Rule 2: what the board reports by itself (a restart, a fault) is a fault of the check in which it comes first.
+Rule 3: after a fault that makes the coil unsafe (`UNSAFE`) no check lets current flow.
+Rule 4: at the end, after an error and after Ctrl-C, STOP is sent, and u_c must be seen to be 0.
 """
 
 from __future__ import annotations
@@ -10,13 +11,26 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from gateway.selftest.bench import Bench, NotReadyError
+from gateway.selftest.bench import Bench, FaultFoundError, NotReadyError
 from gateway.selftest.connection import BOOT_S, NoAnswerError, RefusedError
 from gateway.selftest.table import Check
-from gateway.selftest.verdict import Verdict, fault, passed, skipped
+from gateway.selftest.verdict import Result, Verdict, fault, passed, skipped
 from protocol.wire.messages import FAULT_EVENTS, RESETS, EventCode
 
+_REPORTS = "reported-"
 _REPORTED = FAULT_EVENTS - RESETS
+UNSAFE = frozenset(  # faults after which no current may flow
+    {
+        "scalings",
+        "input-at-zero",
+        "stop",
+        "host-loss",
+        "reset",
+        "reported-output-fault",
+        "reported-uncommanded-current",
+        "reported-over-current",
+    }
+)
 _REMEDIES = {
     EventCode.OUTPUT_FAULT: "CUT THE SUPPLY OF THE COIL: the input converter confirms no write",
     EventCode.UNCOMMANDED_CURRENT: "CUT THE SUPPLY OF THE COIL: current flows at u_c = 0, the driver is shorted",
@@ -36,20 +50,40 @@ def run_checks(bench: Bench, checks: Sequence[Check]) -> Iterator[Verdict]:
         if dead:
             yield replace(skipped(check.name, check.summary, dead), check=check.name)
             continue
-        events, restarts = len(bench.line.events), bench.line.restarts
-        expected = bench.expected_resets
-        try:
-            for verdict in check.run(bench):
-                yield replace(verdict, check=check.name)
-        except NotReadyError as reason:
-            yield replace(skipped(check.name, check.summary, str(reason)), check=check.name)
-        except (NoAnswerError, RefusedError) as error:
-            name = "refused" if isinstance(error, RefusedError) else "no-answer"
-            yield replace(fault(name, "the check ends:", error.problem, remedy=error.remedy), check=check.name)
-        unexpected = bench.line.restarts - restarts - (bench.expected_resets - expected)
-        for verdict in _reported(bench, events, unexpected):
+        if check.current and (unsafe := bench.faults & UNSAFE):
+            reason = f"no current flows before this is right: {', '.join(sorted(unsafe))}"
+            yield replace(skipped(check.name, check.summary, reason), check=check.name)
+            continue
+        for verdict in _run_check(bench, check):
+            if verdict.result == Result.FAULT:
+                bench.faults.add(verdict.name)
             yield replace(verdict, check=check.name)
         dead = _recover(bench)
+
+
+def _run_check(bench: Bench, check: Check) -> Iterator[Verdict]:
+    """Yield the verdicts of a check, and what the board reports meanwhile; the latter explains why a check ends."""
+    events, restarts, expected = len(bench.line.events), bench.line.restarts, bench.expected_resets
+    end: Verdict | None = None
+    try:
+        yield from check.run(bench)
+    except NotReadyError as reason:
+        end = skipped(check.name, check.summary, str(reason))
+    except FaultFoundError as error:
+        end = error.verdict
+    except (NoAnswerError, RefusedError) as error:
+        name = "refused" if isinstance(error, RefusedError) else "no-answer"
+        end = fault(name, "the check ends:", error.problem, remedy=error.remedy[:1].lower() + error.remedy[1:])
+    unexpected = bench.line.restarts - restarts - (bench.expected_resets - expected)
+    reports = list(_reported(bench, events, unexpected))
+    yield from (verdict for verdict in reports if verdict.name not in bench.faults)
+    known = {verdict.name for verdict in reports} or {name for name in bench.faults if name.startswith(_REPORTS)}
+    if end is not None and end.name == "refused" and known:
+        end = skipped(check.name, check.summary, f"the board is in a fault, see {min(known)}")
+    elif end is not None and end.name == "no-answer" and reports:
+        end = skipped(check.name, check.summary, f"the board restarted, see {reports[0].name}")
+    if end is not None:
+        yield end
 
 
 def switch_off(bench: Bench) -> Verdict:
@@ -87,7 +121,7 @@ def _reported(bench: Bench, first: int, unexpected: int) -> Iterator[Verdict]:
         )
     for code in sorted({event.code for event in events} & _REPORTED):
         name = code.name.lower().replace("_", "-")
-        yield fault(f"reported-{name}", "the board reports", code.name, remedy=_REMEDIES[code])
+        yield fault(f"{_REPORTS}{name}", "the board reports", code.name, remedy=_REMEDIES[code])
 
 
 def _recover(bench: Bench) -> str:

@@ -1,4 +1,7 @@
-"""The table of checks, in the order in which they run: what each needs is found right before it."""
+"""The table of checks, in the order in which they run.
+
+Each finds what the next ones need; the ball is lifted only where STOP was seen to act.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +37,10 @@ CHECKS = (
     Check("identity", "firmware, scalings, stored settings", identity, current=False),
     Check("converters", "noise and offset with u_c = 0, a sensor that is unplugged", converters, current=False),
     Check("staircase", "K_A, linearity, dead zone, saturation", staircase, current=True),
+    Check("safety", "STOP, loss of the host and RESET switch the coil off", safety, current=True),
     Check("polarity", "short pulses lift the ball, and x rises", polarity, current=True),
     Check("latency", "T_A from captures, the delay of the loop", latency, current=True),
     Check("calibration", "x at both stops, and the line to flash", calibration, current=True),
     Check("codes", "bits of the converters that are stuck", codes, current=True),
-    Check("safety", "STOP, loss of the host and RESET switch the coil off", safety, current=True),
     Check("load", "a full line: counters, states, STOP", load, current=True),
 )

@@ -15,6 +15,8 @@ _CLOSE_M = 0.1e-3
 def calibration(bench: Bench) -> Iterator[Verdict]:
     """Lift the ball to the ceiling for half a second, and compare x with the travel."""
     rest, rig, scaling = bench.rest(), bench.rig, bench.scaling
+    if bench.faults & {"position-polarity", "position-frozen", "no-lift"}:
+        raise NotReadyError("x does not follow the ball: see polarity")
     ticks = round(_HOLD_S / scaling.sample_time_s)
     bench.open_loop()
     samples = bench.pulse(rig.lift_input_v, ticks, then_s=0.2)
@@ -23,9 +25,11 @@ def calibration(bench: Bench) -> Iterator[Verdict]:
     if not held:
         raise NotReadyError("u_c does not follow: see staircase")
     top_m = fmean(bench.positions(held))
-    if abs(top_m - rest.x_m) < 0.5 * rig.travel_m:
+    if max(bench.currents(held)) - rest.i_a < 0.2 * rig.K_A * rig.lift_input_v and abs(top_m - rest.x_m) < _CLOSE_M:
+        raise bench.no_current()
+    if top_m - rest.x_m < 0.5 * rig.travel_m:
         yield fault(
-            "travel",
+            "ceiling",
             "x at the ceiling",
             f"{1e3 * top_m:.3f} mm",
             bound=f"{1e3 * rig.travel_m:g} mm",

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from statistics import fmean
 
-from gateway.selftest.bench import Bench, NotReadyError
+from gateway.selftest.bench import Bench
 from gateway.selftest.verdict import Verdict, fault, judge, passed, skipped
 from protocol.wire.messages import EventCode, Shape
 
@@ -63,7 +63,7 @@ def _capture(bench: Bench, u_v: float) -> list[float]:
     i_a = [scaling.i_a(code) for code in line.read_capture()]
     before, after = fmean(i_a[:pre]), fmean(i_a[-(count // 3) :])
     if after - before < 0.1 * bench.rig.K_A * u_v:
-        raise NotReadyError("no current flows: see staircase")
+        raise bench.no_current()
     return [1.0 - (i - before) / (after - before) for i in i_a[pre:]]
 
 

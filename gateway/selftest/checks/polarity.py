@@ -55,6 +55,6 @@ def _unmoved(bench: Bench, *, frozen: bool, flows: bool, current_a: float) -> Ve
     if frozen:
         return fault("position-frozen", what, value, remedy="x is the same to the bit: its converter is stuck or open")
     if not flows:
-        return fault("no-lift", what, value, remedy="no current flows: see staircase")
+        raise bench.no_current()
     wires = "the coil's wires are swapped (it pushes the magnet down), " if bench.rig.magnet else ""
     return fault("no-lift", what, value, remedy=f"{wires}the ball is missing, or it sticks")

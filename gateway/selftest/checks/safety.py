@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gateway.selftest.bench import HOST_LOSS_MS, Bench, NotReadyError
+from gateway.selftest.bench import HOST_LOSS_MS, Bench
 from gateway.selftest.verdict import Verdict, fault, judge, passed, skipped
 from protocol.wire.events import Sample
 from protocol.wire.messages import COUNTS_MAX, EventCode, Flag
@@ -39,7 +39,7 @@ def _energize(bench: Bench) -> float:
     current_a = max(bench.currents(samples), default=0.0) - rest.i_a
     if current_a < 0.3 * bench.rig.K_A * _INPUT * bench.rig.rest_input_v:
         bench.line.stop()
-        raise NotReadyError("no current flows: see staircase")
+        raise bench.no_current()
     return current_a
 
 

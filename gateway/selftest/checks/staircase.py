@@ -38,7 +38,6 @@ def staircase(bench: Bench) -> Iterator[Verdict]:
         return
     rig = bench.rig
     fitted = line_through(low.u_v[len(low.u_v) // 4 :], low.i_a[len(low.u_v) // 4 :])
-    bench.input_gain = fitted.slope
     if fitted.slope < _ALIVE * rig.K_A:
         yield fault(
             "no-current",

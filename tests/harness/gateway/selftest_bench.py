@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from gateway.emulator.firmware_model.flash import T_S_US, BoardProfile
+from gateway.emulator.firmware_model.flash import T_S_US
 from gateway.emulator.line import Board, BoardLine
 from gateway.emulator.serve import build_lines
 from gateway.selftest.bench import Bench
@@ -93,21 +93,44 @@ def selftest(
     effects: Mapping[str, float] | None = None,
     faults: Iterable[str] = (),
     firmware: Callable[..., Board] | None = None,
+    numbers: str = "",
     prepare: Callable[[BoardLine], None] = lambda _line: None,
     each_tick: Callable[[BoardLine], None] | None = None,
 ) -> list[Verdict]:
-    """Return the verdicts on one emulated board, the one on its coil last."""
-    port = MemoryPort()
-    options: dict[str, Any] = {} if firmware is None else {"firmware": firmware}
-    (line,) = build_lines([port], rig=rig, effects=effects or {}, faults=faults, **options)
-    prepare(line)
-    bench = Bench(line=Connection(VirtualWire(line, port, each_tick=each_tick)), rig=RIGS[rig], quick=quick)
+    """Return the verdicts on one emulated board, the one on its coil last; `numbers` is another rig to judge it by."""
+    bench = virtual_bench(
+        rig,
+        quick=quick,
+        effects=effects or {},
+        faults=faults,
+        firmware=firmware,
+        numbers=numbers,
+        prepare=prepare,
+        each_tick=each_tick,
+    )
     verdicts = list(run_checks(bench, [check for check in CHECKS if not only or check.name in only]))
     return [*verdicts, switch_off(bench)]
 
 
+def virtual_bench(
+    rig: str = "ce152",
+    *,
+    quick: bool = True,
+    effects: Mapping[str, float] | None = None,
+    faults: Iterable[str] = (),
+    firmware: Callable[..., Board] | None = None,
+    numbers: str = "",
+    prepare: Callable[[BoardLine], None] = lambda _line: None,
+    each_tick: Callable[[BoardLine], None] | None = None,
+) -> Bench:
+    """Return the bench of one emulated board that was not called yet."""
+    port = MemoryPort()
+    options: dict[str, Any] = {} if firmware is None else {"firmware": firmware}
+    (line,) = build_lines([port], rig=rig, effects=effects or {}, faults=faults, **options)
+    prepare(line)
+    wire = VirtualWire(line, port, each_tick=each_tick)
+    return Bench(line=Connection(wire), rig=RIGS[numbers or rig], quick=quick)
+
+
 def names_of(verdicts: Iterable[Verdict], *results: Result) -> list[str]:
     return [verdict.name for verdict in verdicts if verdict.result in results]
-
-
-__all__ = ["BoardProfile", "MemoryPort", "VirtualWire", "names_of", "selftest"]
