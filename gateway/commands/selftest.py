@@ -116,7 +116,8 @@ class Console:
         if self._as_json:
             print(json.dumps({"answer": report.answer, "faults": report.faults, "report": [str(p) for p in paths]}))
         else:
-            print(f"\n{report.answer}\nreport: {', '.join(map(str, paths))}")
+            hint = "" if len(paths) > 1 else "; a page, too, with the extra 'web'"
+            print(f"\n{report.answer}\nreport: {', '.join(map(str, paths))}{hint}")
 
 
 def run_to_the_end(bench: Bench, checks: Sequence[Check], show: Callable[[Verdict], None]) -> list[Verdict]:
@@ -153,6 +154,7 @@ def _confirm(checks: Sequence[Check], *, assent: bool) -> None:
     without = " ".join(f"--only {check.name}" for check in CHECKS if not check.current)
     if not sys.stdin.isatty():
         raise UsageError("Current is to flow, and nobody can be asked", remedy=f"Give --yes, or {without}")
-    print(f"Current will flow ({', '.join(names)}): the ball is lifted to its ceiling for half a second.")
-    if input("Is its way free, and the plug of the coil within reach? [y/N] ").strip().lower() not in ("y", "yes"):
+    print(f"Current will flow ({', '.join(names)}): the ball may be lifted to its ceiling.", file=sys.stderr)
+    print("Is its way free, and the plug of the coil within reach? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         raise UsageError("Not confirmed", remedy=f"Without current: {without}")

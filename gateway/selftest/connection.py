@@ -56,9 +56,9 @@ class Connection:
     def switch_off(self) -> bool:
         """Send STOP; return whether a state after it shows u_c at 0.  Never raises."""
         try:
-            acknowledged, first = self.stop(), len(self.samples)
-            if acknowledged is None:
+            if self.stop() is None or not self.until(lambda: self.session.is_open, 1.0):
                 return False
+            first = len(self.samples)
             self.run(0.05)
         except ServiceError:
             return False

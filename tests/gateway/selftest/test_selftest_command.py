@@ -78,6 +78,31 @@ def test_what_cannot_run_is_exit_code_2(words: list[str], said: str, capsys: pyt
     assert said in capsys.readouterr().err
 
 
+class _Person:
+    def __init__(self, answer: str) -> None:
+        self._answer = answer
+
+    def isatty(self) -> bool:
+        return True
+
+    def readline(self) -> str:
+        return self._answer
+
+
+@pytest.mark.parametrize(("answer", "said"), [("n\n", "Not confirmed"), ("", "Not confirmed"), ("y\n", "/dev/absent")])
+def test_it_asks_before_current_flows(
+    answer: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", _Person(answer))
+
+    code = board51.main(["selftest", "--board", "/dev/absent"])
+
+    assert code == 2
+    err = capsys.readouterr().err
+    assert "within reach? [y/N]" in err
+    assert said in err
+
+
 def test_the_list_has_each_check(capsys: pytest.CaptureFixture[str]) -> None:
     assert board51.main(["selftest", "--list"]) == 0
 
