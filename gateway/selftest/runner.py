@@ -74,7 +74,8 @@ def _run_check(bench: Bench, check: Check) -> Iterator[Verdict]:
     except (NoAnswerError, RefusedError) as error:
         name = "refused" if isinstance(error, RefusedError) else "no-answer"
         end = fault(name, "the check ends:", error.problem, remedy=error.remedy[:1].lower() + error.remedy[1:])
-    unexpected = bench.line.restarts - restarts - (bench.expected_resets - expected)
+    reports_of_resets = sum(event.code in RESETS for event in bench.line.events[events:])
+    unexpected = max(bench.line.restarts - restarts, reports_of_resets) - (bench.expected_resets - expected)
     reports = list(_reported(bench, events, unexpected))
     yield from (verdict for verdict in reports if verdict.name not in bench.faults)
     known = {verdict.name for verdict in reports} or {name for name in bench.faults if name.startswith(_REPORTS)}
@@ -109,13 +110,13 @@ def switch_off(bench: Bench) -> Verdict:
 def _reported(bench: Bench, first: int, unexpected: int) -> Iterator[Verdict]:
     """Yield what the board reported by itself."""
     events = bench.line.events[first:]
-    resets = [event.code for event in events if event.code in RESETS - {EventCode.RESET_COMMANDED}]
-    if unexpected > 0 or resets:
-        causes = ", ".join(sorted({code.name for code in resets})) or "no event said why"
+    if unexpected > 0:  # by number, not by cause: a boot loader may hide that a reset was commanded
+        codes = {event.code for event in events if event.code in RESETS - {EventCode.RESET_COMMANDED}}
+        causes = ", ".join(sorted(code.name for code in codes)) or "no event said why"
         yield fault(
             "unexpected-reset",
             "restarts that nobody ordered",
-            f"{max(unexpected, len(resets))}, {causes}",
+            f"{unexpected}, {causes}",
             bound="0",
             remedy="look at the supply under load, the brown-out level, the reset line and the watchdog",
         )

@@ -31,7 +31,7 @@ def latency(bench: Bench) -> Iterator[Verdict]:
         good, possible = bench.rig.T_A_max_s
         yield judge(
             "time-constant",
-            f"after {1e3 * lag_s:.2f} ms, T_A",
+            f"T_A after a delay of {1e3 * lag_s:.2f} ms,",
             1e3 * time_constant_s,
             "ms",
             good=(0.02, 1e3 * good),

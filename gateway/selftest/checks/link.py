@@ -86,7 +86,7 @@ def _pings(bench: Bench) -> Iterator[Verdict]:
     bad = line.order("PING").int("bad_frames") - bad_before
     yield judge(
         "ping-loss",
-        f"of {count} PINGs without an answer",
+        f"PINGs without an answer, of {count}:",
         lost,
         "",
         good=(0, 0),
@@ -105,7 +105,7 @@ def _pings(bench: Bench) -> Iterator[Verdict]:
         )
         yield judge(
             "round-trip-longest",
-            "the longest",
+            "round trip of a PING, longest",
             1e3 * max(trips_s),
             "ms",
             good=(0.0, 100.0),
@@ -132,7 +132,7 @@ def _stream(bench: Bench) -> Iterator[Verdict]:
         return
     lost = sum(sample.lost_before for sample in samples[1:])
     some = max(1, due // 1000)
-    yield judge("lost-states", f"of {due} states lost", lost, "", good=(0, 0), possible=(0, some), remedy=_WIRES)
+    yield judge("lost-states", f"states lost, of {due}:", lost, "", good=(0, 0), possible=(0, some), remedy=_WIRES)
     yield judge("bad-frames", "damaged frames from the board", bad, "", good=(0, 0), possible=(0, some), remedy=_WIRES)
     longest_s = max(b.arrived_s - a.arrived_s for a, b in pairwise(samples))
     yield judge(
@@ -161,7 +161,7 @@ def _stream(bench: Bench) -> Iterator[Verdict]:
         name=verdict.name,
         result=verdict.result,
         what=verdict.what,
-        value=f"{ppm:+.0f} ± {interval:.0f} ppm",
+        value=f"{round(ppm):+d} ± {interval:.0f} ppm",
         bound=verdict.bound,
         remedy=verdict.remedy,
     )

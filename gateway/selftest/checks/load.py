@@ -27,7 +27,7 @@ def load(bench: Bench) -> Iterator[Verdict]:
     counted = after.int("bad_frames") - before.int("bad_frames")
     yield judge(
         "unaccounted",
-        f"of {flood.pings} PINGs neither answered nor counted",
+        f"PINGs neither answered nor counted, of {flood.pings}:",
         flood.pings - flood.answers - counted,
         "",
         good=(0, 0),
@@ -40,7 +40,7 @@ def load(bench: Bench) -> Iterator[Verdict]:
         yield passed("overload", "answered and dropped", f"{flood.answers} and {counted}", "dropped with its event")
     yield judge(
         "load-states",
-        f"of {len(flood.states) + flood.lost_states} states lost meanwhile",
+        f"states lost meanwhile, of {len(flood.states) + flood.lost_states}:",
         flood.lost_states,
         "",
         good=(0, 0),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +19,12 @@ from gateway.emulator.serve import Emulator
 from gateway.selftest.report import Report, write_report
 from gateway.selftest.table import CHECKS
 from gateway.selftest.verdict import Result, Verdict, fault, judge, line, quantity, skipped
+from protocol.wire.messages import Mode
+from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.selftest_bench import virtual_bench
+from tests.patience import HANG_S
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +139,22 @@ def test_the_coil_is_off_whatever_ends_it(check: str, error: type[BaseException]
     assert shown[-1].result == Result.OK
 
 
+@pytest.mark.slow
+@pytest.mark.posix
+def test_ctrl_c_is_a_stop(tmp_path: Path) -> None:
+    with Emulator() as emulator:
+        words = ["selftest", "--board", emulator.urls[0], "--only", "staircase", "--yes", "--log-dir", str(tmp_path)]
+        process = subprocess.Popen([sys.executable, "-m", "board51", *words], cwd=ROOT, stdout=subprocess.PIPE)
+        board = emulator._server.lines[0].firmware
+        wait_for(lambda: board.mode == Mode.OPEN_LOOP, "open loop")
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=HANG_S)
+
+        assert process.returncode == 130
+        assert b"the coil at the end: off" in out
+        assert board.mode == Mode.IDLE
+
+
 def test_a_line_says_verdict_value_bound_and_what_to_do() -> None:
     verdict = judge("k", "K_A", 0.2, "A/V", good=(0.28, 0.31), possible=(0.1, 0.4), remedy="look at the shunt")
 
@@ -155,7 +179,7 @@ def test_the_answer_leads_with_the_cause_and_with_what_is_unsafe(tmp_path: Path)
     report = Report(verdicts=verdicts[:2], rig="CE 152", port="/dev/x", started_s=0.0, duration_s=1.0)
     unsafe = Report(verdicts=verdicts, rig="CE 152", port="/dev/x", started_s=0.0, duration_s=1.0)
 
-    assert report.answer == "2 faults, the first (): i_c 0 A. <plug> it in."
+    assert report.answer == "2 faults; mend first (): i_c 0 A. <plug> it in."
     assert unsafe.answer.endswith("CUT THE SUPPLY OF THE COIL.")
     page = next(path for path in write_report(report, tmp_path) if path.suffix == ".html").read_text()
     assert "&lt;plug&gt; it in" in page
