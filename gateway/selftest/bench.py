@@ -65,6 +65,7 @@ class Bench:
         port: As it was given, for commands to copy.
         baud: Speed of the line, bit/s.
         quick: Fewer repetitions.
+        lift_input_v: Input that has lifted the ball, V; 0: that of the rig.
         faults: Names of those found so far: what follows from one is skipped, not found again.
         progress: Called with what goes on and its share done, 0 to 1.
     """
@@ -77,6 +78,7 @@ class Bench:
     progress: Callable[[str, float], None] = lambda _text, _share: None
     begin: Begin = field(default_factory=Begin)
     parameters: Message | None = None
+    lift_input_v: float = 0.0
     faults: set[str] = field(default_factory=set)
     expected_resets: int = 0
     _rest: Rest | None = None
@@ -225,5 +227,5 @@ class Bench:
 
 def at_input(samples: Sequence[Sample], count: int) -> list[Sample]:
     """Return the samples whose current has followed this input: it was in force at the two ticks before."""
-    u = [sample.state.u_c for sample in samples]
-    return [samples[n] for n in range(2, len(samples)) if u[n - 2] == u[n - 1] == count]
+    triples = zip(samples, samples[1:], samples[2:], strict=False)
+    return [c for a, b, c in triples if a.state.u_c == b.state.u_c == count and c.tick == a.tick + 2]

@@ -17,15 +17,16 @@ def calibration(bench: Bench) -> Iterator[Verdict]:
     rest, rig, scaling = bench.rest(), bench.rig, bench.scaling
     if bench.faults & {"position-polarity", "position-frozen", "no-lift"}:
         raise NotReadyError("x does not follow the ball: see polarity")
+    u_v = bench.lift_input_v or rig.lift_input_v
     ticks = round(_HOLD_S / scaling.sample_time_s)
     bench.open_loop()
-    samples = bench.pulse(rig.lift_input_v, ticks, then_s=0.2)
+    samples = bench.pulse(u_v, ticks, then_s=0.2)
     bench.idle()
     held = [sample for sample in samples if sample.state.u_c][-ticks // 4 :]
     if not held:
         raise NotReadyError("u_c does not follow: see staircase")
     top_m = fmean(bench.positions(held))
-    if max(bench.currents(held)) - rest.i_a < 0.2 * rig.K_A * rig.lift_input_v and abs(top_m - rest.x_m) < _CLOSE_M:
+    if max(bench.currents(held)) - rest.i_a < 0.2 * rig.K_A * u_v and abs(top_m - rest.x_m) < _CLOSE_M:
         raise bench.no_current()
     if top_m - rest.x_m < 0.5 * rig.travel_m:
         yield fault(

@@ -105,7 +105,7 @@ MORE_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "current off": ({"effects": {"current-sensor-offset": 0.08}}, "current-at-zero"),
     "magnet upside down": ({"rig": "magnetoshield", "faults": ["x-inverted"]}, "position-polarity"),
     "no coil on a shield": ({"rig": "magnetoshield", "faults": ["coil-open"]}, "no-current"),
-    "ball sticks": ({"effects": {"constant-force": -0.05}}, "no-lift"),
+    "ball sticks": ({"effects": {"constant-force": -0.05, "air-gap-offset": 2e-3}}, "no-lift"),
     "slew rate": ({"effects": {"slew-rate-limit": 100.0}}, "time-constant"),
     "a tick late": ({"effects": {"actuation-delay": 0.002}}, "delay"),
     "late ticks": ({"faults": ["overrun@1/0.01"]}, "overruns"),

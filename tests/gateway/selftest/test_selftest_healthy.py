@@ -24,6 +24,19 @@ def test_a_healthy_board_passes(rig: str) -> None:
     assert verdicts[-1].name == "coil-off"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", sorted(RIGS))
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_no_seed_of_the_noise_raises_an_alarm(seed: int, rig: str) -> None:
+    assert names_of(selftest(rig, seed=seed), Result.FAULT, Result.WARNING) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", [{"force-exponent": 3.0}, {"core-saturation": 1.5}, {"coulomb-friction": 6e-3}])
+def test_a_heavy_ball_is_lifted_by_the_top_of_the_input(effect: dict[str, float]) -> None:
+    assert names_of(selftest(effects=effect), Result.FAULT, Result.WARNING) == []
+
+
 def test_the_firmware_in_c_passes() -> None:
     skip_without_compiler()
 

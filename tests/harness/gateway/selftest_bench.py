@@ -94,6 +94,7 @@ def selftest(
     faults: Iterable[str] = (),
     firmware: Callable[..., Board] | None = None,
     numbers: str = "",
+    seed: int = 0,
     prepare: Callable[[BoardLine], None] = lambda _line: None,
     each_tick: Callable[[BoardLine], None] | None = None,
 ) -> list[Verdict]:
@@ -105,6 +106,7 @@ def selftest(
         faults=faults,
         firmware=firmware,
         numbers=numbers,
+        seed=seed,
         prepare=prepare,
         each_tick=each_tick,
     )
@@ -120,13 +122,14 @@ def virtual_bench(
     faults: Iterable[str] = (),
     firmware: Callable[..., Board] | None = None,
     numbers: str = "",
+    seed: int = 0,
     prepare: Callable[[BoardLine], None] = lambda _line: None,
     each_tick: Callable[[BoardLine], None] | None = None,
 ) -> Bench:
     """Return the bench of one emulated board that was not called yet."""
     port = MemoryPort()
     options: dict[str, Any] = {} if firmware is None else {"firmware": firmware}
-    (line,) = build_lines([port], rig=rig, effects=effects or {}, faults=faults, **options)
+    (line,) = build_lines([port], rig=rig, effects=effects or {}, faults=faults, seed=seed, **options)
     prepare(line)
     wire = VirtualWire(line, port, each_tick=each_tick)
     return Bench(line=Connection(wire), rig=RIGS[numbers or rig], quick=quick)
