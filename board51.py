@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("gateway.commands.demo", "fly an emulated board, measure, identify, validate, fly on with the model"),
     "emulate": ("gateway.commands.emulate", "an emulated board on a pty or TCP port"),
     "flash": ("gateway.commands.flash", "the firmware into the flash memory of a board, with avrdude"),
+    "selftest": ("gateway.commands.selftest", "test a board on its serial port; each line says what to do"),
     "gateway": ("gateway.commands.gateway", "the daemon: boards <-> zenoh, MCAP"),
     "twin": ("twin.commands.twin", "the model in step with a live rig or a log"),
     "campaign": ("gateway.commands.campaign", "perform the paper's experiments on a live board, into a campaign"),

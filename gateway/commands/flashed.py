@@ -68,7 +68,8 @@ def _listen(port: Port) -> _Answer:
             number, sent_s = number % 255 + 1, now
             body = encode_body("HELLO", id=number, session=_SESSION, version_min=1, version_max=1)
             port.write(encode_frame(body))
-        select.select([port.fd], [], [], _REPEAT_S)
+        if not select.select([port.fd], [], [], _REPEAT_S)[0]:
+            continue  # a tty without bytes reads as one that was pulled
         data = port.read()
         if data == b"":
             break  # it was pulled

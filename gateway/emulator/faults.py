@@ -33,32 +33,50 @@ OUTPUTS = {  # the first counts where both are active
     "deaf": "the converter of u_c confirms no write and keeps its output",
     "stuck": "the converter of u_c confirms every write and keeps its output: a shorted driver",
 }
+WIRING = {  # between plant and board; an option in brackets has a value
+    "coil-open": "no wire to the coil: no current flows",
+    "coil-reversed": "the coil's wires are swapped: it pushes a magnet down (a ball it pulls all the same)",
+    "i-unplugged": "the pin of i_c is at the bottom of its converter",
+    "x-unplugged": "the pin of x is at the bottom of its converter",
+    "x-frozen": "the pin of x keeps its value",
+    "x-inverted": "the pin of x is mirrored in the range of its converter",
+}
+CODES = {
+    "i-bit": "bit N of the converter of i_c is stuck at 1",
+    "x-bit": "bit N of the converter of x is stuck at 1",
+    "i-noise": "noise on the pin of i_c, one sigma of N codes",
+    "x-noise": "noise on the pin of x, one sigma of N codes",
+}
+CLOCK = {"crystal": "the board's clock runs at N times its rate"}
+LASTING = RATES | WIRING | CODES | CLOCK  # from START for LENGTH; the others last for their VALUE
 EVENTS = {
     "reset": "the board loses power for a moment",
     "watchdog": "the firmware hangs and the watchdog resets it 50 ms later",
     "overrun": "a control tick takes longer than T_s",
 }
+_NAMES = LASTING | SPANS | OUTPUTS | EVENTS
 HELP = "\n".join(
     [
         "faults (--fault NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION], repeatable; times in seconds of the board):",
         *(f"  {name + '=P':<14} {description}, with probability P per byte" for name, description in RATES.items()),
         *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in SPANS.items()),
         *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in OUTPUTS.items()),
-        *(f"  {name:<14} {description}" for name, description in EVENTS.items()),
-        "  @START         begins then (default 0); @START+LENGTH ends a rate after LENGTH s",
+        *(f"  {name + '=N':<14} {description}" for name, description in (CODES | CLOCK).items()),
+        *(f"  {name:<14} {description}" for name, description in (WIRING | EVENTS).items()),
+        "  @START         begins then (default 0); @START+LENGTH ends what has no duration of its own after LENGTH s",
         "  /EVERY         comes again every EVERY s after START",
         "  :tx :rx        only bytes from the board, only bytes to it (default both ways)",
         "  e.g. flip=1e-4   lost=0.01@5+2   stall=0.5@10/30   disconnect=2@20:renamed   reset@60   insert=1e-3:tx",
     ]
 )
 _GRAMMAR = re.compile(
-    r"(?P<name>[a-z]+)(=(?P<value>[^@/:]+))?(@(?P<start>[^+/:]+)(\+(?P<length>[^/:]+))?)?(/(?P<every>[^:]+))?(:(?P<option>[a-z]+))?"
+    r"(?P<name>[a-z-]+)(=(?P<value>[^@/:]+))?(@(?P<start>[^+/:]+)(\+(?P<length>[^/:]+))?)?(/(?P<every>[^:]+))?(:(?P<option>[a-z]+))?"
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """A fault.  `value` is a probability per byte, a duration in s, or 0 for an event."""
+    """A fault.  `value` is a probability per byte, a duration in s, a number N, or 0 where there is none."""
 
     name: str
     value: float = 0.0
@@ -68,13 +86,13 @@ class Fault:
     option: str = ""
 
     def active(self, time_s: float) -> bool:
-        """Return whether a rate or a span is active at this time."""
+        """Return whether the fault, unless it is an event, is active at this time."""
         since = time_s - self.start_s
         if since < 0:
             return False
         if math.isfinite(self.every_s):
             since = math.fmod(since, self.every_s)
-        return since < (self.length_s if self.name in RATES else self.value)
+        return since < (self.length_s if self.name in LASTING else self.value)
 
     def happens(self, from_s: float, to_s: float) -> bool:
         """Return whether an event occurs within [from_s, to_s)."""
@@ -101,13 +119,14 @@ def parse(text: str) -> Fault:
     if match is None:
         raise _error(text, "not of the form NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION]")
     name, option = match["name"], match["option"] or ""
-    if name not in RATES | SPANS | OUTPUTS | EVENTS:
+    if name not in _NAMES:
         raise _error(text, f"no fault is called {name}")
-    if (match["value"] is None) != (name in EVENTS):
-        raise _error(text, "takes no value" if name in EVENTS else "needs a value")
-    if match["length"] is not None and name not in RATES:
-        raise _error(text, "+LENGTH is for probabilities; how long this one lasts is its value")
-    options = ("renamed",) if name == "disconnect" else () if name in EVENTS | OUTPUTS else ("tx", "rx")
+    bare = EVENTS | WIRING
+    if (match["value"] is None) != (name in bare):
+        raise _error(text, "takes no value" if name in bare else "needs a value")
+    if match["length"] is not None and name not in LASTING:
+        raise _error(text, "+LENGTH is not for this one; how long it lasts is its value")
+    options = ("renamed",) if name == "disconnect" else ("tx", "rx") if name in RATES | SPANS else ()
     if option and option not in options:
         raise _error(text, f"has no option {option}")
     fault = Fault(
@@ -120,6 +139,10 @@ def parse(text: str) -> Fault:
     )
     if name in RATES and fault.value > 1.0:
         raise _error(text, "a probability is at most 1")
+    if name in ("i-bit", "x-bit") and fault.value not in range(16):
+        raise _error(text, "a bit is a whole number from 0 to 15")
+    if name == "crystal" and not 0.5 <= fault.value <= 2.0:
+        raise _error(text, "a clock runs at 0.5 to 2 times its rate")
     if fault.every_s <= (fault.value if name in SPANS else 0.0):
         raise _error(text, "/EVERY must be longer than the fault itself")
     return fault

@@ -7,15 +7,17 @@ Rule 2: towards the board each byte has its own time within the tick, so that ST
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from gateway.emulator.faults import EVENTS, OUTPUTS, Fault, FaultyLine
+from gateway.emulator.faults import CLOCK, CODES, EVENTS, OUTPUTS, WIRING, Fault, FaultyLine
 from gateway.emulator.firmware_model.flash import T_S_US
 from gateway.emulator.firmware_model.output import OutputFault
 from gateway.emulator.firmware_model.uart import Pacer
 from gateway.emulator.ports import EmulatedPort
+from gateway.emulator.wiring import FaultyWiring
 from protocol.wire.messages import EventCode, Mode
 
 _T_S = T_S_US * 1e-6
@@ -79,14 +81,24 @@ class BoardLine:
         baud: Of the line, both ways, bits per second.
         faults: Of link and board.
         seed: Of the faults.
+        wiring: Between the board and its plant, for the faults there; None: they do nothing.
     """
 
     def __init__(
-        self, firmware: Board, port: EmulatedPort, *, baud: int = 115200, faults: Iterable[Fault] = (), seed: int = 0
+        self,
+        firmware: Board,
+        port: EmulatedPort,
+        *,
+        baud: int = 115200,
+        faults: Iterable[Fault] = (),
+        seed: int = 0,
+        wiring: FaultyWiring | None = None,
     ) -> None:
         self.firmware = firmware
         self.port = port
         self._faults = list(faults)
+        self._wiring = wiring
+        self._ahead = 0.0  # of a tick, by a clock that is wrong
         self._wires = {direction: FaultyLine(direction, seed) for direction in ("tx", "rx")}
         self._pacers = {direction: Pacer(baud) for direction in ("tx", "rx")}
         self._ticks = 0
@@ -135,9 +147,22 @@ class BoardLine:
         self._rest = b""
 
     def step(self, *, wait_s: float = 0.0) -> None:
-        """Run one tick; the board waits at most `wait_s` for a slow host (0: real time, no waiting)."""
-        if self._faults:
+        """Run one tick; the board waits at most `wait_s` for a slow host (0: real time, no waiting).
+
+        With a wrong clock it is none, one or two.
+        """
+        if not self._faults:
+            self._tick(wait_s)
+            return
+        rates = [fault.value for fault in self._faults if fault.name in CLOCK and fault.active(self.time_s)]
+        self._ahead += (rates[-1] if rates else 1.0) - 1.0
+        due = 1 + math.floor(self._ahead)
+        self._ahead -= due - 1
+        for _ in range(due):
             self._suffer()
+            self._tick(wait_s)
+
+    def _tick(self, wait_s: float) -> None:
         time_s = self.time_s
         self._receive(time_s)
         self.firmware.tick()
@@ -160,6 +185,7 @@ class BoardLine:
             else:
                 self.firmware.overrun()
         self._follow_output()
+        self._follow_wiring()
         self._follow_plug()
 
     def _follow_output(self) -> None:
@@ -168,6 +194,10 @@ class BoardLine:
         if now != self._output_fault:
             self._output_fault = now
             self.firmware.fail_output(now)
+
+    def _follow_wiring(self) -> None:
+        if self._wiring is not None:
+            self._wiring.follow([f for f in self._faults if f.name in WIRING | CODES and f.active(self.time_s)])
 
     def _follow_plug(self, *, renamed: bool = False) -> None:
         active = [fault for fault in self._faults if fault.name == "disconnect" and fault.active(self.time_s)]

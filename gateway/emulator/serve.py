@@ -38,6 +38,7 @@ from gateway.emulator.line import Board, BoardLine, LineCounts
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 from gateway.emulator.ports import EmulatedPort, TcpPort
+from gateway.emulator.wiring import FaultyWiring
 from protocol.errors import ServiceError, UsageError
 
 _T_NS = T_S_US * 1000
@@ -335,9 +336,9 @@ def build_lines(ports: Iterable[EmulatedPort], **options: Unpack[BoardOptions]) 
     lines: list[BoardLine] = []
     try:
         for n, port in enumerate(ports):
-            plant = plant_of(effects=options.get("effects", {}), seed=seed + n)
+            plant = FaultyWiring(plant_of(effects=options.get("effects", {}), seed=seed + n), profile, seed=seed + n)
             board = make(plant, board_id=first_id + n, profile=profile)
-            lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n))
+            lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n, wiring=plant))
     except BaseException:
         for line in lines:
             line.close()

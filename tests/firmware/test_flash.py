@@ -99,6 +99,16 @@ def test_the_board_that_was_written_says_whether_its_coil_is_off(flash: Flash, m
     assert "answers: u_c 0.00 V, i_c 0.0 mA, the coil is off" in out
 
 
+def test_a_board_that_is_silent_while_it_starts_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flashed, "ANSWER_S", 20.0)
+    with Emulator(tcp=False) as emulator:
+        emulator.inject("stall=0.7:tx")  # longer than the time between two calls
+
+        said = flashed.query_board(emulator.urls[0], 115200, b"emulated")
+
+    assert said.startswith("written and verified; build emulated answers")
+
+
 @pytest.mark.parametrize(
     ("make", "effects", "said"),
     [(AvrBoard, {"current-sensor-offset": 0.01}, "THE COIL MAY BE ON"), (Firmware, {}, "says build magneto, not")],

@@ -140,6 +140,17 @@ def test_the_gateway_needs_no_extra(core: Path, tmp_path: Path) -> None:
     assert "rig1" in told.stdout
 
 
+def test_a_board_is_tested_without_an_extra(core: Path, tmp_path: Path) -> None:
+    with Emulator(boards=1) as emulator:
+        words = _words("selftest", "--board", emulator.urls[0], "--only", "identity", "--only", "converters", "--quick")
+
+        done = _run(core, words, tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    assert "with the extra 'web'" in done.stdout
+    assert len(list((tmp_path / "logs").iterdir())) == 1
+
+
 EACH = """
 import contextlib, io, json, sys
 import board51

@@ -195,6 +195,10 @@ class BoardProfile:
         """Return the identity of a board as the firmware in C stores it."""
         return struct.pack("<I4B24s8s", board_id, *FIRMWARE, adc_bits, DAC_BITS, self.scalings, self.build.ljust(8)[:8])
 
+    def pin(self, *, current: bool) -> ConverterScale:
+        """Return what a code of the converter of i_c, or of x, is worth on its pin."""
+        return self.current if current else self.position
+
     def current_count(self, pin: float) -> int:
         """Return the count of i_c."""
         return self.current.to_count(pin)

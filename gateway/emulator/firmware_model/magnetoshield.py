@@ -119,6 +119,10 @@ class MagnetoShieldProfile(BoardProfile):
     positions: tuple[int, ...]
     inputs: tuple[int, ...]
 
+    def pin(self, *, current: bool) -> ConverterScale:
+        """Return what a code of the converter is worth on both pins, V."""
+        return ConverterScale(offset=0.0, lsb=_REFERENCE_V / (_ADC_MAX + 1))
+
     def adc_code(self, pin: float, *, current: bool) -> int:
         """Return the code of the converter for a pin, V."""
         return min(max(math.floor(pin / _REFERENCE_V * (_ADC_MAX + 1) + 0.5), 0), _ADC_MAX)

@@ -100,6 +100,12 @@ class EmulatedPlant:
         self._current_offset = strength["current-sensor-offset"]
         self._loss_probability = strength["lost-samples"]
 
+    def reverse_coil(self, reversed_: bool) -> None:
+        """Swap the coil's wires, or put them right: a permanent magnet is pushed then; a ball is pulled either way."""
+        if self.rig.magnet_current_a > 0.0:
+            strength = abs(self._constants.K_c)
+            self._constants = self._constants._replace(K_c=-strength if reversed_ else strength)
+
     def set_state(self, x_m: float, *, v_m_s: float = 0.0, i_c_a: float = 0.0) -> None:
         """Set position and speed of the ball and the current, with lags and delays in steady state, coil cold.
 

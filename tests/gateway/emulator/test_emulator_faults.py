@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.emulator.faults import EVENTS, HELP, RATES, SPANS, Fault, FaultyLine, parse
+from gateway.emulator.faults import CLOCK, CODES, EVENTS, HELP, OUTPUTS, RATES, SPANS, WIRING, Fault, FaultyLine, parse
 from protocol.errors import UsageError
 
+NAMES = RATES | SPANS | OUTPUTS | WIRING | CODES | CLOCK | EVENTS
 DATA = random.Random(5).randbytes(20_000)
 
 
@@ -27,6 +28,8 @@ def conveyed(text: str, *, time_s: float = 0.0, data: bytes = DATA, direction: s
         ("stall=0.5@10/30", Fault(name="stall", value=0.5, start_s=10, every_s=30)),
         ("disconnect=2@20:renamed", Fault(name="disconnect", value=2, start_s=20, option="renamed")),
         ("reset@60", Fault(name="reset", start_s=60)),
+        ("x-inverted@1+2", Fault(name="x-inverted", start_s=1, length_s=2)),
+        ("i-bit=5", Fault(name="i-bit", value=5)),
         (" insert=1e-3:tx ", Fault(name="insert", value=1e-3, option="tx")),
         ("flip=1e-3@1e1+1e-1/2:rx", Fault(name="flip", value=1e-3, start_s=10, length_s=0.1, every_s=2, option="rx")),
     ],
@@ -51,6 +54,12 @@ def test_the_syntax(text: str, fault: Fault) -> None:
         ("stall=2@5/1", "EVERY"),
         ("reset@5:tx", "no option tx"),
         ("flip=1:up", "no option up"),
+        ("x-inverted=1", "takes no value"),
+        ("x-inverted:tx", "no option tx"),
+        ("x-bit", "needs a value"),
+        ("x-bit=1.5", "whole number"),
+        ("crystal=3", "0.5 to 2"),
+        ("deaf=1@2+3", "LENGTH"),
         ("flip=1e-4@5@6", "is not a number"),
     ],
 )
@@ -62,13 +71,13 @@ def test_a_bad_fault_says_what_is_wrong_with_it(text: str, why: str) -> None:
 
 
 def test_every_fault_is_in_the_help() -> None:
-    assert all(name in HELP for name in RATES | SPANS | EVENTS)
+    assert all(name in HELP for name in NAMES)
 
 
 @given(text=st.text(alphabet="flipost=@+/:0123456789.-eE ", max_size=20))
 def test_no_text_makes_the_parser_fail(text: str) -> None:
     with contextlib.suppress(UsageError):
-        assert parse(text).name in RATES | SPANS | EVENTS
+        assert parse(text).name in NAMES
 
 
 @pytest.mark.parametrize("direction", ["tx", "rx"])

@@ -1,0 +1,80 @@
+"""The converters with u_c = 0 and the ball at rest at the bottom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gateway.selftest.bench import Bench
+from gateway.selftest.verdict import Verdict, fault, judge, passed, warning
+from protocol.wire.messages import COUNTS_MAX
+
+
+def converters(bench: Bench) -> Iterator[Verdict]:
+    """Judge noise and offset of both readings, and whether they are alive."""
+    rest, rig = bench.rest(), bench.rig
+    u_v = max(bench.scaling.u_v(sample.state.u_c) for sample in rest.samples)
+    yield judge(
+        "input-at-zero",
+        "u_c when it is ordered 0",
+        u_v,
+        "V",
+        good=(-0.01, 0.01),
+        remedy="the input converter confirms nothing: cut the coil's supply, look at its bus",
+    )
+    good, possible = rig.current_offset_a
+    yield judge(
+        "current-at-zero",
+        "i_c at u_c = 0",
+        1e3 * rest.i_a,
+        "mA",
+        good=(-1e3 * good, 1e3 * good),
+        possible=(-1e3 * possible, 1e3 * possible),
+        remedy="current flows, or the current amplifier has an offset: cut the supply, measure with a meter",
+    )
+    good, possible = rig.current_noise_a
+    yield judge(
+        "current-noise",
+        "noise of i_c, one sigma",
+        1e3 * rest.i_deviation_a,
+        "mA",
+        good=(0.0, 1e3 * good),
+        possible=(0.0, 1e3 * possible),
+        remedy="look at shunt, ground and the capacitor of the reference",
+    )
+    counts = {sample.state.x for sample in rest.samples}
+    if counts <= {0, COUNTS_MAX}:
+        yield fault(
+            "position-end",
+            "x",
+            f"at the {'bottom' if counts == {0} else 'top'} end of its converter",
+            remedy="the position sensor is unplugged or shorted, or its magnet is upside down or missing",
+        )
+        return
+    yield judge(
+        "position-at-rest",
+        "x of the ball at rest",
+        1e3 * rest.x_m,
+        "mm",
+        good=(-0.1, 0.1),
+        possible=(-0.5, 0.5),
+        remedy="the ball is not at the bottom, or the sensor is not calibrated (check calibration)",
+    )
+    good, possible = rig.position_noise_m
+    yield judge(
+        "position-noise",
+        "noise of x, one sigma",
+        1e6 * rest.x_deviation_m,
+        "um",
+        good=(0.0, 1e6 * good),
+        possible=(0.0, 1e6 * possible),
+        remedy="look at the sensor's supply, its ground, and loose wires",
+    )
+    if len(counts) == 1:
+        yield warning(
+            "position-constant",
+            "x to the bit",
+            f"{counts.pop()} at each tick",
+            remedy="quieter than a code, or stuck: the check polarity decides",
+        )
+    else:
+        yield passed("position-constant", "codes of x at rest", str(len(counts)), "more than 1")

@@ -1,0 +1,136 @@
+"""Runs checks in their order, and leaves the coil off at each end.
+
+Rule 1: a check that cannot go on ends with a verdict; the ones after it run.
+Rule 2: what the board reports by itself (a restart, a fault) is a fault of the check in which it comes first.
+Rule 3: after a fault that makes the coil unsafe (`UNSAFE`) no check lets current flow.
+Rule 4: at the end, after an error and after Ctrl-C, STOP is sent, and u_c must be seen to be 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from gateway.selftest.bench import Bench, FaultFoundError, NotReadyError
+from gateway.selftest.connection import BOOT_S, NoAnswerError, RefusedError
+from gateway.selftest.table import Check
+from gateway.selftest.verdict import Result, Verdict, fault, passed, skipped
+from protocol.wire.messages import FAULT_EVENTS, RESETS, EventCode
+
+_REPORTS = "reported-"
+_REPORTED = FAULT_EVENTS - RESETS
+UNSAFE = frozenset(  # faults after which no current may flow
+    {
+        "scalings",
+        "input-at-zero",
+        "stop",
+        "host-loss",
+        "reset",
+        "reported-output-fault",
+        "reported-uncommanded-current",
+        "reported-over-current",
+    }
+)
+_REMEDIES = {
+    EventCode.OUTPUT_FAULT: "CUT THE SUPPLY OF THE COIL: the input converter confirms no write",
+    EventCode.UNCOMMANDED_CURRENT: "CUT THE SUPPLY OF THE COIL: current flows at u_c = 0, the driver is shorted",
+    EventCode.OVER_CURRENT: "i_c is at the top of its converter: look at its amplifier, and for a short circuit",
+    EventCode.SENSOR_FAULT: "x is at an end of its converter: look at the sensor and its plug",
+}
+
+
+def run_checks(bench: Bench, checks: Sequence[Check]) -> Iterator[Verdict]:
+    """Call the board, run the checks, and yield their verdicts as they are found."""
+    dead = ""
+    try:
+        bench.connect()
+    except (NoAnswerError, RefusedError) as error:
+        yield replace(fault("start", "the first commands", error.problem, remedy=error.remedy), check="start")
+    for check in checks:
+        if dead:
+            yield replace(skipped(check.name, check.summary, dead), check=check.name)
+            continue
+        if check.current and (unsafe := bench.faults & UNSAFE):
+            reason = f"no current flows before this is right: {', '.join(sorted(unsafe))}"
+            yield replace(skipped(check.name, check.summary, reason), check=check.name)
+            continue
+        for verdict in _run_check(bench, check):
+            if verdict.result == Result.FAULT:
+                bench.faults.add(verdict.name)
+            yield replace(verdict, check=check.name)
+        dead = _recover(bench)
+
+
+def _run_check(bench: Bench, check: Check) -> Iterator[Verdict]:
+    """Yield the verdicts of a check, and what the board reports meanwhile; the latter explains why a check ends."""
+    events, restarts, expected = len(bench.line.events), bench.line.restarts, bench.expected_resets
+    end: Verdict | None = None
+    try:
+        yield from check.run(bench)
+    except NotReadyError as reason:
+        end = skipped(check.name, check.summary, str(reason))
+    except FaultFoundError as error:
+        end = error.verdict
+    except (NoAnswerError, RefusedError) as error:
+        name = "refused" if isinstance(error, RefusedError) else "no-answer"
+        end = fault(name, "the check ends:", error.problem, remedy=error.remedy[:1].lower() + error.remedy[1:])
+    reports_of_resets = sum(event.code in RESETS for event in bench.line.events[events:])
+    unexpected = max(bench.line.restarts - restarts, reports_of_resets) - (bench.expected_resets - expected)
+    reports = list(_reported(bench, events, unexpected))
+    yield from (verdict for verdict in reports if verdict.name not in bench.faults)
+    known = {verdict.name for verdict in reports} or {name for name in bench.faults if name.startswith(_REPORTS)}
+    if end is not None and end.name == "refused" and known:
+        end = skipped(check.name, check.summary, f"the board is in a fault, see {min(known)}")
+    elif end is not None and end.name == "no-answer" and reports:
+        end = skipped(check.name, check.summary, f"the board restarted, see {reports[0].name}")
+    if end is not None:
+        yield end
+
+
+def switch_off(bench: Bench) -> Verdict:
+    """Send STOP, and say what u_c and i_c are then."""
+    if not bench.line.identities:
+        bench.line.switch_off()  # it may hear us although we do not hear it
+        return replace(skipped("coil-off", "the coil at the end", "the board does not answer"), check="end")
+    if not bench.line.switch_off():
+        verdict = fault("coil-off", "the coil at the end", "NOT KNOWN TO BE OFF", remedy="CUT THE SUPPLY OF THE COIL")
+        return replace(verdict, check="end")
+    try:
+        i_a = bench.scaling.i_a(bench.line.samples[-1].state.i_c)
+    except NotReadyError:
+        return replace(passed("coil-off", "the coil at the end", "u_c 0"), check="end")
+    limit_a = bench.rig.current_offset_a[1] + 6 * bench.rig.current_noise_a[1]
+    if i_a > limit_a:
+        value = f"u_c 0, but i_c {i_a:.3g} A"
+        verdict = fault("coil-off", "the coil at the end", value, remedy="CUT THE SUPPLY OF THE COIL")
+        return replace(verdict, check="end")
+    return replace(passed("coil-off", "the coil at the end: off,", f"u_c 0 V, i_c {1e3 * i_a:.2g} mA"), check="end")
+
+
+def _reported(bench: Bench, first: int, unexpected: int) -> Iterator[Verdict]:
+    """Yield what the board reported by itself."""
+    events = bench.line.events[first:]
+    if unexpected > 0:  # by number, not by cause: a boot loader may hide that a reset was commanded
+        codes = {event.code for event in events if event.code in RESETS - {EventCode.RESET_COMMANDED}}
+        causes = ", ".join(sorted(code.name for code in codes)) or "no event said why"
+        yield fault(
+            "unexpected-reset",
+            "restarts that nobody ordered",
+            f"{unexpected}, {causes}",
+            bound="0",
+            remedy="look at the supply under load, the brown-out level, the reset line and the watchdog",
+        )
+    for code in sorted({event.code for event in events} & _REPORTED):
+        name = code.name.lower().replace("_", "-")
+        yield fault(f"{_REPORTS}{name}", "the board reports", code.name, remedy=_REMEDIES[code])
+
+
+def _recover(bench: Bench) -> str:
+    """Let the coil be off and the session open before the next check; return why there cannot be one."""
+    try:
+        if not bench.line.until(lambda: bench.line.session.is_open, BOOT_S):
+            return "the board does not answer any more"
+        bench.line.stop()
+    except NoAnswerError as error:
+        return error.problem
+    return ""
