@@ -21,7 +21,7 @@ def emit(campaign: Campaign, *, comments: Iterable[str] = ()) -> str:
         comments: Comment lines for the top of the file.
     """
     plant = campaign.plant
-    defaults = {"x_max_m": plant.travel_m, "gravity_m_s2": GRAVITY_M_S2, "assumed": False}
+    defaults = {"x_max_m": plant.travel_m, "gravity_m_s2": GRAVITY_M_S2, "assumed": False, "ball_diameter_m": None}
     blocks = [[f"# {line}".rstrip() for line in comments]]
     blocks.append(_table("[plant]", {k: v for k, v in asdict(plant).items() if k not in defaults or v != defaults[k]}))
     if campaign.controller is not None:
