@@ -159,7 +159,7 @@ def _fit_or_judge(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _PlantFile:
+class PlantFile:
     """The required content of a file that describes a rig."""
 
     # The last one is the first to run.
@@ -167,7 +167,7 @@ class _PlantFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(_PlantFile, Keys):
+class _File(PlantFile, Keys):
     """The content of `campaign.toml`."""
 
     controller: Controller | None = None
@@ -276,7 +276,7 @@ def load_plant(path: Path) -> Plant:
         ConfigError: there is no `[plant]`, or one of its keys or values is wrong.
     """
     text, file = _read(path, remedy="Name a file with a [plant] table, or a campaign's folder")
-    plant: Plant = checked(_PlantFile, parse_toml(text, where=str(file)), where=str(file)).plant
+    plant: Plant = checked(PlantFile, parse_toml(text, where=str(file)), where=str(file)).plant
     return plant
 
 

@@ -22,6 +22,7 @@ GRAVITY_M_S2 = 9.81
 STEEL_KG_M3 = 7850.0  # balls of bearings: 7.7e3 (stainless) .. 7.85e3 (chromium steel)
 _MASS_SHARE = 0.1  # of the mass of a steel ball; the published ball of a CE 152 is 2 % lighter than its diameter says
 _EARTH_M_S2 = (9.75, 9.84)  # 9.764 on high mountains near the equator, 9.834 at the poles
+_SHORT = 0.99  # of the highest reference: a count of the converter less is no contradiction
 _REACH = 3.0  # a travel of more than this many times the board's highest reference is asked about
 # Of laboratory rigs; what is outside may be right.
 _USUAL = {
@@ -95,7 +96,7 @@ def objections(values: Mapping[str, object], *, highest_reference_m: float | Non
         for name, value in values.items()
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     }
-    found: list[Objection] = []
+    objected: list[Objection] = []
     for name in _USUAL:
         objection = name in known and (
             _out_of_range(name, known[name])
@@ -103,20 +104,20 @@ def objections(values: Mapping[str, object], *, highest_reference_m: float | Non
             or _unusual(name, known)
         )
         if objection:
-            found.append(objection)
-    return tuple(found)
+            objected.append(objection)
+    return tuple(objected)
 
 
 def in_words(plant: Plant) -> str:
     """Return the values of a plant for people: "a ball of 8.28 g, travel 5.7 mm, x_max 8.138 mm, g 9.81 m/s2"."""
-    ball = f" ({shown('ball_diameter_m', plant.ball_diameter_m)})" if plant.ball_diameter_m is not None else ""
+    ball = f" ({with_unit('ball_diameter_m', plant.ball_diameter_m)})" if plant.ball_diameter_m is not None else ""
     return (
-        f"a ball of {shown('mass_kg', plant.mass_kg)}{ball}, travel {shown('travel_m', plant.travel_m)},"
-        f" x_max {shown('x_max_m', plant.x_max_m)}, g {shown('gravity_m_s2', plant.gravity_m_s2)}"
+        f"a ball of {with_unit('mass_kg', plant.mass_kg)}{ball}, travel {with_unit('travel_m', plant.travel_m)},"
+        f" x_max {with_unit('x_max_m', plant.x_max_m)}, g {with_unit('gravity_m_s2', plant.gravity_m_s2)}"
     )
 
 
-def shown(name: str, value: float) -> str:
+def with_unit(name: str, value: float) -> str:
     """Return a value of `[plant]` with the unit that people use for it."""
     if name == "mass_kg":
         return f"{value * 1e3:.4g} g" if value < 1.0 else f"{value:.4g} kg"
@@ -134,7 +135,7 @@ def _out_of_range(name: str, value: float) -> Objection | None:
     low, high = bounds(keys_of(Plant)[name])
     if low is None or high is None or low <= value <= high:
         return None
-    problem = f"{shown(name, value)} is outside {shown(name, low)} .. {shown(name, high)}"
+    problem = f"{with_unit(name, value)} is outside {with_unit(name, low)} .. {with_unit(name, high)}"
     remedy = _meant(name, value) or "Check the unit and the power of ten"
     return Objection(key=name, problem=problem, remedy=remedy, is_error=True)
 
@@ -143,9 +144,9 @@ def _unusual(name: str, known: Mapping[str, float]) -> Objection | None:
     value, (low, high) = known[name], _USUAL[name]
     if low <= value <= high:
         return None
-    problem = f"{shown(name, value)} is unusual, {shown(name, low)} .. {shown(name, high)} are usual"
+    problem = f"{with_unit(name, value)} is unusual, {with_unit(name, low)} .. {with_unit(name, high)} are usual"
     if name == "gravity_m_s2":
-        problem = f"{shown(name, value)} is not measured anywhere on Earth, {low:g} .. {high:g} m/s2 are"
+        problem = f"{with_unit(name, value)} is not measured anywhere on Earth, {low:g} .. {high:g} m/s2 are"
     remedy = f"{_meant(name, value) or 'Check the unit'}, or confirm it"
     return Objection(key=name, problem=problem, remedy=remedy, is_error=False)
 
@@ -156,7 +157,7 @@ def _meant(name: str, value: float) -> str:
     meant = next((value * slip for slip in _SLIPS if low <= value * slip <= high), None)
     if meant is None:
         return f"You may mean {GRAVITY_M_S2:g} m/s2" if name == "gravity_m_s2" else ""
-    return f"You may mean {shown(name, meant)} ({name} = {meant:.4g})"
+    return f"You may mean {with_unit(name, meant)} ({name} = {meant:.4g})"
 
 
 def _mass(known: Mapping[str, float], _highest_m: float | None) -> Objection | None:
@@ -166,17 +167,19 @@ def _mass(known: Mapping[str, float], _highest_m: float | None) -> Objection | N
     steel = steel_ball_kg(diameter)
     if abs(mass / steel - 1.0) <= _MASS_SHARE:
         return None
-    ball = f"a steel ball of {shown('ball_diameter_m', diameter)} weighs {shown('mass_kg', steel)}"
-    problem = f"{shown('mass_kg', mass)} does not fit the diameter: {ball}"
+    ball = f"a steel ball of {with_unit('ball_diameter_m', diameter)} weighs {with_unit('mass_kg', steel)}"
+    problem = f"{with_unit('mass_kg', mass)} does not fit the diameter: {ball}"
     remedy = "Weigh the ball and measure it; confirm it if it is hollow or of another material"
     return Objection(key="mass_kg", problem=problem, remedy=remedy, is_error=False)
 
 
 def _travel(known: Mapping[str, float], highest_m: float | None) -> Objection | None:
     travel = known["travel_m"]
-    if highest_m is None or (travel <= highest_m * _REACH and travel >= highest_m):
+    if highest_m is None or _SHORT * highest_m <= travel <= _REACH * highest_m:
         return None
-    problem = f"{shown('travel_m', travel)} does not fit the board, whose references end at {highest_m * 1e3:.4g} mm"
+    problem = (
+        f"{with_unit('travel_m', travel)} does not fit the board, whose references end at {highest_m * 1e3:.4g} mm"
+    )
     remedy = "Measure the way of the ball between its stops, or confirm it"
     return Objection(key="travel_m", problem=problem, remedy=remedy, is_error=False)
 
@@ -185,7 +188,7 @@ def _x_max(known: Mapping[str, float], _highest_m: float | None) -> Objection | 
     x_max, travel = known["x_max_m"], known.get("travel_m")
     if travel is None or x_max >= travel:
         return None
-    problem = f"{shown('x_max_m', x_max)} lies within the travel of {shown('travel_m', travel)}"
+    problem = f"{with_unit('x_max_m', x_max)} lies within the travel of {with_unit('travel_m', travel)}"
     remedy = "The force (3) is infinite at x_max: give at least the travel, or correct the travel"
     return Objection(key="x_max_m", problem=problem, remedy=remedy, is_error=True)
 
