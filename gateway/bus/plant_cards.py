@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gateway.config import BoardConfig
-from gateway.link.card_keeper import EMULATED, STATED
+from gateway.link.card_keeper import STATED
 from gateway.link.driver import BoardDriver
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.plant_card import card_plant, plant_message
+from protocol.bus.plant_card import EMULATED, card_plant, plant_message
 from protocol.campaign import PlantFile, load_plant
 from protocol.campaign_text import plant_text
 from protocol.checked import Number, checked

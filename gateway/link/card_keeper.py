@@ -13,10 +13,9 @@ from gateway.board.emulated import emulated_plant
 from gateway.board.scaling import Refusal
 from gateway.link.sink import Sink
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.plant_card import card_plant, plant_message, plant_of
+from protocol.bus.plant_card import EMULATED, card_plant, plant_message, plant_of
 from protocol.plant import in_words, objections
 
-EMULATED = "emulated board"  # who stated it
 MAX_NAME = 64
 STATED = "plant-stated"  # the event
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from protocol.bus import board51_pb2 as pb
 from protocol.plant import Plant
 
+EMULATED = "emulated board"  # who stated the card of an emulated CE 152: its build
+
 
 def plant_message(plant: Plant) -> pb.Plant:
     """Return the message of a plant; that it is assumed is no part of it."""

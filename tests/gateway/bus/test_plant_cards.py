@@ -14,8 +14,8 @@ import pytest
 from gateway.bus.plant_cards import CONFIGURATION, configured_card
 from gateway.config import GatewayConfig
 from gateway.emulator.serve import Emulator
-from gateway.link.card_keeper import EMULATED
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.plant_card import EMULATED
 from protocol.campaign import load_plant
 from protocol.errors import ConfigError
 from protocol.log.reader import read
