@@ -30,7 +30,7 @@ from gateway.access.certificates import WARN_DAYS
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import allow_restart, check_bus_listeners
 from gateway.bus.command_service import CommandService
-from gateway.bus.plant_cards import BoardCard, configured_card
+from gateway.bus.plant_cards import BoardCard, configured_card, folder_of
 from gateway.bus.publisher import GATHER_S, BoardSink, Publisher, Publishers
 from gateway.bus.router_watch import RouterWatch
 from gateway.bus.status import StatusMaker
@@ -52,7 +52,6 @@ STATUS_S = 1.0
 # With the default of 5 ms one busy thread delays the others by up to 5 ms, which would dominate the latency.
 SWITCH_INTERVAL_S = 0.0005
 MESSAGES_QUEUE = 10_000
-PLANTS = "plants"  # folder of the plant cards, within that of the logs
 CERTIFICATES_S = 86400.0  # between two checks of their expiry
 _logger = logging.getLogger("gateway")
 
@@ -80,7 +79,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             for board in config.boards
         ]
         drivers = [BoardDriver(board, sink, clock) for board, sink in zip(config.boards, sinks, strict=True)]
-        cards = [BoardCard(driver, Path(config.log.directory) / PLANTS) for driver in drivers]
+        cards = [BoardCard(driver, folder_of(config)) for driver in drivers]
         link = LinkThread(drivers)
         guarded = bool(config.security.directory)
         authorizer = Authorizer(time.time_ns(), partial(_publish_flood, drivers), guarded=guarded)

@@ -3,6 +3,7 @@
     LOGS/plants/<board>.toml    the card that was stated over the bus, with sender and time; LOGS is [log] directory
 
 Rule 1: the newest statement counts: the date of the configured file (`plant` of [[board]]), or the time of a command.
+        `--plant` of the command line states a card at the start.
 Rule 2: a card is written by the main thread within a second, and at the end: the serial thread waits for no disk.
 Rule 3: a kept card that cannot be read or written is an event, and the gateway runs on.
 """
@@ -11,10 +12,11 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import asdict, dataclass
+import time
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from gateway.config import BoardConfig
+from gateway.config import BoardConfig, GatewayConfig
 from gateway.link.card_keeper import STATED
 from gateway.link.driver import BoardDriver
 from protocol.bus import board51_pb2 as pb
@@ -24,7 +26,7 @@ from protocol.campaign_text import plant_text
 from protocol.checked import Number, checked
 from protocol.errors import Board51Error, ConfigError, DataError, UsageError
 from protocol.files import parse_toml, read_small, replace_text
-from protocol.plant import Plant, in_words, objections
+from protocol.plant import Objection, Plant, in_words, objections
 
 EVERY_S = 5.0
 CONFIGURATION = "configuration"  # who stated it
@@ -36,6 +38,7 @@ _logger = logging.getLogger("gateway")
 class _Stated:
     who: str
     at_s: Number  # Unix time
+    board: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +65,27 @@ def configured_card(board: BoardConfig) -> pb.PlantCard:
     return pb.PlantCard(plant=plant_message(plant), who=CONFIGURATION, stated_ns=written_ns)
 
 
+def state_now(config: GatewayConfig, board: str, file: Path, who: str) -> tuple[Objection, ...]:
+    """Keep the plant of a file as if it was stated now, before the gateway runs; return what is unusual about it.
+
+    Raises:
+        UsageError: the file cannot be read, its [plant] is not usable, or the card cannot be written.
+    """
+    plant, kept = load_plant(file), folder_of(config) / f"{board}.toml"
+    try:
+        _write(kept, pb.PlantCard(who=who, stated_ns=time.time_ns()), replace(plant, assumed=False))
+    except OSError as error:
+        raise UsageError(
+            f"The plant card cannot be written to {kept}: {error.strerror}", remedy="Give another --log-dir"
+        ) from None
+    return objections(asdict(plant))
+
+
+def folder_of(config: GatewayConfig) -> Path:
+    """Return the folder of the kept cards."""
+    return Path(config.log.directory) / "plants"
+
+
 class BoardCard:
     """The card of one board between driver, bus and disk.
 
@@ -81,7 +105,7 @@ class BoardCard:
         configured, stored = configured_card(driver.config), self._read()
         self._keeper.card = max(configured, stored, key=lambda card: card.stated_ns)
         self._replaced = card_plant(stored) if self._keeper.card is configured else None
-        self._stored_ns = self._keeper.card.stated_ns
+        self._stored = self._keeper.card
         self._failed = False
 
     def poll(self, now_s: float) -> None:
@@ -97,18 +121,17 @@ class BoardCard:
         """Write the card if it was stated since it was last written."""
         card = self._keeper.card
         plant = card_plant(card)
-        if plant is None or card.who in (EMULATED, CONFIGURATION) or card.stated_ns == self._stored_ns:
+        if plant is None or card.who in (EMULATED, CONFIGURATION) or card == self._stored:
             return
         try:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            replace_text(self._file, _text(card, plant))
+            _write(self._file, card, plant)
         except OSError as error:
             if not self._failed:
                 text = f"The plant card cannot be written to {self._file}: {error.strerror}. A restart forgets it."
                 self._warn(text)
             self._failed = True
             return
-        self._stored_ns, self._failed = card.stated_ns, False
+        self._stored, self._failed = card, False
 
     def _report(self) -> None:
         """Say at the start what is unusual, and what the newest statement has changed."""
@@ -133,14 +156,19 @@ class BoardCard:
         except Board51Error as error:
             self._unreadable = f"The kept plant card is not used: {error}"
             return pb.PlantCard()
-        stated_ns = round(stored.stated.at_s * 1e9)
-        return pb.PlantCard(plant=plant_message(stored.plant), who=stored.stated.who, stated_ns=stated_ns)
+        stated = stored.stated
+        return pb.PlantCard(
+            plant=plant_message(stored.plant), who=stated.who, stated_ns=round(stated.at_s * 1e9), board=stated.board
+        )
 
     def _warn(self, text: str, *, name: str = _NOT_STORED) -> None:
         _logger.warning("%s: %s", self._driver.config.name, text)
         self._driver.report.publish(name, "warning", text)
 
 
-def _text(card: pb.PlantCard, plant: Plant) -> str:
+def _write(file: Path, card: pb.PlantCard, plant: Plant) -> None:
+    """Write a kept card.  Raises OSError."""
     comments = ["The plant card of a rig, kept by `board51 gateway`.  --plant takes this file, too."]
-    return plant_text(plant, {"who": card.who, "at_s": card.stated_ns * 1e-9}, comments=comments)
+    stated = {"who": card.who, "at_s": card.stated_ns * 1e-9, "board": card.board}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    replace_text(file, plant_text(plant, stated, comments=comments))

@@ -126,3 +126,17 @@ def _check_lift(rig: PlantConstants, path: Path) -> None:
             f"{path}: the coil cannot lift the ball: that needs {needed_a:.3g} A, it has {largest_a:.3g} A",
             remedy="Give a lighter ball, a smaller x_max_m, or a larger emulated.force_constant_n_m2_a2",
         )
+
+
+def limits_toml(profile: BoardProfile, board: str) -> str:
+    """Return the configuration of a gateway whose limits are those of this board; its port is given elsewhere."""
+    limits, x = profile.limits, profile.position
+    values = {
+        "x_ref_min_m": x.to_si(limits.x_ref_min),
+        "x_ref_max_m": x.to_si(limits.x_ref_max),
+        "x_ref_step_m": limits.x_ref_step * x.lsb,
+        "x_ref_slew_m_s": limits.x_ref_slew * x.lsb,
+        "u_max_v": profile.input.to_si(limits.u_max),
+    }
+    lines = [f"{name} = {value:.6g}" for name, value in values.items()]
+    return "\n".join(["[[board]]", f'name = "{board}"', 'port = "none"', "[board.limits]", *lines, ""])

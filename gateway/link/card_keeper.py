@@ -2,7 +2,9 @@
 
 Rule 1: impossible values are refused; unusual ones are refused until the sender confirms them (protocol/plant.py).
 Rule 2: a change is an event with sender, new and old values, and a message of `plant`; both are in the log.
-Rule 3: an emulated CE 152 has the published plant until somebody states another one.
+Rule 3: an emulated CE 152 has the published plant until somebody states another one for it.
+Rule 4: a card belongs to the board (serial number, build) that was there when it was stated, or that came first after.
+        With another board it is doubted, and the card of an emulated rig gives way to that of an emulated CE 152.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ class CardKeeper:
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self.card = pb.PlantCard()  # replaced, never changed
+        self._board = ""  # at the port, or the last one that was
+        self._doubted = ""  # the board for which the card was not stated
 
     def take(
         self, command: pb.Command, host_ns: int, *, tick: int, session: int, highest_reference_m: float | None
@@ -36,31 +40,46 @@ class CardKeeper:
         if refusal is not None:
             return refusal
         before = card_plant(self.card)
-        self._replace(pb.PlantCard(plant=stated.plant, who=who, stated_ns=host_ns), host_ns)
-        said = (
+        card = pb.PlantCard(plant=stated.plant, who=who, stated_ns=host_ns, board=self._board)
+        self._replace(card, host_ns)
+        text = (
             f"{who}: {in_words(plant_of(stated.plant))}; before: {'not stated' if before is None else in_words(before)}"
         )
-        text = "".join(c if c.isprintable() else " " for c in said)
-        event = pb.Event(host_time_ns=host_ns, tick=tick, session=session, source="gateway", severity="info")
-        event.name, event.text = STATED, text
-        self._sink.send("event", event, host_ns)
+        self._publish(STATED, "info", text, pb.Event(host_time_ns=host_ns, tick=tick, session=session))
         return pb.CommandReply(id=command.id, accepted=True, tick=tick)
 
-    def recognise(self, firmware: str, host_ns: int) -> None:
-        """Let the build of the board state its plant, unless somebody has stated one."""
-        if self.card.HasField("plant") and self.card.who != EMULATED:
-            return
-        plant = emulated_plant(firmware)
-        if plant is None and self.card.HasField("plant"):  # another board has come to the port
+    def board_is(self, board_id: int, firmware: str, host_ns: int) -> None:
+        """Compare the card with the board that has come to the port; an emulated CE 152 states its own plant."""
+        self._board = f"{board_id} {firmware.partition(' ')[2]}"
+        emulated, is_ours = emulated_plant(firmware), self.card.board in ("", self._board)
+        is_stated = self.card.HasField("plant") and self.card.who != EMULATED
+        if is_stated and is_ours:
+            if not self.card.board:  # of a file, which does not know the board
+                card = pb.PlantCard(board=self._board)
+                card.MergeFrom(self.card)
+                self._replace(card, host_ns)
+        elif emulated is not None:
+            if is_stated or not self.card.HasField("plant"):
+                card = pb.PlantCard(plant=plant_message(emulated), who=EMULATED, stated_ns=host_ns, board=self._board)
+                self._replace(card, host_ns)
+        elif is_stated:
+            if self._doubted != self._board:
+                self._doubted = self._board
+                text = f"The plant card was stated for board {self.card.board}, this is {self._board}: state its plant."
+                self._publish("plant-of-another-board", "warning", text, pb.Event(host_time_ns=host_ns))
+        elif self.card.HasField("plant"):  # of an emulated board that was here before
             self._replace(pb.PlantCard(), host_ns)
-        elif plant is not None and not self.card.HasField("plant"):
-            self._replace(pb.PlantCard(plant=plant_message(plant), who=EMULATED, stated_ns=host_ns), host_ns)
 
     def send(self, host_ns: int) -> None:
         """Publish the card."""
         message = pb.PlantCard(host_time_ns=host_ns)
         message.MergeFrom(self.card)
         self._sink.send("plant", message, host_ns)
+
+    def _publish(self, name: str, severity: str, text: str, event: pb.Event) -> None:
+        event.source, event.name, event.severity = "gateway", name, severity
+        event.text = "".join(c if c.isprintable() else " " for c in text)
+        self._sink.send("event", event, event.host_time_ns)
 
     def _replace(self, card: pb.PlantCard, host_ns: int) -> None:
         self.card = card

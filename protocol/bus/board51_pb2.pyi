@@ -453,16 +453,18 @@ class Status(_message.Message):
     def __init__(self, host_time_ns: _Optional[int] = ..., link: _Optional[str] = ..., port: _Optional[str] = ..., uptime_s: _Optional[float] = ..., session: _Optional[int] = ..., samples_per_s: _Optional[float] = ..., samples: _Optional[int] = ..., samples_lost: _Optional[int] = ..., bad_frames: _Optional[_Mapping[str, int]] = ..., bytes_received: _Optional[int] = ..., bytes_sent: _Optional[int] = ..., reconnects: _Optional[int] = ..., board_resets: _Optional[int] = ..., commands_accepted: _Optional[int] = ..., commands_refused: _Optional[int] = ..., commands_timed_out: _Optional[int] = ..., latency_p50_ms: _Optional[float] = ..., latency_p99_ms: _Optional[float] = ..., publish_queue_depth: _Optional[int] = ..., publish_dropped: _Optional[int] = ..., log_queue_depth: _Optional[int] = ..., log_dropped: _Optional[int] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., log_state: _Optional[str] = ..., line_load: _Optional[float] = ..., board_bad_frames: _Optional[int] = ..., board_overruns: _Optional[int] = ..., states: _Optional[int] = ..., states_ignored: _Optional[_Mapping[str, int]] = ..., to_board: _Optional[str] = ..., unanswered_s: _Optional[float] = ..., last_stop_ns: _Optional[int] = ...) -> None: ...
 
 class PlantCard(_message.Message):
-    __slots__ = ("host_time_ns", "plant", "who", "stated_ns")
+    __slots__ = ("host_time_ns", "plant", "who", "stated_ns", "board")
     HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     PLANT_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
     STATED_NS_FIELD_NUMBER: _ClassVar[int]
+    BOARD_FIELD_NUMBER: _ClassVar[int]
     host_time_ns: int
     plant: Plant
     who: str
     stated_ns: int
-    def __init__(self, host_time_ns: _Optional[int] = ..., plant: _Optional[_Union[Plant, _Mapping]] = ..., who: _Optional[str] = ..., stated_ns: _Optional[int] = ...) -> None: ...
+    board: str
+    def __init__(self, host_time_ns: _Optional[int] = ..., plant: _Optional[_Union[Plant, _Mapping]] = ..., who: _Optional[str] = ..., stated_ns: _Optional[int] = ..., board: _Optional[str] = ...) -> None: ...
 
 class TwinState(_message.Message):
     __slots__ = ("sequence", "tick", "session", "t_s", "i_c_a", "x_m", "v_m_s", "u_c_v", "x_ref_m", "sync", "bridged_ticks")
