@@ -3,7 +3,7 @@
     <board>/state/x_m            the last value of each interval (1 / rate)
     <board>/state/x_m/min, /max  the lowest and highest tick within it: no spike is lost by the slower rate
     <board>/status/link, <board>/parameters/gains, <board>/twin/divergence/x_m.error, ...
-    <board>/SetReference(x_ref_m), SetMode, SetGains, Excite, Capture, Stop, ...   one for each kind of pb.Command
+    <board>/SetReference(x_ref_m), SetMode, SetGains, Excite, Capture, Stop, ...  one for each kind of command that fits
 
 The path is the node id (string, namespace of the site).  Names, units and descriptions are in the NodeSet2 file.
 """
@@ -77,7 +77,7 @@ def leaves() -> tuple[Leaf, ...]:
 
 @cache
 def methods() -> tuple[Method, ...]:
-    """Return the methods of all kinds of commands."""
+    """Return the methods of all kinds of commands but those whose messages have messages in them."""
     kinds: Any = pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields
     return tuple(
         Method(
@@ -89,6 +89,7 @@ def methods() -> tuple[Method, ...]:
             ),
         )
         for kind in kinds
+        if not any(field.message_type for field in kind.message_type.fields)  # set_plant: the plant is read only
     )
 
 
