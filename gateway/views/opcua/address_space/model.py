@@ -22,7 +22,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
 TICK_TOPICS = ("state", "twin/state", "twin/divergence")  # decimated, with min and max, with history
-TOPICS = (*TICK_TOPICS, "status", "parameters", "twin/model")
+TOPICS = (*TICK_TOPICS, "status", "parameters", "plant", "twin/model")
 Statistic = Literal["last", "low", "high"]
 VARIANTS: dict[int, ua.VariantType] = {
     FieldDescriptor.TYPE_DOUBLE: ua.VariantType.Double,
