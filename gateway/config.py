@@ -113,6 +113,13 @@ class BoardConfig(Keys):
     command_retries: Annotated[Whole, key("repetitions before giving up", 0, 20)] = 4
     stale_s: Annotated[Number, key("no valid frame for this long: the link is silent [s]", 0.1, 60.0)] = 1.0
     reconnect_s: Annotated[Number, key("between attempts to open the port [s]", 0.05, 60.0)] = 0.5
+    plant: Annotated[
+        str,
+        key(
+            "TOML file with the [plant] of this rig: ball, travel, x_max; empty: as stated over the bus, of which the"
+            " newer one counts"
+        ),
+    ] = ""
     limits: Annotated[LimitsConfig, AfterValidator(_room)] = field(default_factory=LimitsConfig)
 
 

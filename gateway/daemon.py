@@ -30,6 +30,7 @@ from gateway.access.certificates import WARN_DAYS
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import allow_restart, check_bus_listeners
 from gateway.bus.command_service import CommandService
+from gateway.bus.plant_cards import BoardCard, configured_card, folder_of
 from gateway.bus.publisher import GATHER_S, BoardSink, Publisher, Publishers
 from gateway.bus.router_watch import RouterWatch
 from gateway.bus.status import StatusMaker
@@ -78,6 +79,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             for board in config.boards
         ]
         drivers = [BoardDriver(board, sink, clock) for board, sink in zip(config.boards, sinks, strict=True)]
+        cards = [BoardCard(driver, folder_of(config)) for driver in drivers]
         link = LinkThread(drivers)
         guarded = bool(config.security.directory)
         authorizer = Authorizer(time.time_ns(), partial(_publish_flood, drivers), guarded=guarded)
@@ -94,6 +96,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             watch = RouterWatch(bus, ", ".join(config.zenoh.connect), sinks, publishers)
             stack.callback(watch.close)
         link.start()
+        for card in cards:
+            stack.callback(card.keep)  # what was stated in the last second
         stack.callback(link.stop)
         now_s = look_s = time.monotonic()
         makers = [StatusMaker(driver, sink, now_s) for driver, sink in zip(drivers, sinks, strict=True)]
@@ -111,8 +115,9 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
                 for text in expiring(config):
                     _publish_all(drivers, "certificate-expires", "warning", text)
             log, now_s = recorder.stats() if recorder is not None else None, time.monotonic()
-            for maker in makers:
+            for maker, card in zip(makers, cards, strict=True):
                 maker.send(log, now_s)
+                card.poll(now_s)
         _logger.info("ending; the boards follow their host-loss policy")
         del queryables
 
@@ -131,6 +136,7 @@ def check(config: GatewayConfig) -> None:
         )
     for board in config.boards:
         check_url(board.port)
+        configured_card(board)
 
 
 def check_security(config: GatewayConfig) -> None:

@@ -19,9 +19,12 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from protocol.checked import Flag, Keys, Number, RuleError, checked, key
+from protocol.checked import Keys, Number, RuleError, checked, key
 from protocol.errors import DataError, quoted
 from protocol.files import parse_toml, read_small
+from protocol.plant import GRAVITY_M_S2 as GRAVITY_M_S2
+from protocol.plant import Plant as Plant
+from protocol.plant import refuse_impossible, with_defaults
 from protocol.units import unit_of_name
 
 Channel = Literal["t", "u_c", "i_c", "x", "x_ref"]
@@ -34,32 +37,7 @@ UNITS: Mapping[str, str] = {"t": "s", "u_c": "V", "i_c": "A", "x": "m", "x_ref":
 KINDS: tuple[Kind, ...] = get_args(Kind)
 USES: tuple[Use, ...] = get_args(Use)
 CONTROLLERS: tuple[Law, ...] = get_args(Law)
-GRAVITY_M_S2 = 9.81
 Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of a look-up table
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plant(Keys):
-    """The parameters that are known without identification: `[plant]`.
-
-    The bounds cover the physical range of magnetic levitation rigs.  They detect a wrong unit or a wrong power of ten.
-    A mass in grams instead of kilograms makes K_c a thousand times too large, and the recordings cannot reveal it.
-    """
-
-    name: Annotated[str, Field(min_length=1, description="name of the rig")]
-    mass_kg: Annotated[Number, key("mass of the ball, as steel balls of 2.9 to 79 mm have", 1e-4, 2.0)]
-    travel_m: Annotated[Number, key("highest position of the ball (top stop); 0 is the sensor", 1e-4, 0.5)]
-    x_max_m: Annotated[Number, key("x_max of eq. (3)", 1e-4, 0.5)]
-    gravity_m_s2: Annotated[Number, key("acceleration of gravity", 1.0, 20.0)]
-    assumed: Flag = False  # nobody stated it: K_c and b, which rest on it, may be wrong
-
-
-def _with_defaults(plant: object) -> object:
-    """Add the defaults of `[plant]`: a name, standard gravity, and the travel as x_max."""
-    if not isinstance(plant, dict):
-        return plant
-    x_max = {"x_max_m": plant["travel_m"]} if "travel_m" in plant else {}
-    return {"name": "plant", "gravity_m_s2": GRAVITY_M_S2, **x_max, **plant}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,14 +159,15 @@ def _fit_or_judge(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _PlantFile:
+class PlantFile:
     """The required content of a file that describes a rig."""
 
-    plant: Annotated[Plant, BeforeValidator(_with_defaults)]
+    # The last one is the first to run.
+    plant: Annotated[Plant, BeforeValidator(refuse_impossible), BeforeValidator(with_defaults)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(_PlantFile, Keys):
+class _File(PlantFile, Keys):
     """The content of `campaign.toml`."""
 
     controller: Controller | None = None
@@ -205,6 +184,7 @@ class Campaign:
     travel_m = 5.7e-3
     x_max_m = 5.7e-3           # optional, default travel_m
     gravity_m_s2 = 9.81        # optional
+    ball_diameter_m = 12.6e-3  # optional, of a ball of steel: the mass is compared with it
     assumed = false            # optional; true: nobody stated the plant
     [controller]               # optional
     kind = "lqi"               # lqi | pid
@@ -296,7 +276,7 @@ def load_plant(path: Path) -> Plant:
         ConfigError: there is no `[plant]`, or one of its keys or values is wrong.
     """
     text, file = _read(path, remedy="Name a file with a [plant] table, or a campaign's folder")
-    plant: Plant = checked(_PlantFile, parse_toml(text, where=str(file)), where=str(file)).plant
+    plant: Plant = checked(PlantFile, parse_toml(text, where=str(file)), where=str(file)).plant
     return plant
 
 

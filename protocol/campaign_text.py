@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 
-from protocol.campaign import CHANNELS, GRAVITY_M_S2, Campaign, Channel, Column
+from protocol.campaign import CHANNELS, GRAVITY_M_S2, Campaign, Channel, Column, Plant
 from protocol.units import unit_of_name
 
 
@@ -20,17 +20,32 @@ def emit(campaign: Campaign, *, comments: Iterable[str] = ()) -> str:
         campaign: Campaign with at least one recording and finite numbers only.
         comments: Comment lines for the top of the file.
     """
-    plant = campaign.plant
-    defaults = {"x_max_m": plant.travel_m, "gravity_m_s2": GRAVITY_M_S2, "assumed": False}
-    blocks = [[f"# {line}".rstrip() for line in comments]]
-    blocks.append(_table("[plant]", {k: v for k, v in asdict(plant).items() if k not in defaults or v != defaults[k]}))
+    blocks = [_comments(comments), _plant(campaign.plant)]
     if campaign.controller is not None:
         blocks.append(_table("[controller]", asdict(campaign.controller)))
     for recording in campaign.recordings:
         columns = {name: _column(recording.columns[name], name) for name in CHANNELS if name in recording.columns}
         values = asdict(recording) | {"columns": columns}
         blocks.append(_table("[[recording]]", {k: v for k, v in values.items() if v}))
+    return _joined(blocks)
+
+
+def plant_text(plant: Plant, stated: Mapping[str, object], *, comments: Iterable[str]) -> str:
+    """Return a plant as TOML that `load_plant` reads, and a table `[stated]` that says by whom and when."""
+    return _joined([_comments(comments), _plant(plant), _table("[stated]", stated)])
+
+
+def _joined(blocks: Iterable[list[str]]) -> str:
     return "\n\n".join("\n".join(block) for block in blocks if block) + "\n"
+
+
+def _comments(lines: Iterable[str]) -> list[str]:
+    return [f"# {line}".rstrip() for line in lines]
+
+
+def _plant(plant: Plant) -> list[str]:
+    defaults = {"x_max_m": plant.travel_m, "gravity_m_s2": GRAVITY_M_S2, "assumed": False, "ball_diameter_m": None}
+    return _table("[plant]", {k: v for k, v in asdict(plant).items() if k not in defaults or v != defaults[k]})
 
 
 def _table(title: str, values: Mapping[str, object]) -> list[str]:

@@ -41,6 +41,7 @@ MINIMUM_ROLE: dict[str, Role] = {
     "mark": Role.OPERATOR,  # a remark in the log
     "recording": Role.OPERATOR,  # start, stop
     "set_gains": Role.ENGINEER,
+    "set_plant": Role.ENGINEER,  # K_c and b of every model rest on it
     "set_stream": Role.ENGINEER,
     "set_host_loss": Role.ENGINEER,
     "use_model": Role.ENGINEER,  # of the twin

@@ -21,10 +21,13 @@ from gateway.campaign.subscriber import ID_PREFIX, BoardSubscriber
 from gateway.client.connection import new_id
 from gateway.client.rig import Rig
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.plant_card import card_plant
+from protocol.campaign import Plant
 from protocol.errors import Board51Error, ServiceError
 from protocol.wire.messages import Flag
 
 SILENCE_S = 3.0  # longest time without a state; the gateway reconnects a port and reads a board again within it
+CARD_WAIT_S = 6.0  # the plant card comes every 5 s; a gateway of before sends none
 SETTLE_S = 4.0  # longest time from the command to the ball resting at its reference
 STEADY_S = 0.25
 LANDING_S = 0.3  # a fall through the travel takes 0.03 s, its bounces ten times that
@@ -68,11 +71,13 @@ class RigControl:
         rig: sends the commands.
         subscriber: of the same board.
         stop: is set when the user ends the run.
-        travel_m: travel of the ball, m.
+        travel_m: travel of the ball, m; NaN: it is set later, before the ball moves.
     """
 
-    def __init__(self, rig: Rig, subscriber: BoardSubscriber, stop: threading.Event, *, travel_m: float) -> None:
-        self._rig, self._subscriber, self._stop, self._travel_m = rig, subscriber, stop, travel_m
+    def __init__(
+        self, rig: Rig, subscriber: BoardSubscriber, stop: threading.Event, *, travel_m: float = float("nan")
+    ) -> None:
+        self._rig, self._subscriber, self._stop, self.travel_m = rig, subscriber, stop, travel_m
         self._address = f"{rig.site}/{rig.board}"
         self.rest_m = float("nan")
 
@@ -133,6 +138,16 @@ class RigControl:
         self._heed()
         return self._subscriber.newest, self._subscriber.newest_parameters
 
+    def await_card(self) -> Plant | None:
+        """Wait for the rig's plant card; None where nobody stated the plant, or the gateway sends no card.
+
+        Raises:
+            Stopped, ServiceError: as `wait`.
+        """
+        self.wait(lambda: self._subscriber.state is not None)
+        self.wait(lambda: self._subscriber.card is not None, timeout_s=CARD_WAIT_S)
+        return card_plant(self._subscriber.card)
+
     def hold(self, duration_s: float, *, from_tick: int | None = None) -> None:
         """Wait for `duration_s` of the board's time, from now or from a tick.
 
@@ -163,7 +178,7 @@ class RigControl:
             raise Cut("host-lost", "the board missed its host and has acted on its own")
 
     def _at_stop(self, state: pb.State) -> bool:
-        height = (state.x_m - self.rest_m) / self._travel_m
+        height = (state.x_m - self.rest_m) / self.travel_m
         return state.HasField("x_m") and not STOP_SHARE < height < 1.0 - STOP_SHARE
 
     # --- commands
@@ -263,7 +278,7 @@ class RigControl:
         def steady() -> bool:
             state = self._subscriber.newest
             self._watch(state, session)
-            is_close = abs(state.x_m - state.x_ref_m) < STOP_SHARE * self._travel_m and not self._at_stop(state)
+            is_close = abs(state.x_m - state.x_ref_m) < STOP_SHARE * self.travel_m and not self._at_stop(state)
             steady_s = dwell.update(state.tick, holds=is_close)
             if (state.tick - first) * period_s > SETTLE_S:
                 height_mm, aim_mm = ((x_m - self.rest_m) * 1e3 for x_m in (state.x_m, state.x_ref_m))

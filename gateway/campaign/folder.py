@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from gateway.board.emulated import CE152
 from gateway.campaign.plan import CommandLimits
 from gateway.campaign.subscriber import Recorded
 from gateway.record.writer import LogWriter
@@ -28,8 +29,6 @@ from protocol.files import make_folder, parse_json, read_small, replace_text
 RUN_FILE = "run.json"
 _READABLE = "Give a new folder; the recordings here stay readable"
 FORMAT = 1
-# The published constants of a CE 152, as in the twin's nominal model, which this package may not import.
-CE152 = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=9.81)
 ASSUMED = replace(CE152, assumed=True)  # of a rig whose plant nobody stated
 
 
@@ -54,15 +53,8 @@ class _File:
     quick: Flag = False
 
 
-def is_emulated(parameters: pb.Parameters) -> bool:
-    """Return whether the board is an emulated CE 152, as its build says."""
-    return "emulated" in parameters.firmware
-
-
 def identity_of(board: str, parameters: pb.Parameters, plant: Plant) -> dict[str, Any]:
     """The data that must be the same for all recordings of a folder."""
-    # The ball of an emulated CE 152 has the published mass and travel: its build states the plant.
-    plant = replace(plant, assumed=plant.assumed and not is_emulated(parameters))
     return {
         "board": {"name": board, "board_id": parameters.board_id, "sample_time_s": parameters.sample_time_s},
         "plant": asdict(plant),
@@ -239,6 +231,7 @@ class Folder:
             comments += [
                 "[plant]: nobody stated it; the published constants of a CE 152 are assumed.  K_c and b hold for that",
                 "plant only.  Write the mass and the travel of this rig, delete `assumed`, and identify again.",
+                "State them on the model page of the rig, too: then the next campaign has them.",
             ]
         if replace(plant, assumed=False) == CE152:
             comments += [

@@ -21,7 +21,7 @@ def add_rig_arguments(parser: argparse.ArgumentParser, *, who: str) -> None:
         "--plant",
         type=Path,
         metavar="FILE",
-        help="TOML with the [plant] of this rig (default: that of FOLDER, else a published CE 152)",
+        help="TOML with the [plant] of this rig (default: that of FOLDER, else the rig's plant card, else a CE 152)",
     )
     parser.add_argument("--seed", type=int, default=1, help="seed of the random signals (default 1)")
     for option, unit, what in (

@@ -13,9 +13,10 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from gateway.board.emulated import is_emulated
 from gateway.campaign import checks
 from gateway.campaign.control import Cut, RigControl, Stopped
-from gateway.campaign.folder import Folder, Retained, controller_of, identity_of, is_emulated, plan_of
+from gateway.campaign.folder import Folder, Retained, controller_of, identity_of, plan_of
 from gateway.campaign.outcome import Outcome, Summary, Wishes
 from gateway.campaign.plan import (
     Action,
@@ -83,9 +84,9 @@ class Runner:
         w = self._wishes
         self._limits = limits_of(self._parameters, u_max_v=w.u_max_v, x_min_m=w.x_min_m, x_max_m=w.x_max_m)
         self._folder.claim(identity_of(self._board, self._parameters, w.plant))
-        if w.plant.assumed and not is_emulated(self._parameters):
+        if w.plant.assumed:
             self._write_line(
-                "no --plant: a published CE 152 is assumed (8.28 g, 5.7 mm); K_c and b hold for that plant only"
+                "nobody stated the plant: a published CE 152 is assumed (8.28 g, 5.7 mm); K_c and b hold for that only"
             )
         outcomes = [Outcome(experiment=experiment) for experiment in self._with_lift_off(w.experiments)]
         summary = Summary(outcomes=outcomes, lift_off_v=self._folder.lift_off_v)
@@ -183,7 +184,7 @@ class Runner:
             summary.lift_off_v = self._folder.lift_off_v
 
     def _refused(self, experiment: Experiment) -> str:
-        if is_emulated(self._parameters):
+        if is_emulated(self._parameters.firmware):
             return "the board is emulated: there is no ball to clamp"
         return self._wishes.prepare(experiment)
 

@@ -20,7 +20,8 @@ from protocol.bus.encoding import parse
 
 ID_PREFIX = "campaign-"  # of the ids of a campaign's own commands
 RECENT = 100  # states for the reading at rest
-_RECORDED = ("state", "parameters", "capture", "event", "command/record", "status")
+_RECORDED = ("state", "parameters", "plant", "capture", "event", "command/record", "status")
+_STANDING = ("parameters", "plant")  # sent every 5 s: a recording begins with the newest of each
 
 
 class Logged(NamedTuple):
@@ -60,10 +61,11 @@ class BoardSubscriber:
         self.status: pb.Status | None = None
         self.state: pb.State | None = None
         self.parameters: pb.Parameters | None = None
+        self.card: pb.PlantCard | None = None
         self.captures = 0  # number since the start
         self.stop_sender: str | None = None  # another client that sent STOP
         self.recent: deque[pb.State] = deque(maxlen=RECENT)
-        self._parameters_message: Logged | None = None
+        self._standing: dict[str, Logged] = {}
         self._recorded: Recorded | None = None
         self._last_message_s = time.monotonic()
         self._subscription = rig.subscribe(self._arrived)
@@ -85,11 +87,9 @@ class BoardSubscriber:
         return time.monotonic() - self._last_message_s
 
     def begin(self) -> None:
-        """Begin a recording; its first message is the newest parameters."""
+        """Begin a recording; its first messages are the newest parameters and the newest plant card."""
         with self.changed:
-            self._recorded = Recorded([], [], [], [], [])
-            if self._parameters_message is not None:
-                self._recorded.messages.append(self._parameters_message)
+            self._recorded = Recorded(list(self._standing.values()), [], [], [], [])
 
     def end(self) -> Recorded:
         """End the recording; returns the messages since `begin`."""
@@ -108,6 +108,8 @@ class BoardSubscriber:
         with self.changed:
             time_ns = int(getattr(message, "host_time_ns", 0) or getattr(message, "received_ns", 0) or time.time_ns())
             logged = Logged(key, data, time_ns)
+            if address[2] in _STANDING:
+                self._standing[address[2]] = logged
             recorded = self._recorded
             if recorded is not None:
                 recorded.messages.append(logged)
@@ -119,7 +121,9 @@ class BoardSubscriber:
                     if recorded is not None:
                         recorded.states.append(message)
                 case pb.Parameters():
-                    self.parameters, self._parameters_message = message, logged
+                    self.parameters = message
+                case pb.PlantCard():
+                    self.card = message
                 case pb.Status():
                     first, self.status = self.status is None, message
                     # Only the first one: a later STOP is heard here, and may be the run's own.

@@ -11,10 +11,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import UsageError
+
+if TYPE_CHECKING:
+    from protocol.plant import Plant
 
 
 class Mode(enum.StrEnum):
@@ -75,6 +78,13 @@ def set_mode(mode: Mode | str) -> pb.Command:
 def set_reference(x_ref_m: float) -> pb.Command:
     """Set the position reference, m."""
     return pb.Command(set_reference=pb.SetReference(x_ref_m=_finite(x_ref_m, "x_ref_m")))
+
+
+def set_plant(plant: Plant, *, confirmed: bool = False) -> pb.Command:
+    """State the plant of the rig for its card; `confirmed`: its unusual values are right."""
+    from protocol.bus.plant_card import plant_message  # pydantic takes its time: a STOP shall not wait for it
+
+    return pb.Command(set_plant=pb.SetPlant(plant=plant_message(plant), confirmed=confirmed))
 
 
 def set_gains(gains: Sequence[float], operating_point: OperatingPoint, *, law: Law | str = Law.LQI) -> pb.Command:

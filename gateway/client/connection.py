@@ -36,7 +36,9 @@ JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be o
 STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
 STOP_WAIT_S = 2.0  # for each answer
 _LAST_CALL_S = 2.0  # a subscription that ends waits so long for the callback under way
-_AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_stream", "set_host_loss"})  # move nothing
+_AT_REST = frozenset(
+    {"stop", "ping", "mark", "acknowledge", "set_plant", "set_stream", "set_host_loss"}
+)  # move nothing
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:

@@ -27,6 +27,7 @@ from protocol.errors import ServiceError
 
 if TYPE_CHECKING:
     from gateway.client.recording import Recording
+    from protocol.plant import Plant
 
 SILENCE_S = 3.0  # longest time without a sample; a gateway reconnects a port and reads a board again within it
 NEWEST_WAIT_S = 8.0  # periodic messages are sent at least every 5 s
@@ -146,6 +147,15 @@ class Rig(BoardConnection):
         """Make the board send every `divider`-th tick; 0: none."""
         return self._execute(commands.set_stream(divider))
 
+    def set_plant(self, plant: Plant, *, confirmed: bool = False) -> Reply:
+        """State ball, travel, x_max and gravity of the rig: its plant card, which campaigns use and the gateway keeps.
+
+        Args:
+            plant: As of `protocol.campaign.load_plant`.
+            confirmed: Whether its unusual values are right; without it they are refused ("not-confirmed").
+        """
+        return self._execute(commands.set_plant(plant, confirmed=confirmed))
+
     def set_host_loss(self, policy: HostLoss | str, *, timeout_s: float = 1.0) -> Reply:
         """Set the action of the board after `timeout_s` without its gateway: "keep", "coil-off" or "hold"."""
         return self._execute(commands.set_host_loss(policy, timeout_s=timeout_s))
@@ -241,6 +251,14 @@ class Rig(BoardConnection):
             ServiceError: none arrived within `timeout_s`.
         """
         return self._next("parameters", pb.Parameters, timeout_s)
+
+    def plant_card(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.PlantCard:
+        """Wait for the plant card, which is sent every 5 s; its `plant` is absent where nobody stated one.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
+        return self._next("plant", pb.PlantCard, timeout_s)
 
     def alarms(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Alarms:
         """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s.

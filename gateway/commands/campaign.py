@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,16 +87,16 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     from protocol.experiments import LIFT_OFF
 
     folder = Folder(args.folder)
-    plant = load_plant(args.plant) if args.plant is not None else folder.plant or ASSUMED
+    plant = load_plant(args.plant) if args.plant is not None else folder.plant
     stop = threading.Event()
     rig = Rig(
         args.board, connect=args.connect, site=args.site, identity=args.identity, who=args.who, stop_on_error=False
     )
     with rig:
         subscriber = BoardSubscriber(rig, args.issued or time.time_ns())
-        control = RigControl(rig, subscriber, stop, travel_m=plant.travel_m)
+        control = RigControl(rig, subscriber, stop)
         wishes = Wishes(
-            experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
+            experiments=experiments, plant=plant or ASSUMED, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
             seed=args.seed, quick=args.quick, u_max_v=args.u_max,
             x_min_m=None if args.x_min is None else args.x_min * 1e-3,
             x_max_m=None if args.x_max is None else args.x_max * 1e-3,
@@ -103,6 +104,9 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         )  # fmt: skip
         try:
             with on_signals(stop.set, signal.SIGINT, signal.SIGTERM):
+                if args.plant is None and wishes.plant.assumed and (card := control.await_card()) is not None:
+                    wishes = replace(wishes, plant=card)
+                control.travel_m = wishes.plant.travel_m
                 summary = Runner(control, subscriber, folder, args.board, wishes, write_line).run()
             ended_ns = time.time_ns()
         except Stopped:

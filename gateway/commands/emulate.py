@@ -39,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 emulate --pty /tmp/board51 --firmware c\n"
         "  board51 emulate --pty /tmp/board51 --chip avr\n"
         "  board51 emulate --pty /tmp/board51 --rig magnetoshield --chip avr\n"
+        "  board51 emulate --pty /tmp/board51 --rig my-rig.toml\n"
         "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
         f"{faults.HELP}\n\n"
         f"effects (--effect NAME=VALUE; VALUE a number, or one of the three given here as weak | medium | strong):\n"
@@ -63,9 +64,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rig",
-        choices=tuple(RIGS),
+        metavar="|".join((*RIGS, "FILE")),
         default="ce152",
-        help="the plant and its board; the named strengths of effects are those of the CE 152 (default: %(default)s)",
+        help="the plant and its board, or a TOML file with the [plant] of another one and, in [emulated], its K_c, K_A"
+        " and so on; the named strengths of effects are those of the CE 152 (default: %(default)s)",
     )
     flown = parser.add_mutually_exclusive_group()
     flown.add_argument(
@@ -179,6 +181,8 @@ def _flush() -> None:
 
 
 def _check(args: argparse.Namespace) -> None:
+    from gateway.emulator.serve import RIGS
+
     for option, value, low, high in (
         ("--boards", args.boards, 1, 64),
         ("--board-id", args.board_id, 0, 0xFFFFFFFF - 64),
@@ -192,6 +196,11 @@ def _check(args: argparse.Namespace) -> None:
             raise UsageError(f"{option} {value} is out of range", remedy=f"Give a number from {low} to {high}")
     if (args.secret is None) != (args.sealed is None):
         raise UsageError("--secret and --sealed belong together", remedy="Give both, or --effect instead")
+    if args.chip is not None and args.rig not in RIGS:
+        raise UsageError(
+            f"--rig {args.rig}: the image of a chip holds the numbers of its rig",
+            remedy="Leave out --chip, or --rig FILE",
+        )
     if args.secret is not None and args.rig != "ce152":
         raise UsageError(
             "--secret draws the strengths of a CE 152's effects", remedy="Leave --rig out, or give --effect"

@@ -8,6 +8,7 @@ It reads every board, publishes each sample in SI units under <site>/<board>/sta
 from __future__ import annotations
 
 import argparse
+import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from gateway.views.listen import ADDRESSES
 from protocol.bus.endpoint import check_endpoint
+from protocol.bus.identity import login_name
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
 
@@ -30,6 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n  board51 gateway --board rig1=/dev/ttyUSB0\n"
         "  board51 gateway --board rig1='/dev/serial/by-id/*Board51*' --board rig2=socket://10.0.0.5:4001\n"
         "  board51 gateway --print-config > gateway.toml; board51 gateway --config gateway.toml\n"
+        "  board51 gateway --board rig1=/dev/ttyUSB0 --plant my-rig.toml\n"
         "  board51 gateway --board rig1=/dev/ttyUSB0 --opcua --opcua-rate 50 --hmi"
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="TOML; every key is optional except the boards")
@@ -39,6 +42,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=PORT",
         help="a board and its pyserial URL; may be repeated; replaces those of the file",
+    )
+    parser.add_argument(
+        "--plant",
+        action="append",
+        default=[],
+        metavar="[NAME=]FILE",
+        help="state the plant card of a board now: TOML with the [plant] of its rig; may be repeated",
     )
     parser.add_argument("--site", help="first chunk of every key (default board51)")
     parser.add_argument(
@@ -124,6 +134,23 @@ def _board(text: str, config: GatewayConfig) -> BoardConfig:
     return replace(known, port=table["port"]) if known else BoardConfig(name=name, port=table["port"])
 
 
+def _plant(text: str, config: GatewayConfig) -> tuple[str, Path]:
+    """Return board and file of a `--plant`, both of which must exist."""
+    from protocol.campaign import load_plant
+
+    boards = [board.name for board in config.boards]
+    name, equals, file = text.rpartition("=")
+    if not equals and len(boards) == 1:
+        name = boards[0]
+    if name not in boards:
+        raise ConfigError(
+            f"--plant {text}: {name or 'nothing'} is not the name of a board",
+            remedy=f"Give one of {', '.join(boards)}=FILE",
+        )
+    load_plant(Path(file))
+    return name, Path(file)
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
     if args.print_config:
@@ -132,14 +159,19 @@ def run(args: argparse.Namespace) -> int:
         print(documented_toml())
         return 0
     from gateway import daemon  # zenoh and foxglove take their time; --help and --print-config answer at once
+    from gateway.bus.plant_cards import state_now
     from gateway.processes.supervisor import running
     from gateway.views.launch import views_for
 
     config = configuration(args)
+    plants = [_plant(text, config) for text in args.plant]
     views = views_for(config)
     if args.check:
         daemon.check(config)
         print(f"{len(config.boards)} boards: {', '.join(f'{b.name} at {b.port}' for b in config.boards)}")
         return 0
+    for board, file in plants:
+        for objection in state_now(config, board, file, login_name("command line")):
+            print(f"board51 gateway: --plant {file}: {objection.key}: {objection.text}", file=sys.stderr)
     with running(views) if views else nullcontext():
         return daemon.serve(config)

@@ -11,6 +11,7 @@ import argparse
 import json
 import math
 import shlex
+from pathlib import Path
 
 from gateway.client import commands
 from gateway.client.connection import add_bus_arguments
@@ -106,6 +107,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     acknowledge.add_argument("alarm", type=_text, help="its name, such as divergence-x")
     acknowledge.add_argument("--comment", type=_text, default="", metavar="TEXT", help="the reason")
+    plant = what.add_parser("plant", parents=[options], help="state the plant card: ball, travel, x_max, gravity")
+    plant.add_argument("file", type=Path, metavar="FILE", help="TOML with the [plant] of the rig")
+    plant.add_argument("--confirmed", action="store_true", help="its unusual values are right")
     what.add_parser("stop", parents=[options], help="coil off at once")
     what.add_parser("ping", parents=[options], help="sign of life")
 
@@ -114,7 +118,7 @@ def build(args: argparse.Namespace) -> pb.Command:
     """The bus command that the arguments describe.
 
     Raises:
-        UsageError: an excitation without its end, or with a level that would count for nothing.
+        UsageError: an excitation without its end, or with a level that would count for nothing; a plant that is none.
     """
     match args.what:
         case "mode":
@@ -146,6 +150,10 @@ def build(args: argparse.Namespace) -> pb.Command:
             return commands.mark(args.text)
         case "acknowledge":
             return commands.acknowledge(args.alarm, comment=args.comment)
+        case "plant":
+            from protocol.campaign import load_plant
+
+            return commands.set_plant(load_plant(args.file), confirmed=args.confirmed)
         case "stop":
             return commands.stop()
         case _:

@@ -24,6 +24,7 @@ from gateway.views.listen import address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.ending import on_signals, wait_for_end
 from protocol.errors import ServiceError, UsageError, require
+from protocol.files import replace_text, writing
 
 PAGE = "127.0.0.1:8051"
 READY_S = 90.0  # includes the first compilation of the kernels on a slow machine
@@ -34,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments: which board, which model, where."""
     parser.epilog = (
         "examples:\n  board51 start --emulated\n  board51 start --emulated --effect coulomb-friction=2e-3\n"
-        "  board51 start --board /dev/ttyUSB0"
+        "  board51 start --board /dev/ttyUSB0 --plant my-rig.toml\n  board51 start --emulated --rig heavy-ball.toml"
     )
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--emulated", action="store_true", help="an emulated board, rig1")
@@ -48,6 +49,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="hidden effect of the emulated plant; repeatable",
+    )
+    parser.add_argument(
+        "--rig",
+        type=Path,
+        metavar="FILE",
+        help="file of another emulated rig, as of `board51 emulate`; states its plant",
+    )
+    parser.add_argument(
+        "--plant",
+        action="append",
+        default=[],
+        metavar="[NAME=]FILE",
+        help="state the plant card of a board: TOML with the [plant] of its rig, as for `campaign run`; repeatable",
     )
     parser.add_argument("--model", default="ce152", metavar="FILE", help="model of the twin (default ce152)")
     parser.add_argument(
@@ -68,8 +82,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 when it was ended by a signal."""
     require("all", "numba", "mcap", "scipy", "starlette", "uvicorn")
-    if args.effect and not args.emulated:
-        raise UsageError("--effect changes the emulated plant", remedy="Give it with --emulated")
+    if (args.effect or args.rig) and not args.emulated:
+        option = "--effect changes" if args.effect else "--rig describes"
+        raise UsageError(f"{option} the emulated plant", remedy="Give it with --emulated")
     page = address(args.page, where="--page:")
     check_endpoint(args.listen, where="--listen")
     for host, what in ((page[0], f"--page {args.page}"), (endpoint_host(args.listen)[1], f"--listen {args.listen}")):
@@ -110,13 +125,27 @@ def _services(args: argparse.Namespace) -> list[Service]:
     if args.emulated:
         line = emulated_line(Path(tempfile.gettempdir()))
         boards = [f"rig1={line.url}"]
-        commands.append(("emulate", [*line.options, *_repeated("--effect", args.effect)]))
+        rig = ["--rig", str(args.rig)] if args.rig is not None else []
+        commands.append(("emulate", [*line.options, *rig, *_repeated("--effect", args.effect)]))
     else:
         boards = _named(args.board)
     options = ["--listen", args.listen, "--log-dir", str(args.log_dir), "--hmi", args.page]
+    options += [*_limits_of(args), *_repeated("--plant", args.plant or [str(args.rig)] * (args.rig is not None))]
     commands.append(("gateway", [*_repeated("--board", boards), *options]))
     commands.append(("twin", ["--connect", args.listen, "--model", args.model]))
     return [Service(name=n, arguments=tuple(words), output=args.log_dir / f"{n}.out") for n, words in commands]
+
+
+def _limits_of(args: argparse.Namespace) -> list[str]:
+    """Return the options that give the gateway the limits of another emulated rig: its own are those of a CE 152."""
+    if args.rig is None:
+        return []
+    from gateway.emulator.own_rig import limits_toml, load_rig
+
+    file = args.log_dir / "gateway.toml"
+    with writing(file):
+        replace_text(file, limits_toml(load_rig(args.rig)[1], "rig1"))
+    return ["--config", str(file)]
 
 
 def _named(boards: list[str]) -> list[str]:

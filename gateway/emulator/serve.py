@@ -26,6 +26,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TypedDict, Unpack
@@ -35,6 +36,7 @@ from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.firmware_model.flash import CE152_BOARD, T_S_US, BoardProfile
 from gateway.emulator.firmware_model.magnetoshield import magnetoshield
 from gateway.emulator.line import Board, BoardLine, LineCounts
+from gateway.emulator.own_rig import load_rig
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
 from gateway.emulator.ports import EmulatedPort, TcpPort
@@ -62,7 +64,7 @@ class BoardOptions(TypedDict, total=False):
     board_id: int  # of the first board; the others count up (1)
     # Makes a board: the model (default), the core in C (`native`), or a chip (`firmware.sim`).
     firmware: Callable[..., Board]
-    rig: str  # plant and board (`RIGS`; ce152)
+    rig: str  # plant and board: one of `RIGS`, or the file of an own one, `own_rig.py` (ce152)
 
 
 class Server:
@@ -321,6 +323,18 @@ def tcp_ports(host: str, port: int, boards: int) -> list[EmulatedPort]:
     return [TcpPort(host, port + n if port else 0) for n in range(boards)]
 
 
+def rig_of(name: str) -> tuple[Callable[..., EmulatedPlant], BoardProfile]:
+    """Return the maker of the plant and the board of a rig of `RIGS`, or of the file of an own one.
+
+    Raises:
+        ConfigError, DataError: of `load_rig`.
+    """
+    if name in RIGS:
+        return RIGS[name]
+    rig, profile = load_rig(Path(name))
+    return partial(EmulatedPlant, rig), profile
+
+
 def build_lines(ports: Iterable[EmulatedPort], **options: Unpack[BoardOptions]) -> list[BoardLine]:
     """Create a board with its own plant for each port; either all ports are opened or none.
 
@@ -332,7 +346,7 @@ def build_lines(ports: Iterable[EmulatedPort], **options: Unpack[BoardOptions]) 
     """
     parsed = [parse(fault) if isinstance(fault, str) else fault for fault in options.get("faults", ())]
     seed, baud, first_id = options.get("seed", 0), options.get("baud", 115200), options.get("board_id", 1)
-    make, (plant_of, profile) = options.get("firmware", Firmware), RIGS[options.get("rig", "ce152")]
+    make, (plant_of, profile) = options.get("firmware", Firmware), rig_of(options.get("rig", "ce152"))
     lines: list[BoardLine] = []
     try:
         for n, port in enumerate(ports):

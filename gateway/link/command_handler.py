@@ -29,6 +29,7 @@ from gateway.board.limits import BoardView, Gate, bumpless, read_command
 from gateway.board.scaling import Refusal, WireCommand, to_wire
 from gateway.config import LimitsConfig
 from gateway.link.annotations import KINDS, Annotations
+from gateway.link.card_keeper import CardKeeper
 from gateway.link.event_text import mode_name
 from gateway.link.from_board import Known
 from gateway.link.sink import Reply, Sink
@@ -106,7 +107,7 @@ class CommandHandler:
         accepted: Callable[[WireCommand, pb.Command, Message], None],
     ) -> None:
         self.accepted_count = self.refused_count = self.timed_out_count = 0
-        self.annotations = Annotations(sink)
+        self.annotations, self.plant_card = Annotations(sink), CardKeeper(sink)
         self._gate = Gate(limits)
         self._session, self._known, self._sink, self._on_accepted = session, known, sink, accepted
         self._pending: dict[int, _Pending] = {}
@@ -184,9 +185,8 @@ class CommandHandler:
             return refusal
         if self._session.waiting >= MAX_WAITING:
             return Refusal("queue-full", f"{MAX_WAITING} commands wait for this board already.")
-        if command.WhichOneof("what") in KINDS:
-            self._note(request)
-            return None
+        if command.WhichOneof("what") in (*KINDS, "set_plant"):
+            return self._note(request)
         # No margin for clocks that are ahead: it would refuse every command in the time after a STOP, also where the
         # clocks agree.
         before_s = (self.stopped_ns - self._issued_ns(command, sender)) * 1e-9
@@ -264,13 +264,22 @@ class CommandHandler:
             self._mode_tick = float("inf")
         return None
 
-    def _note(self, request: _Request) -> None:
+    def _note(self, request: _Request) -> Refusal | None:
         """Execute a command of the gateway itself, which does not need the board."""
+        command, host_ns = request.command, request.received_ns
         tick = self._known.sample.tick if self._known.sample is not None else 0
         session = self._session.number if self._session.is_open else 0
-        answer = self.annotations.take(request.command, request.received_ns, tick=tick, session=session)
+        if command.WhichOneof("what") in KINDS:
+            answer = self.annotations.take(command, host_ns, tick=tick, session=session)
+        else:
+            highest_m = self._known.highest_reference_m
+            stated = self.plant_card.take(command, host_ns, tick=tick, session=session, highest_reference_m=highest_m)
+            if isinstance(stated, Refusal):
+                return stated
+            answer = stated
         self.accepted_count += 1
-        self._finish(request, answer, request.received_ns, keep=True)
+        self._finish(request, answer, host_ns, keep=True)
+        return None
 
     def _view(self) -> BoardView:
         sample, scaling, parameters = self._known.sample, self._known.scaling, self._known.parameters

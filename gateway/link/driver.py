@@ -274,6 +274,7 @@ class BoardDriver:
             parameters = parameters_message(message, identity, scaling, session=number, host_time_ns=host_ns)
             parameters.gateway_x_ref_min_m, parameters.gateway_x_ref_max_m = limits.x_ref_min_m, limits.x_ref_max_m
             self._sink.send("parameters", parameters, host_ns)
+            self.handler.plant_card.board_is(parameters.board_id, parameters.firmware, host_ns)
 
     def _accepted(self, wire: WireCommand, command: pb.Command, message: Message) -> None:
         if wire.name == "CAPTURE" and self.known.scaling is not None:

@@ -33,6 +33,13 @@ class Known:
         self.identity = self.scaling = self.parameters = self.sample = None
 
     @property
+    def highest_reference_m(self) -> float | None:
+        """The highest reference that the board takes, m; None if it is not known."""
+        if self.scaling is None or self.parameters is None:
+            return None
+        return self.scaling.x_m(self.parameters.int("x_ref_max"))
+
+    @property
     def stream_period_s(self) -> float:
         """The time between two states, s; 0 if the stream is off or not known."""
         if self.identity is None or self.parameters is None:

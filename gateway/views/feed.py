@@ -52,8 +52,8 @@ GRACE_S = 2.0  # no alarm while a board is being discovered
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
 UNSEEN_S = 120.0  # a board without any message for so long may be removed
 TWIN_TIMEOUT_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
-_TOPICS = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
-           "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")  # fmt: skip
+_TOPICS = ("states", "status", "event", "alarms", "parameters", "plant", "command/record", "twin/state",
+           "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")  # fmt: skip
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
 _KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/")), "twin/*")

@@ -238,6 +238,30 @@ class Acknowledge(_message.Message):
     comment: str
     def __init__(self, alarm: _Optional[str] = ..., comment: _Optional[str] = ...) -> None: ...
 
+class Plant(_message.Message):
+    __slots__ = ("name", "mass_kg", "travel_m", "x_max_m", "gravity_m_s2", "ball_diameter_m")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    MASS_KG_FIELD_NUMBER: _ClassVar[int]
+    TRAVEL_M_FIELD_NUMBER: _ClassVar[int]
+    X_MAX_M_FIELD_NUMBER: _ClassVar[int]
+    GRAVITY_M_S2_FIELD_NUMBER: _ClassVar[int]
+    BALL_DIAMETER_M_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    mass_kg: float
+    travel_m: float
+    x_max_m: float
+    gravity_m_s2: float
+    ball_diameter_m: float
+    def __init__(self, name: _Optional[str] = ..., mass_kg: _Optional[float] = ..., travel_m: _Optional[float] = ..., x_max_m: _Optional[float] = ..., gravity_m_s2: _Optional[float] = ..., ball_diameter_m: _Optional[float] = ...) -> None: ...
+
+class SetPlant(_message.Message):
+    __slots__ = ("plant", "confirmed")
+    PLANT_FIELD_NUMBER: _ClassVar[int]
+    CONFIRMED_FIELD_NUMBER: _ClassVar[int]
+    plant: Plant
+    confirmed: bool
+    def __init__(self, plant: _Optional[_Union[Plant, _Mapping]] = ..., confirmed: _Optional[bool] = ...) -> None: ...
+
 class Mark(_message.Message):
     __slots__ = ("text",)
     TEXT_FIELD_NUMBER: _ClassVar[int]
@@ -245,7 +269,7 @@ class Mark(_message.Message):
     def __init__(self, text: _Optional[str] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("id", "who", "issued_ns", "role", "valid_s", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping", "mark", "acknowledge")
+    __slots__ = ("id", "who", "issued_ns", "role", "valid_s", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping", "mark", "acknowledge", "set_plant")
     ID_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
     ISSUED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -262,6 +286,7 @@ class Command(_message.Message):
     PING_FIELD_NUMBER: _ClassVar[int]
     MARK_FIELD_NUMBER: _ClassVar[int]
     ACKNOWLEDGE_FIELD_NUMBER: _ClassVar[int]
+    SET_PLANT_FIELD_NUMBER: _ClassVar[int]
     id: str
     who: str
     issued_ns: int
@@ -278,7 +303,8 @@ class Command(_message.Message):
     ping: Ping
     mark: Mark
     acknowledge: Acknowledge
-    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., valid_s: _Optional[float] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ..., mark: _Optional[_Union[Mark, _Mapping]] = ..., acknowledge: _Optional[_Union[Acknowledge, _Mapping]] = ...) -> None: ...
+    set_plant: SetPlant
+    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., valid_s: _Optional[float] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ..., mark: _Optional[_Union[Mark, _Mapping]] = ..., acknowledge: _Optional[_Union[Acknowledge, _Mapping]] = ..., set_plant: _Optional[_Union[SetPlant, _Mapping]] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("id", "accepted", "refused_by", "reason", "text", "tick", "attempts", "repeat_until_ns")
@@ -425,6 +451,20 @@ class Status(_message.Message):
     unanswered_s: float
     last_stop_ns: int
     def __init__(self, host_time_ns: _Optional[int] = ..., link: _Optional[str] = ..., port: _Optional[str] = ..., uptime_s: _Optional[float] = ..., session: _Optional[int] = ..., samples_per_s: _Optional[float] = ..., samples: _Optional[int] = ..., samples_lost: _Optional[int] = ..., bad_frames: _Optional[_Mapping[str, int]] = ..., bytes_received: _Optional[int] = ..., bytes_sent: _Optional[int] = ..., reconnects: _Optional[int] = ..., board_resets: _Optional[int] = ..., commands_accepted: _Optional[int] = ..., commands_refused: _Optional[int] = ..., commands_timed_out: _Optional[int] = ..., latency_p50_ms: _Optional[float] = ..., latency_p99_ms: _Optional[float] = ..., publish_queue_depth: _Optional[int] = ..., publish_dropped: _Optional[int] = ..., log_queue_depth: _Optional[int] = ..., log_dropped: _Optional[int] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., log_state: _Optional[str] = ..., line_load: _Optional[float] = ..., board_bad_frames: _Optional[int] = ..., board_overruns: _Optional[int] = ..., states: _Optional[int] = ..., states_ignored: _Optional[_Mapping[str, int]] = ..., to_board: _Optional[str] = ..., unanswered_s: _Optional[float] = ..., last_stop_ns: _Optional[int] = ...) -> None: ...
+
+class PlantCard(_message.Message):
+    __slots__ = ("host_time_ns", "plant", "who", "stated_ns", "board")
+    HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    PLANT_FIELD_NUMBER: _ClassVar[int]
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    STATED_NS_FIELD_NUMBER: _ClassVar[int]
+    BOARD_FIELD_NUMBER: _ClassVar[int]
+    host_time_ns: int
+    plant: Plant
+    who: str
+    stated_ns: int
+    board: str
+    def __init__(self, host_time_ns: _Optional[int] = ..., plant: _Optional[_Union[Plant, _Mapping]] = ..., who: _Optional[str] = ..., stated_ns: _Optional[int] = ..., board: _Optional[str] = ...) -> None: ...
 
 class TwinState(_message.Message):
     __slots__ = ("sequence", "tick", "session", "t_s", "i_c_a", "x_m", "v_m_s", "u_c_v", "x_ref_m", "sync", "bridged_ticks")

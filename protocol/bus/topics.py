@@ -46,6 +46,8 @@ TOPICS: tuple[Topic, ...] = (
           description="conditions that the gateway detects, and acknowledgements of alarms"),
     Topic(name="parameters", message=pb.Parameters, rate="on change, and every 5 s",
           description="identity, gains, operating point, limits, scalings"),
+    Topic(name="plant", message=pb.PlantCard, rate="on change, and every 5 s",
+          description="the rig's ball, travel, x_max and gravity, and who stated them"),
     Topic(name="capture", message=pb.CaptureRecord, rate="on request", description="25 kHz burst of i_c around a step"),
     Topic(name="command", message=pb.Command, source="client", rate="query", logged=False,
           description="queryable: one Command in, one CommandReply out"),

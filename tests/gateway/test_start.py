@@ -48,6 +48,39 @@ def test_one_command_flies_shows_and_ends_everything(tmp_path: Path) -> None:
     assert list((tmp_path / "logs").glob("*.mcap"))
 
 
+RIG = """
+[plant]
+name = "heavy"
+mass_kg = 20e-3
+travel_m = 12e-3
+x_max_m = 16e-3
+[emulated]
+force_constant_n_m2_a2 = 5e-5
+"""
+
+
+def test_another_emulated_rig_has_its_plant_card_and_its_limits(tmp_path: Path) -> None:
+    page, bus = free_port(), free_port()
+    (tmp_path / "rig.toml").write_text(RIG)
+    words = ["--emulated", "--rig", str(tmp_path / "rig.toml"), "--page", f"127.0.0.1:{page}", "--no-browser"]
+    process = subprocess.Popen(
+        [*START, *words, "--listen", f"tcp/127.0.0.1:{bus}", "--log-dir", str(tmp_path / "logs")],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ | {"TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    try:
+        with client(f"tcp/127.0.0.1:{bus}") as heard:
+            card = wait_for(lambda: [c for c in heard.messages["rig1/plant"] if c.board], "card with its board")[-1]
+            board = wait_for(lambda: heard.messages["rig1/parameters"], "parameters")[-1]
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=HANG_S)
+
+    assert (card.plant.mass_kg, card.plant.x_max_m, card.board) == (20e-3, 16e-3, "1 emul-own")
+    assert card.who
+    assert board.gateway_x_ref_max_m == pytest.approx(5.2e-3 * 12 / 5.7, rel=1e-3)
+    assert board.x_ref_max_m == pytest.approx(board.gateway_x_ref_max_m, rel=1e-3)
+
+
 def test_a_start_that_is_killed_leaves_nothing_in_the_temporary_folder(tmp_path: Path) -> None:
     words = ["--emulated", "--page", f"127.0.0.1:{free_port()}", "--listen", f"tcp/127.0.0.1:{free_port()}"]
     process = subprocess.Popen(

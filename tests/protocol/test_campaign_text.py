@@ -29,9 +29,11 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 words = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)
 lengths = st.floats(1e-4, 0.5)
 
-plants = st.builds(
-    Plant, name=words, mass_kg=st.floats(1e-4, 2.0), travel_m=lengths, x_max_m=lengths,
-    gravity_m_s2=st.floats(1.0, 20.0), assumed=st.booleans(),
+plants = lengths.flatmap(
+    lambda travel_m: st.builds(
+        Plant, name=words, mass_kg=st.floats(1e-4, 2.0), travel_m=st.just(travel_m), x_max_m=st.floats(travel_m, 0.5),
+        gravity_m_s2=st.floats(1.0, 20.0), assumed=st.booleans(), ball_diameter_m=st.none() | st.floats(1e-3, 0.1),
+    )
 )  # fmt: skip
 controllers = st.builds(
     Controller, kind=st.sampled_from(CONTROLLERS), gains=st.tuples(finite, finite, finite, finite),

@@ -39,9 +39,9 @@ def put(path: str, value: object) -> Callable[[dict[str, Any]], None]:
     [
         (put("plant", None), "x.json: plant is missing"),
         (put("plant.mass_kg", None), "plant.mass_kg is missing"),
-        (put("plant.mass_kg", 8.28e3), "plant.mass_kg = 8280.0 is not in 0.0001 .. 2"),
-        (put("plant.travel_m", 5.7), "plant.travel_m = 5.7 is not in"),
-        (put("plant.x_max_m", 5.6e-3), "x_max_m = 0.0056 is below travel_m"),
+        (put("plant.mass_kg", 8.28e3), "plant.mass_kg: 8280 kg is outside 0.1 g .. 2 kg"),
+        (put("plant.travel_m", 5.7), "plant.travel_m: 5.7 m is outside"),
+        (put("plant.x_max_m", 5.6e-3), "x_max_m: 5.6 mm lies within the travel of 5.7 mm"),
         (put("parameters.K_c", None), "parameters.K_c is missing"),
         (put("parameters.T_A.unit", "ms"), "parameters.T_A.unit = 'ms' is not 's'"),
         (put("parameters.T_A.value", math.nan), "parameters.T_A.value = nan is not a finite number"),

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
+from protocol.bus.plant_card import EMULATED, card_plant
 from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
 from protocol.campaign_text import emit
 from protocol.errors import DataError
@@ -56,13 +57,18 @@ def write(live: LiveData, pieces: Sequence[Piece], plant: Plant, out: Path, *, s
 
 
 def plant_of(live: LiveData) -> Plant:
-    """Return the plant of the live twin's model, or of the nominal CE 152 if no twin is heard.
+    """Return the plant of the rig's card, else of the live twin's model, or of the nominal CE 152 if no twin is heard.
 
-    The nominal model is what a twin runs on before anybody has stated a plant: its plant is assumed.
+    The nominal model is what a twin runs on before anybody has stated a plant: its plant is assumed.  The card of an
+    emulated board, which nobody wrote, counts where the plant of the model is assumed.
     """
+    stated = card_plant(live.card)
     nominal = Model.load("ce152")
     model = parse_model(live.model_json, where="the live twin's model") if live.model_json else nominal
-    return replace(model.plant, assumed=model.plant.assumed or model == nominal)
+    assumed = model.plant.assumed or model == nominal
+    if stated is not None and live.card is not None and (assumed or live.card.who != EMULATED):
+        return stated
+    return replace(model.plant, assumed=assumed)
 
 
 def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:

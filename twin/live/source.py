@@ -26,7 +26,7 @@ from twin.readers.log import entries
 
 STATUS_WAIT_S = 3.5  # it comes once a second
 PROGRESS_S = 10.0
-TOPICS = ("state", "parameters", "capture", "twin/model")
+TOPICS = ("state", "parameters", "plant", "capture", "twin/model")
 _PART = re.compile(r"(?P<run>.+)-(?P<number>\d{3,})\.mcap")
 Progress = Callable[[str], None]
 
@@ -38,6 +38,7 @@ class LiveData:
     states: deque[pb.State] = field(default_factory=deque)
     captures: list[pb.CaptureRecord] = field(default_factory=list)
     parameters: list[pb.Parameters] = field(default_factory=list)
+    card: pb.PlantCard | None = None  # the newest
     model_json: str = ""  # that the live twin runs on
     where: str = ""
 
@@ -51,6 +52,8 @@ class LiveData:
             case pb.Parameters() as parameters:
                 if not self.parameters or in_force(parameters) != in_force(self.parameters[-1]):
                     self.parameters.append(parameters)
+            case pb.PlantCard() as card:
+                self.card = card
             case pb.TwinModel() as model:
                 self.model_json = model.model_json
 

@@ -15,8 +15,8 @@ from twin.model.causes.cause import Cause
 from twin.model.parameters import Parameter
 
 REMEDY = (
-    "State mass and travel in [plant] of campaign.toml and remove `assumed = true`, or give `--plant FILE` to"
-    " `campaign run` and `diagnose --live`"
+    "State mass and travel in [plant] of campaign.toml and remove `assumed = true`; for the next recordings, state them"
+    " on the model page of the rig, or with `--plant FILE`"
 )
 RESTING = ("K_c", "b")  # parameters of (1) and (6) that rest on mass and travel
 _FREE_OF_IT = ("amplifier", "timing")

@@ -26,6 +26,7 @@ from protocol.campaign import Plant
 from protocol.checked import KEYS, Number, RuleError, bounds, checked, key, keys_of, needs
 from protocol.errors import DataError
 from protocol.files import parse_json, read_small, writing
+from protocol.plant import refuse_impossible
 
 SHIPPED = ("ce152", "inteco", "magnetoshield")  # models that come with the product, by name
 Verdict = Literal["identified", "weak", "not-identifiable", "assumed"]  # assumed: from a source, not from a recording
@@ -153,22 +154,13 @@ def _each_once(causes: tuple[ModelCause, ...]) -> tuple[ModelCause, ...]:
     return causes
 
 
-def _reach(plant: Plant) -> Plant:
-    if plant.x_max_m < plant.travel_m:
-        raise RuleError(
-            f".x_max_m = {plant.x_max_m:g} is below travel_m = {plant.travel_m:g}",
-            remedy="The force (3) is infinite at x_max: it must not lie within the travel",
-        )
-    return plant
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
     """A model: plant, parameters of (1) and (6), causes that extend them, noise, provenance."""
 
     __pydantic_config__ = KEYS
 
-    plant: Annotated[Plant, AfterValidator(_reach)]
+    plant: Annotated[Plant, BeforeValidator(refuse_impossible)]
     parameters: Annotated[_Parameters, AfterValidator(partial(_all_fit, known=PARAMETERS))]
     # In order of decreasing importance.
     causes: Annotated[tuple[Annotated[ModelCause, AfterValidator(_in_catalogue)], ...], AfterValidator(_each_once)] = ()
@@ -263,7 +255,10 @@ def parse_model(text: str, *, where: str) -> Model:
 
 def model_text(model: Model) -> str:
     """The JSON text of a model file; `parse_model` is the inverse.  Raises ValueError for NaN."""
-    return json.dumps(asdict(model), indent=2, allow_nan=False)
+    content = asdict(model)
+    if model.plant.ball_diameter_m is None:
+        del content["plant"]["ball_diameter_m"]  # so that the model of before has the text of before
+    return json.dumps(content, indent=2, allow_nan=False)
 
 
 def model_from_dict(data: object, *, where: str) -> Model:

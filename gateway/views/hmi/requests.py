@@ -8,6 +8,7 @@ POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act
 POST /api/*/delete                  {"log": "logs/NAME.mcap"}
 GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
+GET  /api/<board>/plant?mass_g=8.28&...  what is wrong about the data of a plant, see model/plant.py; changes nothing
 GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see model/exports.py
 GET  /log/<name>, /report-file/<name>    a file that the lists name
 POST /login (form), POST /logout
@@ -40,6 +41,7 @@ from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal, session_of
 from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.exports import FORMATS, exported
+from gateway.views.hmi.model.plant import judged
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.starts import starts
@@ -96,6 +98,7 @@ class Requests:
             "/report-file/{name:path}": self.report,
             "/api/summary/{name:path}": self.summary,
             "/api/{board}/export/{name:path}": self.export,
+            "/api/{board}/plant": self.plant,
         }
         return [Route(path, endpoint, methods=["POST"]) for path, endpoint in changes.items()] + [
             Route(path, endpoint, methods=["GET"]) for path, endpoint in reads.items()
@@ -213,6 +216,11 @@ class Requests:
         if text is None:
             return refusal(503, "busy", text_of("library.busy"))
         return JSONResponse({"accepted": True, "text": text})
+
+    async def plant(self, request: Request) -> Response:
+        """Return what is wrong or unusual about the data of a plant."""
+        parameters = self._work.parameters(request.path_params["board"])
+        return JSONResponse(judged(request.query_params, parameters))
 
     async def export(self, request: Request) -> Response:
         """Return a model as a file for another tool."""

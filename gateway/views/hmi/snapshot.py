@@ -17,9 +17,12 @@ from gateway.views.alarms import TWIN, Alarm
 from gateway.views.feed import TWIN_TIMEOUT_S, BoardFeed
 from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.model.numbers import SPOKEN, in_numbers
+from gateway.views.hmi.model.plant import stated_ms
 from gateway.views.hmi.texts import text_of, texts_of
 from gateway.views.hmi.traces import number
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.plant_card import plant_of
+from protocol.plant import in_words
 from protocol.wire.decoder import CAUSES
 from protocol.wire.messages import Flag
 
@@ -94,6 +97,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
         "status": _status(board),
         "limits": _limits(board.latest(pb.Parameters)),
         "model": _model(board.latest(pb.TwinModel)),
+        "plant_ms": stated_ms(board.latest(pb.PlantCard)),
         "alarms": [
             {
                 **_fields(a, "name", "severity", "text", "active", "acknowledged", "times"),
@@ -254,6 +258,8 @@ def describe(command: pb.Command) -> str:
             law = "PID" if command.set_gains.law == pb.LAW_PID else "LQI"
             gains = ", ".join(f"{gain:.4g}" for gain in command.set_gains.gains)
             return text_of("command.set_gains", law=law, gains=gains)
+        case "set_plant":
+            return text_of("command.set_plant", plant=in_words(plant_of(command.set_plant.plant)))
         case "excite":
             e = command.excite
             if e.shape == pb.SHAPE_NONE:

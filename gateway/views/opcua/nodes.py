@@ -161,6 +161,8 @@ class BoardNodes:
         if leaf.topic == "state":
             status = quality.of_signal(status, leaf, message.flags, fault=self.feed.fault())
             value = None if _is_absent(message, leaf.field) else value
+        elif leaf.topic == "plant" and _is_absent(message, leaf.field):
+            status = quality.UNAVAILABLE if not quality.is_bad(status) else status
         stamp_ns = getattr(message, "host_time_ns", 0) if bin_ is None else self._stamps_ns[leaf.topic]
         return data_value(value, leaf.variant, status, stamp_ns)
 
@@ -252,5 +254,7 @@ def _number(leaf: Leaf, bin_: Bin) -> float:
 
 
 def _is_absent(message: Any, field: str) -> bool:
-    descriptor = message.DESCRIPTOR.fields_by_name[field]
-    return bool(descriptor.has_presence) and not message.HasField(field)
+    first, _, rest = field.partition(".")
+    if message.DESCRIPTOR.fields_by_name[first].has_presence and not message.HasField(first):
+        return True
+    return bool(rest) and _is_absent(getattr(message, first), rest)

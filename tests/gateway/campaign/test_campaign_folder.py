@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from gateway.campaign.folder import ASSUMED, CE152, Folder, Retained, controller_of, identity_of
+from gateway.board.emulated import CE152
+from gateway.campaign.folder import ASSUMED, Folder, Retained, controller_of, identity_of
 from gateway.campaign.subscriber import Recorded
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant, load
@@ -99,9 +100,3 @@ def test_a_plant_that_was_corrected_by_hand_is_kept(tmp_path: Path) -> None:
 
     plant = load(tmp_path).plant
     assert (plant.mass_kg, plant.assumed) == (9.1e-3, False)
-
-
-def test_an_emulated_ce_152_states_its_plant(tmp_path: Path) -> None:
-    recorded(tmp_path, ASSUMED, pb.Parameters(firmware="1.0 emulated"))
-
-    assert load(tmp_path).plant == CE152

@@ -32,6 +32,7 @@ from gateway.client.connection import BusBoard, open_bus
 from gateway.client.message_queue import MessageQueue
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
+from protocol.campaign import Plant
 from protocol.errors import ConfigError, ServiceError, UsageError
 from tests.harness.gateway.gateway_peers import gateway_and_client, gateway_config
 from tests.harness.ports import free_port
@@ -118,6 +119,10 @@ def test_every_command_of_the_interface_has_a_method_that_a_board_accepts(rig: R
     rig.set_stream(2)
     rig.set_stream(1)
     rig.set_host_loss("keep", timeout_s=1.0)
+    with pytest.raises(CommandRefusedError, match="not-confirmed"):
+        rig.set_plant(Plant(name="rig", mass_kg=8e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=10.0))
+    rig.set_plant(Plant(name="rig", mass_kg=8e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=9.81))
+    assert rig.plant_card().plant.mass_kg == 8e-3
     rig.mark("here")
     rig.acknowledge("divergence-x", comment="seen")
     rig.ping()

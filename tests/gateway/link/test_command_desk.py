@@ -397,6 +397,26 @@ def test_a_fault_in_a_handler_costs_one_command_and_it_is_answered_and_recorded(
     assert rig.command(id="a", set_reference=pb.SetReference(x_ref_m=1e-3)).accepted
 
 
+PLANT = pb.Plant(name="rig", mass_kg=20e-3, travel_m=12e-3, x_max_m=16e-3, gravity_m_s2=9.81)
+
+
+@pytest.mark.parametrize(("role", "accepted"), [(Role.VIEWER, False), (Role.OPERATOR, False), (Role.ENGINEER, True)])
+def test_only_an_engineer_states_the_plant_and_a_stop_does_not_give_it_up(role: Role, accepted: bool) -> None:
+    rig = Rig()
+    rig.now_s += 10.0
+    asked = pb.Command(id="1", issued_ns=rig.now_ns, set_plant=pb.SetPlant(plant=PLANT)).SerializeToString()
+    rig.ask(pb.Command(stop=pb.Stop()).SerializeToString(), role=role)
+
+    (reply,) = rig.ask(asked, role=role)
+
+    assert reply.accepted == accepted
+    assert reply.reason == ("" if accepted else "not-allowed")
+    assert rig.handler.plant_card.card.who == ("ben" if accepted else "")
+    assert [event.text for event in rig.sink.messages["event"]] == accepted * [
+        "ben: a ball of 20 g, travel 12 mm, x_max 16 mm, g 9.81 m/s2; before: not stated"
+    ]
+
+
 DOUBLES = st.floats() | st.sampled_from([0.0, 5e-324, -5e-324, 1e308, -1e308, 2.0**53, 1e-9])
 UINTS = st.integers(0, 2**32 - 1)
 ENUMS = st.integers(-(2**31), 2**31 - 1) | st.integers(-1, 8)
@@ -418,6 +438,13 @@ KINDS = {
     "ping": st.just(pb.Ping()),
     "mark": st.builds(pb.Mark, text=st.text(max_size=300)),
     "acknowledge": st.builds(pb.Acknowledge, alarm=st.text(max_size=100), comment=st.text(max_size=300)),
+    "set_plant": st.builds(
+        pb.SetPlant, confirmed=st.booleans(),
+        plant=st.none() | st.builds(
+            pb.Plant, name=st.text(max_size=70), mass_kg=DOUBLES, travel_m=DOUBLES, x_max_m=DOUBLES,
+            gravity_m_s2=DOUBLES, ball_diameter_m=st.none() | DOUBLES,
+        ),
+    ),
 }  # fmt: skip
 COMMANDS = st.one_of(
     [

@@ -93,7 +93,7 @@ def test_an_assumed_plant_stands_beside_k_c_and_b(page: Page, served: tuple[Play
     values = "K_A 0.297, K_c 1.46e-06 (plant assumed), b 0.02 (plant assumed)"
     expect(page.locator(".results").get_by_text(values)).to_be_visible()
     expect(page.locator(".work").get_by_text(values)).to_be_visible()
-    expect(page.get_by_text("Nobody stated the plant of this rig")).to_be_visible()
+    expect(page.get_by_text("nobody had stated the plant of this rig")).to_be_visible()
     expect(page.get_by_text("K_c and b of this result hold for a published CE 152 only")).to_be_visible()
 
 

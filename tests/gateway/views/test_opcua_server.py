@@ -67,6 +67,35 @@ def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> Non
         asyncio.run(ask())
 
 
+def test_a_plant_that_nobody_stated_has_no_values_and_one_that_was_stated_is_read_only(server: Served) -> None:
+    plant = pb.Plant(name="heavy", mass_kg=20e-3, travel_m=12e-3, x_max_m=16e-3, gravity_m_s2=9.81)
+
+    async def send(client: Peer, card: pb.PlantCard, status: int) -> None:
+        async def seen() -> bool | None:
+            server.gateway.send("plant", card, "card")
+            return True if (await client.read("card/plant/plant.mass_kg")).StatusCode.value == status else None
+
+        await until(seen, "the card")
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("card/state/x_m", S.Good)
+            await send(client, pb.PlantCard(), S.BadDataUnavailable)
+            await send(client, pb.PlantCard(plant=plant, who="ana", stated_ns=5), S.Good)
+            assert (await client.read("card/plant/plant.mass_kg")).Value.Value == 20e-3
+            assert (await client.read("card/plant/who")).Value.Value == "ana"
+            diameter = await client.read("card/plant/plant.ball_diameter_m")
+            assert diameter.StatusCode.value == S.BadDataUnavailable
+            with pytest.raises(ua.UaStatusCodeError):
+                await client.node("card/plant/plant.mass_kg").write_value(1.0)
+            names = [child.nodeid.Identifier for child in await client.node("card").get_children()]
+            assert "card/plant" in names
+            assert "card/SetPlant" not in names
+
+    with ticking(server.gateway, "card"):
+        asyncio.run(ask())
+
+
 async def known(client: Peer, path: str) -> Any:
     value = (await client.read(path)).Value
     return None if value is None else value.Value

@@ -20,6 +20,7 @@ from protocol.bus import board51_pb2 as pb
 A, O = ua.AttributeIds, ua.ObjectIds  # noqa: E741
 PROTO = (Path(__file__).parents[3] / "protocol/bus/board51.proto").read_text(encoding="utf-8")
 UNITS = {  # by the end of a field's name, longest first: x_ref_slew_m_s is a speed, not a time; codes of UNECE
+    "_m_s2": ("m/s\u00b2", "MSK"), "_kg": ("kg", "KGM"),
     "_per_s": ("1/s", "C97"), "_percent": ("%", "P1"), "_m_s": ("m/s", "MTS"), "_ms": ("ms", "C26"),
     "_ns": ("ns", "C47"), "_a": ("A", "AMP"), "_m": ("m", "MTR"), "_v": ("V", "VLT"), "_s": ("s", "SEC"),
 }  # fmt: skip

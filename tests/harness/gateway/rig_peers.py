@@ -16,8 +16,9 @@ from tests.harness.ports import free_port
 class Rig:
     """Emulated board, gateway and page as processes that can be taken away and come back."""
 
-    def __init__(self, folder: Path, emulator: Process, stack: ExitStack) -> None:
+    def __init__(self, folder: Path, emulator: Process, stack: ExitStack, *, config: Path | None = None) -> None:
         self.folder, self.emulator, self._stack = folder, emulator, stack
+        self._config = () if config is None else ("--config", str(config))
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
@@ -26,7 +27,7 @@ class Rig:
 
     def start_gateway(self) -> Process:
         words = ("--board", f"rig={self.folder / 'tty'}", "--listen", self.endpoint)
-        process = Process(self.folder, "gateway", *words, "--log-dir", str(self.folder / "logs"))
+        process = Process(self.folder, "gateway", *words, *self._config, "--log-dir", str(self.folder / "logs"))
         self._stack.enter_context(process)
         process.wait_for_words("streaming")
         return process
@@ -37,12 +38,18 @@ class Rig:
 
 
 @contextmanager
-def emulated_rig(folder: Path) -> Iterator[Rig]:
-    """All of it, ready."""
+def emulated_rig(folder: Path, *emulator: str, config: Path | None = None) -> Iterator[Rig]:
+    """All of it, ready.
+
+    Args:
+        folder: For everything that is written.
+        emulator: Options of the emulator.
+        config: Of the gateway; its board is named `rig`.
+    """
     with ExitStack() as stack:
-        emulator = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty")))
-        emulator.wait_for_words("tty")
-        yield Rig(folder, emulator, stack)
+        process = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty"), *emulator))
+        process.wait_for_words("tty")
+        yield Rig(folder, process, stack, config=config)
 
 
 class Network:

@@ -7,10 +7,13 @@ Rule 2: no test may reject a correct recording, so each needs a clear factor and
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from protocol.campaign import Controller, Plant
 from protocol.errors import DataError
+from protocol.plant import objections
 from twin.estimation.prepare import flights
 from twin.estimation.record import Record
 from twin.evidence.checks.control_law import law_gap, numbers_of
@@ -28,12 +31,9 @@ def inspect(records: list[Record], plant: Plant, controller: Controller | None) 
     Raises:
         DataError: a channel has a wrong unit or sign, or is exchanged with another, or x_max is within the travel.
     """
-    if plant.x_max_m < plant.travel_m:
-        raise DataError(
-            f"x_max_m = {plant.x_max_m:g} m lies within the travel of {plant.travel_m:g} m, where the force (3) is "
-            "infinite",
-            remedy="Correct travel_m or x_max_m in [plant]",
-        )
+    impossible = next((one for one in objections(asdict(plant)) if one.is_error), None)
+    if impossible is not None:
+        raise DataError(f"[plant] {impossible.key}: {impossible.problem}", remedy=impossible.remedy)
     warnings: list[str] = []
     for record in records:
         warnings += _time(record)
@@ -144,7 +144,8 @@ def _position(record: Record, plant: Plant) -> None:
         )
     if low < -0.3 * travel or high > 1.3 * travel:
         raise DataError(
-            f"{record.name}: x runs from {low:.4g} to {high:.4g} m, the travel is 0 to {travel:g} m",
+            f"{record.name}: x runs from {low:.4g} to {high:.4g} m, the travel is 0 to {travel:g} m"
+            + ", assumed: nobody stated the plant of this rig" * plant.assumed,
             remedy="x is up from the ball's lowest position, in m: correct scale and offset of its column, or travel_m",
         )
 

@@ -14,6 +14,7 @@ from gateway.views.hmi.model.campaigns import BODE, CampaignFolder, choose, pars
 from gateway.views.hmi.model.designs import newest_design
 from gateway.views.hmi.model.exports import FORMATS
 from gateway.views.hmi.model.models import summary
+from gateway.views.hmi.model.plant import plant_card
 from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
 from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
@@ -36,6 +37,7 @@ def shown(work: ModelWork, reports: Library, board: str, name: str) -> dict[str,
     now = parse_table(running.model_json, where="the twin's model") if running is not None else {}
     return {
         "script": "model.js",
+        "plant": plant_card(work.card(board), board),
         "campaigns": campaigns,
         "chosen": chosen,
         "running": running,

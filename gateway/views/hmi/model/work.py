@@ -63,6 +63,11 @@ class ModelWork:
         feed = self._actions.feed.board(board)
         return None if feed is None else feed.latest(pb.Parameters)
 
+    def card(self, board: str) -> pb.PlantCard | None:
+        """Return the plant card of a rig as its gateway has sent it."""
+        feed = self._actions.feed.board(board)
+        return None if feed is None else feed.latest(pb.PlantCard)
+
     def refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
         """Return the refusal of an act, or None if it is allowed."""
         return self._actions.refused(session, act)

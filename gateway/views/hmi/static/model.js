@@ -1,5 +1,7 @@
 // The page of a model: what is written there is fetched again when a job has ended or the twin runs on another model.
 
+import "./plant.js";
+
 let running = null; // kinds of the jobs that ran when last heard
 
 document.addEventListener("board51-jobs", (event) => {
@@ -19,6 +21,7 @@ document.addEventListener("board51-rest", (event) => {
   const { law, gains: held } = event.detail.limits ?? {}, loaded = JSON.stringify([law, held]);
   if (gains !== null && loaded !== gains) renew();
   gains = loaded;
+  if (document.querySelector("[data-stated]").dataset.stated !== String(event.detail.plant_ms)) renew();
 });
 
 // A part that says the same stays, so that no button is replaced under a finger and no form loses what was typed.

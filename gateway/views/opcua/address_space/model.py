@@ -3,7 +3,7 @@
     <board>/state/x_m            the last value of each interval (1 / rate)
     <board>/state/x_m/min, /max  the lowest and highest tick within it: no spike is lost by the slower rate
     <board>/status/link, <board>/parameters/gains, <board>/twin/divergence/x_m.error, ...
-    <board>/SetReference(x_ref_m), SetMode, SetGains, Excite, Capture, Stop, ...   one for each kind of pb.Command
+    <board>/SetReference(x_ref_m), SetMode, SetGains, Excite, Capture, Stop, ...  one for each kind of command that fits
 
 The path is the node id (string, namespace of the site).  Names, units and descriptions are in the NodeSet2 file.
 """
@@ -22,7 +22,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
 TICK_TOPICS = ("state", "twin/state", "twin/divergence")  # decimated, with min and max, with history
-TOPICS = (*TICK_TOPICS, "status", "parameters", "twin/model")
+TOPICS = (*TICK_TOPICS, "status", "parameters", "plant", "twin/model")
 Statistic = Literal["last", "low", "high"]
 VARIANTS: dict[int, ua.VariantType] = {
     FieldDescriptor.TYPE_DOUBLE: ua.VariantType.Double,
@@ -77,7 +77,7 @@ def leaves() -> tuple[Leaf, ...]:
 
 @cache
 def methods() -> tuple[Method, ...]:
-    """Return the methods of all kinds of commands."""
+    """Return the methods of all kinds of commands but those whose messages have messages in them."""
     kinds: Any = pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields
     return tuple(
         Method(
@@ -89,6 +89,7 @@ def methods() -> tuple[Method, ...]:
             ),
         )
         for kind in kinds
+        if not any(field.message_type for field in kind.message_type.fields)  # set_plant: the plant is read only
     )
 
 
