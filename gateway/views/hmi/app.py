@@ -24,15 +24,17 @@ from starlette.types import ASGIApp
 
 from gateway.access.listeners import allow_restart
 from gateway.access.roles import Role
-from gateway.access.users import Users
+from gateway.access.users import User, Users
 from gateway.views.feed import Feed
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
+from gateway.views.hmi.acts import Acts
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
 from gateway.views.hmi.model.work import ModelWork
+from gateway.views.hmi.programs import Programs
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus.identity import login_name
@@ -104,7 +106,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     sessions = LoginSessions(
         idle_s=settings.idle_s,
         lifetime_s=settings.lifetime_s,
-        known=lambda name: users is None or users.find(name) is not None,
+        known=lambda session: users is None or _user_of(session, users) is not None,
     )
     actions = Actions(
         feed,
@@ -133,17 +135,22 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum))
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
-    requests = Requests(actions, work, users)
+    requests = Requests(actions, Acts(actions), work, users)
     static = Mount("/static", StaticFiles(directory=STATIC))
     guard = Guard(
         Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(actions, work).routes()]),
         sessions,
+        Programs(sessions, users),
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,
         https=settings.certificate is not None,
     )
     requests.guard = guard
     return guard
+
+
+def _user_of(session: LoginSession, users: Users) -> User | None:
+    return users.bearer(session.grant) if session.grant else users.find(session.name)
 
 
 def _local(sessions: LoginSessions) -> LoginSession:
