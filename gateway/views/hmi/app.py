@@ -28,6 +28,7 @@ from gateway.access.users import User, Users
 from gateway.views.feed import Feed
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
 from gateway.views.hmi.acts import Acts
+from gateway.views.hmi.api.routes import Api
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Jobs
@@ -121,7 +122,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        pumps = [asyncio.create_task(snapshots.pump()) for snapshots in (live, replay)]
+        pumps = [asyncio.create_task(pump) for pump in (live.pump(), replay.pump(), api.recent.follow())]
         yield
         for pump in pumps:
             pump.cancel()
@@ -135,10 +136,13 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum))
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
-    requests = Requests(actions, Acts(actions), work, users)
+    acts = Acts(actions)
+    requests, api = Requests(actions, acts, work, users), Api(actions, acts, work)
     static = Mount("/static", StaticFiles(directory=STATIC))
+    pages = Pages(actions, work, api.document)
+    routes = [static, *sockets, *api.routes(), *requests.routes(), *pages.routes(), api.no_path()]
     guard = Guard(
-        Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(actions, work).routes()]),
+        Starlette(lifespan=lifespan, routes=routes),
         sessions,
         Programs(sessions, users),
         newcomer=None if users is not None else lambda: _local(sessions),
