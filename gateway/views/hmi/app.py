@@ -26,9 +26,10 @@ from gateway.access.listeners import allow_restart
 from gateway.access.roles import Role
 from gateway.access.users import User, Users
 from gateway.views.feed import Feed
+from gateway.views.hmi import metrics
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
 from gateway.views.hmi.acts import Acts
-from gateway.views.hmi.api.routes import Api
+from gateway.views.hmi.api.routes import Api, release
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Jobs
@@ -140,7 +141,15 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     requests, api = Requests(actions, acts, work, users), Api(actions, acts, work)
     static = Mount("/static", StaticFiles(directory=STATIC))
     pages = Pages(actions, work, api.document)
-    routes = [static, *sockets, *api.routes(), *requests.routes(), *pages.routes(), api.no_path()]
+    routes = [
+        static,
+        metrics.route(feed, release()),
+        *sockets,
+        *api.routes(),
+        *requests.routes(),
+        *pages.routes(),
+        api.no_path(),
+    ]
     guard = Guard(
         Starlette(lifespan=lifespan, routes=routes),
         sessions,

@@ -81,7 +81,7 @@ def _rows(table: Schema, schemas: Schema, prefix: str) -> Iterator[Row]:
     """Yield the keys of an object, and after each that is an object, or a list of objects, those of it."""
     for name, part in table["properties"].items():
         options = [part, part.get("items", {}), *part.get("anyOf", [])]
-        inner = next((schemas[option["$ref"].rpartition("/")[2]] for option in options if "$ref" in option), {})
+        inner: Schema = next((schemas[option["$ref"].rpartition("/")[2]] for option in options if "$ref" in option), {})
         text = part.get("description") or inner.get("description", "")
         yield Row(name=prefix + name, kind=_kind(part), text=text, needed=name in table.get("required", []))
         if "properties" in inner:
