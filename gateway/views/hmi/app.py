@@ -29,7 +29,7 @@ from gateway.views.feed import Feed
 from gateway.views.hmi import metrics
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
 from gateway.views.hmi.acts import Acts
-from gateway.views.hmi.api.routes import Api, release
+from gateway.views.hmi.api.routes import Api, not_there, release
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Jobs
@@ -130,28 +130,15 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
             with contextlib.suppress(asyncio.CancelledError):
                 await pump
 
-    sockets: list[BaseRoute] = []
-    for prefix, snapshots, page_jobs in (("/live", live, jobs), (REPLAY, replay, None)):
-        readers = Live(snapshots, sessions, page_jobs)
-        sockets.append(WebSocketRoute(prefix, readers.overview))
-        sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
-        sockets.append(WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum))
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
     acts = Acts(actions)
     requests, api = Requests(actions, acts, work, users), Api(actions, acts, work)
     static = Mount("/static", StaticFiles(directory=STATIC))
     pages = Pages(actions, work, api.document)
-    routes = [
-        static,
-        metrics.route(feed, release()),
-        *sockets,
-        *api.routes(),
-        *requests.routes(),
-        *pages.routes(),
-        api.no_path(),
-    ]
+    sockets = [*_frames("/live", live, sessions, jobs), *_frames(REPLAY, replay, sessions, None)]
+    routes = [static, metrics.route(feed, release()), *sockets, *api.routes(), *requests.routes(), *pages.routes()]
     guard = Guard(
-        Starlette(lifespan=lifespan, routes=routes),
+        Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there}),
         sessions,
         Programs(sessions, users),
         newcomer=None if users is not None else lambda: _local(sessions),
@@ -160,6 +147,15 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     )
     requests.guard = guard
     return guard
+
+
+def _frames(prefix: str, snapshots: Snapshots, sessions: LoginSessions, jobs: Jobs | None) -> list[BaseRoute]:
+    readers = Live(snapshots, sessions, jobs)
+    return [
+        WebSocketRoute(prefix, readers.overview),
+        WebSocketRoute(f"{prefix}/{{board}}", readers.board),
+        WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum),
+    ]
 
 
 def _user_of(session: LoginSession, users: Users) -> User | None:

@@ -8,7 +8,7 @@ Rule 3: what changes something bears the session's token in TOKEN_HEADER, a WebS
 Rule 4: on loopback the Host must be a name of loopback, against foreign pages whose name resolves to 127.0.0.1.
 Rule 5: a WebSocket ends with its session, also in the middle.
 Rule 6: bodies are bounded.
-Rule 7: a program has a session at the paths of API by its token, or, where no login is needed, without one
+Rule 7: a program has a session at the paths of `is_api` by its token, or, where no login is needed, without one
         (programs.py).  What a browser sends from a page of another server is refused there as well, by its Origin and
         Sec-Fetch-Site.  With a browser's cookie the rules above hold: no foreign page opens the API by it.
 Rule 8: over TLS the browser is asked to use TLS for a year (HSTS).  It keeps that for the host's name, whatever the
@@ -28,7 +28,7 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.views.hmi.problems import problem
-from gateway.views.hmi.programs import API, Programs
+from gateway.views.hmi.programs import Programs, is_api
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.texts import text_of
 
@@ -86,7 +86,7 @@ class Guard:
         scope["board51_arrived_s"] = time.monotonic()  # before the body, which a network may hold up
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         session = self._sessions.get(_cookie(headers), time.monotonic())
-        if scope["path"].startswith(API) and (session is None or "authorization" in headers):
+        if is_api(scope["path"]) and (session is None or "authorization" in headers):
             session = None if self._is_foreign(headers) else self._programs.session(headers, time.monotonic())
         if scope["type"] == "websocket":
             await self._websocket(scope, receive, send, headers, session)
@@ -98,7 +98,7 @@ class Guard:
     ) -> None:
         path, reads = scope["path"], scope["method"] in ("GET", "HEAD")
         public = path.startswith(PUBLIC)
-        of_api, of_program = path.startswith(API), session is not None and session.grant is not None
+        of_api, of_program = is_api(path), session is not None and session.grant is not None
         refused = _refusal_of_program if of_api else refusal
         answer: Response | None = None
         opened = None

@@ -22,6 +22,7 @@ from starlette.routing import Route
 
 from gateway.views.feed import BoardFeed, Feed
 from gateway.views.hmi import snapshot
+from gateway.views.hmi.programs import METRICS
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import CAUSES
 
@@ -127,7 +128,7 @@ def route(feed: Feed, release: str) -> Route:
         text = await asyncio.to_thread(encode, registry)
         return Response(text, headers={"content-type": media_type})
 
-    return Route("/metrics", metrics, methods=["GET"])
+    return Route(METRICS, metrics, methods=["GET"])
 
 
 def _state(board: BoardFeed, name: str) -> Value:

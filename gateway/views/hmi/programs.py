@@ -1,6 +1,6 @@
 """The sessions of programs: by a bearer token, or, where the page needs no login, of this machine's user.
 
-Rule: a token opens the paths of API and nothing else; the cookie of a browser is no token (guard.py).
+Rule: a token opens the paths of `is_api` and nothing else; the cookie of a browser is no token (guard.py).
 """
 
 from __future__ import annotations
@@ -14,7 +14,15 @@ from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus.identity import login_name
 
 VERSION = "/api/v1"
-API = (f"{VERSION}/rigs", f"{VERSION}/logs", f"{VERSION}/openapi.json", "/metrics")
+METRICS = "/metrics"
+# Of the page: its description of the API, and the requests of a page whose rig is called v1; see requests.py.
+_OF_PAGE = frozenset(("", "stop", "command", "acknowledge", "gains", "job", "delete", "remove", "export"))
+
+
+def is_api(path: str) -> bool:
+    """Return whether a path is for programs."""
+    below = path.removeprefix(f"{VERSION}/")
+    return path == METRICS or (below != path and below.partition("/")[0] not in _OF_PAGE)
 
 
 class Programs:

@@ -16,6 +16,7 @@ from gateway.client import commands
 from gateway.views.hmi.api.shapes import Mode
 from protocol.bus import board51_pb2 as pb
 from protocol.checked import Flag, Keys, Number, Whole, key
+from protocol.errors import DataError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,6 +139,8 @@ def _gains(body: SetGains) -> pb.Command:
 
 
 def _excite(body: Excite) -> pb.Command:
+    if body.shape != "none" and body.duration_s is None and not body.endless:
+        raise DataError(f"The {body.shape} has no duration_s", remedy="Give duration_s, or endless = true")
     return commands.excite(
         body.shape,
         on_reference=body.on_reference,

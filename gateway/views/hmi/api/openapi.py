@@ -25,19 +25,17 @@ _PARTS = {
     "model": "name of the model; may contain /",
     "log": "name of the log; may contain /",
 }
-_SOFT = {
-    "name": SOFT, "in": "query", "required": False, "schema": {"type": "boolean", "default": False},
-    "description": "answer with status 200 whatever became of it, for clients that hide the body of an error",
-}  # fmt: skip
+_SOFT = f"With the query {SOFT}=true every answer has status 200, for clients that hide the body of an error."
 _ALL = {400: "a value or key is not valid", 401: "no valid token", 403: "from a page of another server, or the role"}
 
 
-def document(endpoints: Sequence[Endpoint], *, release: str) -> dict[str, Any]:
+def document(endpoints: Sequence[Endpoint], *, release: str, has_users: bool) -> dict[str, Any]:
     """Return the description.
 
     Args:
         endpoints: all of them.
         release: version of the software.
+        has_users: whether a program needs a token.
     """
     schemas = _Schemas(endpoints)
     paths: dict[str, dict[str, Any]] = {}
@@ -48,17 +46,17 @@ def document(endpoints: Sequence[Endpoint], *, release: str) -> dict[str, Any]:
         "info": {
             "title": "Board51",
             "version": release,
-            "description": inspect.getdoc(shapes),
+            "description": f"{inspect.getdoc(shapes)}\n\n{_SOFT}",
         },
         "servers": [{"url": VERSION}],
-        "security": [{"token": []}],
+        "security": [{"token": []}] if has_users else [],
         "paths": paths,
         "components": {
             "securitySchemes": {
                 "token": {
                     "type": "http",
                     "scheme": "bearer",
-                    "description": "of `board51 security add-token`; not needed where the page needs no login",
+                    "description": "of `board51 security add-token`; not needed where the page has no login",
                 }
             },
             "schemas": schemas.definitions,
@@ -116,7 +114,7 @@ def _parameters(endpoint: Endpoint) -> list[dict[str, Any]]:
             parameters.append(
                 {"name": name, "in": "query", "required": False, "description": description, "schema": schema}
             )
-    return [*parameters, _SOFT]
+    return parameters
 
 
 def _responses(endpoint: Endpoint, schemas: _Schemas) -> dict[str, Any]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from gateway.views.hmi.actions import Actions
@@ -36,6 +35,7 @@ class Api:
     """
 
     def __init__(self, actions: Actions, acts: Acts, work: ModelWork) -> None:
+        self._has_users = actions.users is not None
         self.recent = Recent(actions.feed)
         self._streams = Streams(actions.feed, actions.sessions)
         self._endpoints = Endpoints(actions, acts, work, self.recent).table()
@@ -43,10 +43,10 @@ class Api:
     @cached_property
     def document(self) -> dict[str, Any]:
         """Return the description in OpenAPI."""
-        return document(self._endpoints, release=release())
+        return document(self._endpoints, release=release(), has_users=self._has_users)
 
     def routes(self) -> list[BaseRoute]:
-        """Return the routes, without the one for all other paths."""
+        """Return the routes."""
         paths: dict[str, list[Endpoint]] = {}
         for endpoint in self._endpoints:
             paths.setdefault(endpoint.path, []).append(endpoint)
@@ -60,17 +60,13 @@ class Api:
             *(Route(VERSION + _DEEP.sub(r"{\1:path}", path), Resource(endpoints)) for path, endpoints in paths.items()),
         ]
 
-    @staticmethod
-    def no_path() -> Route:
-        """Return the route of all other paths; below the page's own, as a rig may be called v1."""
-        return Route(f"{VERSION}/{{rest:path}}", _no_path, methods=_METHODS)
 
-
-_METHODS: Sequence[str] = ("GET", "POST", "PUT", "PATCH", "DELETE")
-
-
-async def _no_path(request: Request) -> Response:
-    return problem(404, "no-path", f"There is no {request.url.path[:200]}")
+async def not_there(request: Request, error: Exception) -> Response:
+    """Answer for a path that no route has: in the form of the API where it begins as that does."""
+    path = request.url.path
+    if path.startswith(f"{VERSION}/"):
+        return problem(404, "no-path", f"There is no {path[:200]}")
+    return PlainTextResponse("Not Found", 404)
 
 
 def release() -> str:
