@@ -34,6 +34,7 @@ from gateway.access.users import Users
 from gateway.views.dispatch import EVERY_RIG, Wish
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.acts import Acts, status_of
+from gateway.views.hmi.downloads import download
 from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal, session_of
 from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.exports import FORMATS, exported
@@ -189,7 +190,7 @@ class Requests:
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", text_of("refusal.no_log"))
-        return FileResponse(entry.path, media_type="application/octet-stream", filename=entry.path.name)
+        return download(entry)
 
     async def report(self, request: Request) -> Response:
         """Return one report of a diagnosis."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
@@ -32,6 +31,7 @@ from gateway.views.hmi.api.resource import (
     checked_body,
 )
 from gateway.views.hmi.api.stream import StreamQuery
+from gateway.views.hmi.downloads import download
 from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
@@ -256,7 +256,7 @@ class Endpoints:
         entry = await asyncio.to_thread(self._actions.logs.find, call.path("log"))
         if entry is None:
             raise ProblemError(404, "no-log", text_of("refusal.no_log"))
-        return FileResponse(entry.path, media_type=BINARY, filename=Path(entry.name).name)
+        return download(entry)
 
     def _board(self, call: Call) -> BoardFeed:
         name, feed = call.path("rig"), self._actions.feed
