@@ -18,6 +18,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.checked import Flag, Keys, Number, Whole, key
 from protocol.errors import DataError
 
+_LARGEST = 2**32 - 1  # of a whole number on the bus
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetMode(Keys):
@@ -65,7 +67,7 @@ class Excite(Keys):
     period_end_s: Annotated[Number, key("last period of a chirp, s")] = 0.0
     duration_s: Annotated[Number | None, key("length, s; needed for every shape except none, or endless")] = None
     endless: Annotated[Flag, key("without an end, if the gateway allows it")] = False
-    seed: Annotated[Whole, key("of prbs and multisine")] = 1
+    seed: Annotated[Whole, key("of prbs and multisine", 0, _LARGEST)] = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +86,7 @@ class SetStream(Keys):
     """Make the board send every n-th tick."""
 
     command: Literal["stream"]
-    divider: Annotated[Whole, key("n; 0: none")]
+    divider: Annotated[Whole, key("n; 0: none", 0, _LARGEST)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
