@@ -68,7 +68,12 @@ REMEDIES: Mapping[str, str] = {
 
 def remedy_of(code: str) -> str:
     """Return the next step after a refusal with this code."""
-    return REMEDIES.get(code, "Do what the message says")
+    return sentence(REMEDIES.get(code, "Do what the message says"))
+
+
+def sentence(text: str) -> str:
+    """Return a text with its full stop, so that clients can put message and remedy after each other."""
+    return text if not text or text.endswith((".", "!", "?")) else f"{text}."
 
 
 def problem(status: int, code: str, message: str, *, remedy: str = "", **more: object) -> Response:
@@ -76,5 +81,5 @@ def problem(status: int, code: str, message: str, *, remedy: str = "", **more: o
 
     ASCII: a name in a request may hold what no encoding has.
     """
-    body = {"code": code, "message": message, "remedy": remedy or remedy_of(code), **more}
+    body = {"code": code, "message": sentence(message), "remedy": sentence(remedy) or remedy_of(code), **more}
     return Response(json.dumps(body), status, media_type="application/json")

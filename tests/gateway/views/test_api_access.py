@@ -279,7 +279,7 @@ def test_a_refusal_of_the_board_has_code_text_remedy_and_status(server: Server) 
     assert answer.status_code == 409
     assert answer.json() == {
         "executed": False, "code": "slew", "message": "The board refused: too far.",
-        "remedy": "Move the reference in smaller steps", "refused_by": "board", "tick": 0,
+        "remedy": "Move the reference in smaller steps.", "refused_by": "board", "tick": 0,
     }  # fmt: skip
     assert (soft.status_code, soft.json()["code"]) == (200, "slew")
     assert program.http.post("/api/v1/rigs/rig/commands?soft_errors=true", json={}).json()["executed"] is False
@@ -294,7 +294,7 @@ def test_an_unknown_rig_is_answered_with_the_known_ones(server: Server) -> None:
         program.post("/rigs/nix/commands", MODE), program.post("/rigs/nix/campaigns", {}),
     ):  # fmt: skip
         assert (answer.status_code, answer.json()["code"]) == (404, "no-board")
-        assert "rig" in answer.json()["remedy"].split(": ")[1].split(", ")
+        assert "rig" in answer.json()["remedy"].split(": ")[1].rstrip(".").split(", ")
     assert program.post("/rigs/nix/stop").status_code == 404
     with program.stream(rig="nix") as stream, pytest.raises(ConnectionClosed) as closed:
         stream.recv(timeout=HANG_S)

@@ -5,9 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,6 +26,7 @@ from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.patience import HANG_S
 
 pytestmark = pytest.mark.xdist_group("hmi-api-rig")
+CLIENTS = Path(__file__).parents[3] / "docs" / "clients"
 T_S = 2e-3
 X_M = 3.2e-3
 
@@ -173,6 +179,44 @@ def test_metrics_are_those_of_the_flight(flight: Program) -> None:
     assert now["board51_samples_received_total", ""] > 100
     assert 0.0 <= now["board51_sample_age_seconds", ""] < HANG_S
     assert now["board51_alarms", "fault"] == 0.0
+
+
+def test_the_client_in_python_flies_the_ball(rig: Rig) -> None:
+    program = Program(rig.port)
+
+    done = subprocess.run(
+        [sys.executable, CLIENTS / "fly.py", f"{rig.url}/api/v1/rigs/rig"],
+        capture_output=True, text=True, timeout=HANG_S, check=True,
+    )  # fmt: skip
+
+    assert done.stdout.startswith("executed\n")
+    height = re.search(r"x = ([0-9.]+) mm", done.stdout)
+    assert height is not None
+    assert abs(float(height[1]) - 3.0) < 0.2
+    wait_for(lambda: program.json("/rigs/rig/state")["mode"] == "idle", "the coil off")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no octave is installed: apt-get install octave")
+def test_the_client_in_octave_flies_the_ball(rig: Rig) -> None:
+    program = Program(rig.port)
+    script = (
+        f"s = fly('{rig.url}', 'rig'); printf('%.4f %.4f %d %d', 1e3 * s.x_m(1), 1e3 * s.x_m(end), size(s.x_m));"
+        f" try, fly('{rig.url}', 'nix'); catch e, printf(' %s|%s', e.identifier, e.message); end"
+    )
+
+    done = subprocess.run(
+        ["octave-cli", "--no-gui", "--no-init-file", "--quiet", "--eval", script],
+        cwd=CLIENTS, capture_output=True, text=True, timeout=HANG_S, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    first, last, rows, width, *refused = done.stdout.split()
+    assert abs(float(last) - 3.5) < 0.2, "the step has arrived"
+    assert abs(float(first) - 3.0) < 0.7, "recorded from before it"
+    assert (int(rows) > 300, int(width)) == (True, 1)
+    assert " ".join(refused).startswith("board51:no_board|No rig is called 'nix'. Take one of the rigs: rig.")
+    wait_for(lambda: program.json("/rigs/rig/state")["mode"] == "idle", "the coil off")
 
 
 def test_a_stream_ends_with_its_client_and_the_next_is_served(flight: Program) -> None:

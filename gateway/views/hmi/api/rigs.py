@@ -12,7 +12,7 @@ from gateway.client.values import Sample
 from gateway.views.feed import BoardFeed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.api import shapes
-from gateway.views.hmi.problems import remedy_of
+from gateway.views.hmi.problems import remedy_of, sentence
 from protocol.bus import board51_pb2 as pb
 
 COLUMNS = tuple(field.name for field in fields(shapes.State))
@@ -101,7 +101,7 @@ def reply(answer: pb.CommandReply) -> shapes.Reply:
     return shapes.Reply(
         executed=answer.accepted,
         code=code,
-        message=answer.text,
+        message=sentence(answer.text),
         remedy=remedy_of(code) if code else "",
         refused_by=answer.refused_by,
         tick=answer.tick,
