@@ -397,6 +397,33 @@ def test_a_rig_that_is_called_like_the_api_is_stopped_by_its_page(server: Server
     assert program.post("/rigs/v1/stop").json()["executed"]
 
 
+def test_what_no_board_sends_breaks_no_answer(server: Server) -> None:
+    program, nan = server.program("ana"), float("nan")
+
+    def known() -> bool:
+        server.gateway.state("odd", mode=9, x_m=nan, i_c_a=float("inf"), u_c_v=-nan, t_s=nan, flags=2**32 - 1)
+        server.gateway.send("parameters", pb.Parameters(x_ref_min_m=nan, gains=[nan]), "odd")
+        server.gateway.send("twin/divergence", pb.Divergence(nis_mean=nan, sync="?\ud7ff"), "odd")
+        return bool(program.get("/rigs/odd/states", last_s=60).json().get("tick"))
+
+    wait_for(known, "the samples")
+
+    state, status = program.json("/rigs/odd/state"), program.json("/rigs/odd")
+    assert (state["x_m"], state["i_c_a"], state["mode"]) == (None, None, "9")
+    assert status["limits"]["gains"] == [None]
+    assert program.http.get("/metrics").status_code == 200
+    with program.stream("?rate_hz=500", rig="odd") as stream:
+
+        def sent() -> bool:
+            server.gateway.state("odd", mode=9, x_m=nan)
+            try:
+                return '"mode":"9"' in str(stream.recv(timeout=0.05))
+            except TimeoutError:
+                return False
+
+        wait_for(sent, "an odd sample")
+
+
 def test_the_cookie_that_reads_the_api_sees_its_page(server: Server) -> None:
     page = Page(server.port)
     page.log_in("vic")

@@ -14,7 +14,7 @@ import gateway
 from gateway.client import commands as client
 from gateway.client.commands import HostLoss, Law, Shape
 from gateway.commands import send
-from gateway.views.hmi.api import commands, endpoints, openapi, shapes
+from gateway.views.hmi.api import commands, endpoints, openapi, rigs, shapes
 from gateway.views.hmi.html.api_page import operations
 from gateway.views.hmi.problems import REMEDIES
 from protocol.checked import keys_of, plain_of
@@ -76,7 +76,7 @@ def test_words_of_a_body_are_those_of_the_bus(hint: Any, words: Any) -> None:
 
 
 def test_the_columns_are_the_fields_of_a_sample() -> None:
-    assert list(keys_of(shapes.States)) == list(keys_of(shapes.State))
+    assert list(keys_of(shapes.States)) == list(keys_of(shapes.State)) == rigs.HEADER.split(",")
 
 
 def test_every_reason_for_a_refusal_of_a_command_has_a_remedy() -> None:

@@ -66,14 +66,20 @@ def test_what_the_bus_says_is_what_is_scraped(bus: tuple[PlayedGateway, Feed]) -
         commands_accepted=4, commands_refused=2, commands_timed_out=1, reconnects=7, latency_p99_ms=0.5,
         line_load=0.25, bad_frames={"crc": 9, "nonsense": 1},
     )  # fmt: skip
-    gateway.state(i_c_a=0.7, x_m=3.1e-3)
-    gateway.send("status", status)
     error = pb.SignalDivergence(error=2e-6, normalised=0.5)
-    gateway.send("twin/divergence", pb.Divergence(sync="in-step", x_m=error, nis_mean=2.1, innovation_valid=True))
-    gateway.send("twin/alarm", pb.Alarm(name='say "x"\n', active=True, text="?", host_time_ns=time.time_ns()))
-    wait_for(lambda: value(scraped(feed), "board51_alarms", severity="warning"), "the alarm")
+    divergence = pb.Divergence(sync="in-step", x_m=error, nis_mean=2.1, innovation_valid=True)
+    alarm = pb.Alarm(name='say "x"\n', active=True, text="?", host_time_ns=time.time_ns())
 
-    families = scraped(feed)
+    def heard() -> dict[str, Metric] | None:
+        """The metrics once all of it has arrived, and before it is old."""
+        gateway.state(i_c_a=0.7, x_m=3.1e-3)
+        for topic, message in (("status", status), ("twin/divergence", divergence), ("twin/alarm", alarm)):
+            gateway.send(topic, message)
+        families = scraped(feed)
+        wanted = ("alarm_active", "position_meters", "divergence_position_meters", "samples_received_total")
+        return families if all(value(families, f"board51_{name}", rig="rig") for name in wanted) else None
+
+    families = wait_for(heard, "all of it")
 
     def of(name: str, **labels: str) -> float | None:
         return value(families, f"board51_{name}", rig="rig", **labels)

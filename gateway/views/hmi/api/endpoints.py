@@ -151,11 +151,11 @@ class Endpoints:
             raise ProblemError(503, "no-sample", f"No sample of {board.name} has come. {board.link().reason}".strip())
         return rigs.state(newest)
 
-    async def states(self, call: Call) -> shapes.States | Response:
+    async def states(self, call: Call) -> Response:
         """Return the samples of the last seconds, every one, as columns (JSON) or rows with a header (CSV)."""
         samples = self._recent.of(self._board(call)).last(call.query.last_s)
         if call.query.format == "json":
-            return await asyncio.to_thread(rigs.columns, samples)
+            return Response(await asyncio.to_thread(rigs.json_columns, samples), media_type=JSON)
         return PlainTextResponse(await asyncio.to_thread(rigs.csv_table, samples), media_type=CSV)
 
     async def stream(self, call: Call) -> Response:

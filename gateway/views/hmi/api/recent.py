@@ -1,6 +1,6 @@
 """The newest samples of every board, kept whether or not somebody looks: what happened just now can be read.
 
-Rule: memory is bounded, LONGEST_S at 500 Hz for each board: 10 MB.
+Rule: memory is bounded, LONGEST_S at 500 Hz for each board: 13 MB.
 """
 
 from __future__ import annotations

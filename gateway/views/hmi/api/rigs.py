@@ -3,55 +3,73 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from gateway.board.reference import reference_range
-from gateway.client.values import Sample
 from gateway.views.feed import BoardFeed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.api import shapes
 from gateway.views.hmi.problems import remedy_of, sentence
 from protocol.bus import board51_pb2 as pb
 
-COLUMNS = tuple(field.name for field in fields(shapes.State))
-HEADER = ",".join(COLUMNS)  # of CSV
+_STATES = TypeAdapter(shapes.States)
+_MODES = {mode: word.replace(" ", "-") for mode, word in snapshot.MODES.items()}
+
+
+def _measured(name: str) -> Callable[[pb.State], float | None]:
+    def value_of(message: pb.State) -> float | None:
+        value: float = getattr(message, name)
+        return value if message.HasField(name) and math.isfinite(value) else None
+
+    return value_of
+
+
+# A minute has 30 000 samples, so columns are made one after the other, without a row in between.
+_VALUES: dict[str, Callable[[pb.State], Any]] = {
+    "t_s": attrgetter("t_s"),
+    "tick": attrgetter("tick"),
+    "session": attrgetter("session"),
+    "host_time_s": lambda message: message.host_time_ns / 1e9,
+    **{name: _measured(name) for name in ("i_c_a", "x_m", "u_c_v", "x_ref_m")},
+    "mode": lambda message: _MODES.get(message.mode, str(message.mode)),
+    "flags": attrgetter("flags"),
+    "lost_before": attrgetter("lost_before"),
+}
+HEADER = ",".join(_VALUES)  # of CSV
 
 
 def state(message: pb.State, *, lost: int | None = None) -> shapes.State:
     """Return a sample; `lost` replaces the samples missing before it."""
-    sample = Sample.of(message)
-    return shapes.State(
-        t_s=sample.t_s,
-        tick=sample.tick,
-        session=sample.session,
-        host_time_s=message.host_time_ns / 1e9,
-        i_c_a=sample.i_c_a,
-        x_m=sample.x_m,
-        u_c_v=sample.u_c_v,
-        x_ref_m=sample.x_ref_m,
-        mode=sample.mode.value,
-        flags=sample.flags,
-        lost_before=sample.lost_before if lost is None else lost,
-    )
+    values = {name: value_of(message) for name, value_of in _VALUES.items()}
+    return shapes.State(**values if lost is None else values | {"lost_before": lost})
 
 
-def columns(messages: Sequence[pb.State]) -> shapes.States:
-    """Return samples as columns."""
-    rows = [state(message) for message in messages]
-    return shapes.States(**{name: [getattr(row, name) for row in rows] for name in COLUMNS})
+def json_columns(messages: Sequence[pb.State]) -> bytes:
+    """Return samples as columns, in JSON."""
+    return _STATES.dump_json(shapes.States(**_columns(messages)))
 
 
 def csv_table(messages: Sequence[pb.State]) -> str:
-    """Return samples as CSV with a header."""
-    return "".join(f"{line}\n" for line in (HEADER, *(csv_line(state(message)) for message in messages)))
+    """Return samples as CSV with a header; an absent number is an empty cell, as in `board51 export`."""
+    rows = map(_line, zip(*_columns(messages).values(), strict=True))
+    return "".join(f"{line}\n" for line in (HEADER, *rows))
 
 
 def csv_line(sample: shapes.State) -> str:
-    """Return a line of CSV without its end; an absent number is an empty cell, as in `board51 export`."""
-    cells = (getattr(sample, name) for name in COLUMNS)
-    return ",".join("" if isinstance(cell, float) and math.isnan(cell) else str(cell) for cell in cells)
+    """Return a line of CSV without its end."""
+    return _line(getattr(sample, name) for name in _VALUES)
+
+
+def _line(cells: Iterable[object]) -> str:
+    return ",".join("" if cell is None else str(cell) for cell in cells)
+
+
+def _columns(messages: Sequence[pb.State]) -> dict[str, list[Any]]:
+    return {name: [value_of(message) for message in messages] for name, value_of in _VALUES.items()}
 
 
 def entry(board: BoardFeed) -> shapes.RigEntry:
