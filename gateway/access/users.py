@@ -1,14 +1,19 @@
-"""The users of OPC UA and the web page: names, roles and hashed passwords in users.toml.
+"""The users of OPC UA and the web page: names, roles and hashed passwords in users.toml; and tokens of programs.
 
     [users.ana]
     role = "operator"
     password = "scrypt$16384$8$1$...$..."
 
+    [tokens.matlab]
+    user = "ana"
+    role = "viewer"
+    sha256 = "..."
+
 Rule 1: only the owner may read the file (mode 0600); a file open to others is refused.
 Rule 2: a wrong name takes as long as a wrong password and gets the same answer.
 Rule 3: a changed file is read at the next use; an invalid one is reported and has no effect.
 
-tries.py limits the rate of password attempts.
+tries.py limits the rate of password attempts; tokens.py says why tokens need no limit.
 """
 
 from __future__ import annotations
@@ -22,8 +27,9 @@ from pathlib import Path
 from gateway.access.passwords import NOBODY, hash_password, is_line, matches
 from gateway.access.private import read_private, write_private
 from gateway.access.roles import ROLE_WORDS, Role, parse_role
+from gateway.access.tokens import digest_of, is_digest, new_token
 from protocol.bus.topics import check_name
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, UsageError
 from protocol.files import parse_toml
 
 _logger = logging.getLogger("gateway.access")
@@ -51,10 +57,20 @@ class _Entry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _Token:
+    __pydantic_config__ = _KEYS
+
+    user: str
+    role: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _File:
     __pydantic_config__ = _KEYS
 
     users: dict[str, _Entry] = field(default_factory=dict)
+    tokens: dict[str, _Token] = field(default_factory=dict)
 
 
 class Users:
@@ -67,35 +83,44 @@ class Users:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._lock = threading.Lock()
-        self._entries = _read(path)
+        self._file = _read(path)
         self._stamp = self._file_stamp()
 
     def check(self, name: str, password: str) -> User | None:
         """Return the user, or None for a wrong name or password; slow on purpose."""
-        entry = self._current().get(name)
+        entry = self._current().users.get(name)
         right = matches(password, entry.password if entry is not None else NOBODY)  # outside the lock
         return _user(name, entry) if right and entry is not None else None
 
     def find(self, name: str) -> User | None:
         """Return the user of that name in the current file, or None; sessions notice a change of role by it."""
-        entry = self._current().get(name)
+        entry = self._current().users.get(name)
         return None if entry is None else _user(name, entry)
+
+    def bearer(self, digest: str) -> User | None:
+        """Return the user for whom the token of this digest acts, with the lower of both roles; None: no such token."""
+        content = self._current()
+        token = next((token for token in content.tokens.values() if token.sha256 == digest), None)
+        entry = content.users.get(token.user) if token is not None else None
+        if token is None or entry is None:
+            return None
+        return User(name=token.user, role=min(Role[entry.role.upper()], Role[token.role.upper()]))
 
     def names(self) -> Mapping[str, Role]:
         """Return the role of each user, by name."""
-        return {name: _user(name, entry).role for name, entry in self._current().items()}
+        return {name: _user(name, entry).role for name, entry in self._current().users.items()}
 
-    def _current(self) -> dict[str, _Entry]:
+    def _current(self) -> _File:
         with self._lock:
             stamp = self._file_stamp()
             if stamp != self._stamp:
                 self._stamp = stamp
                 try:
-                    self._entries = _read(self._path)
-                    _logger.info("%s has changed: %d users", self._path, len(self._entries))
+                    self._file = _read(self._path)
+                    _logger.info("%s has changed: %d users", self._path, len(self._file.users))
                 except ConfigError as error:
                     _logger.error("the users do not change: %s", error)
-            return self._entries
+            return self._file
 
     def _file_stamp(self) -> tuple[int, int, int] | None:
         try:
@@ -117,30 +142,74 @@ def set_user(path: Path, user: User, password: str) -> None:
         ConfigError: the file or the name is not valid.
     """
     check_name(user.name, what="user")
-    entries = _read(path) if path.exists() else {}
-    entries[user.name] = _Entry(role=user.role.word, password=hash_password(password))
-    _write(path, entries)
+    content = _read(path) if path.exists() else _File()
+    content.users[user.name] = _Entry(role=user.role.word, password=hash_password(password))
+    _write(path, content)
 
 
 def remove_user(path: Path, name: str) -> bool:
-    """Remove a user; returns whether there was one.  Raises ConfigError if the file is not valid."""
-    entries = _read(path)
-    if entries.pop(name, None) is None:
+    """Remove a user with all tokens; returns whether there was one.  Raises ConfigError if the file is not valid."""
+    content = _read(path)
+    if content.users.pop(name, None) is None:
         return False
-    _write(path, entries)
+    _write(path, _File(users=content.users, tokens={n: t for n, t in content.tokens.items() if t.user != name}))
     return True
 
 
-def _write(path: Path, entries: Mapping[str, _Entry]) -> None:
-    lines = ["# Logins of OPC UA and the web page; `board51 security add-user` writes this file.\n"]
+def set_token(path: Path, name: str, user: User) -> str:
+    """Add a token, or replace the one of that name; returns it, as nothing else can.
+
+    Args:
+        path: of the file.
+        name: of the token.
+        user: for whom it acts, with the role that it has at most.
+
+    Raises:
+        UsageError: there is no such user, or the user's role is lower.
+        ConfigError: the file or the name is not valid.
+    """
+    check_name(name, what="token")
+    content = _read(path)
+    entry = content.users.get(user.name)
+    if entry is None:
+        raise UsageError(f"{user.name} is not a user", remedy=f"There are {', '.join(content.users) or 'none'}")
+    if _user(user.name, entry).role < user.role:
+        raise UsageError(
+            f"{user.name} is {entry.role}, so a token cannot be {user.role.word}", remedy=f"Give --role {entry.role}"
+        )
+    token = new_token()
+    content.tokens[name] = _Token(user=user.name, role=user.role.word, sha256=digest_of(token))
+    _write(path, content)
+    return token
+
+
+def remove_token(path: Path, name: str) -> None:
+    """Remove a token.
+
+    Raises:
+        UsageError: there is none of that name.
+        ConfigError: the file is not valid.
+    """
+    content = _read(path)
+    if content.tokens.pop(name, None) is None:
+        raise UsageError(f"{name} is not a token", remedy=f"There are {', '.join(content.tokens) or 'none'}")
+    _write(path, content)
+
+
+def _write(path: Path, content: _File) -> None:
+    lines = ["# Logins of OPC UA and the web page; `board51 security add-user` and `add-token` write this file.\n"]
     lines += [
         f'[users.{name}]\nrole = "{entry.role}"\npassword = "{entry.password}"\n'
-        for name, entry in sorted(entries.items())
+        for name, entry in sorted(content.users.items())
+    ]
+    lines += [
+        f'[tokens.{name}]\nuser = "{token.user}"\nrole = "{token.role}"\nsha256 = "{token.sha256}"\n'
+        for name, token in sorted(content.tokens.items())
     ]
     write_private(path, "\n".join(lines).encode())
 
 
-def _read(path: Path) -> dict[str, _Entry]:
+def _read(path: Path) -> _File:
     from protocol.checked import checked
 
     data = read_private(path, what="The user file")
@@ -149,10 +218,18 @@ def _read(path: Path) -> dict[str, _Entry]:
     except UnicodeDecodeError:
         raise ConfigError(f"{path} is not UTF-8 text", remedy="Correct the file") from None
     table = parse_toml(text, where=str(path), remedy="Correct the file")
-    entries: dict[str, _Entry] = checked(_File, table, where=str(path), remedy=_REMEDY, quote=lambda value: "...").users
-    for name, entry in entries.items():
+    content: _File = checked(_File, table, where=str(path), remedy=_REMEDY, quote=lambda value: "...")
+    for name, entry in content.users.items():
         check_name(name, what=f"{path}: user")
         parse_role(entry.role, where=f"{path}: user {name}")
         if not is_line(entry.password):
             raise ConfigError(f"{path}: user {name} has no usable password", remedy=_REMEDY)
-    return entries
+    for name, token in content.tokens.items():
+        check_name(name, what=f"{path}: token")
+        check_name(token.user, what=f"{path}: token {name}: user")
+        parse_role(token.role, where=f"{path}: token {name}")
+        if not is_digest(token.sha256):
+            raise ConfigError(
+                f"{path}: token {name} has no SHA-256", remedy="Make a new one: board51 security add-token"
+            )
+    return content

@@ -4,6 +4,8 @@
 person gets a login for OPC UA and the web page, and an identity folder for `board51 send`, `watch`, ... (`--identity`).
 Roles: a viewer reads, an operator moves the ball within the limits, an engineer also changes gains and models.
 
+A program logs in at the web page's API with a token; users.toml keeps its digest alone.
+
 Changed users count at once for OPC UA and the web page.  On the bus they count when its router starts again, or the
 gateway, if that is the router.
 """
@@ -20,7 +22,7 @@ from pathlib import Path
 from gateway.access.folder import SecurityFolder
 from gateway.access.private import open_output, write_private
 from gateway.access.roles import ROLE_WORDS, Role, parse_role
-from gateway.access.users import User
+from gateway.access.users import User, remove_token, set_token
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
 from protocol.bus.identity import load_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
@@ -37,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 gateway --security keys --listen tcp/127.0.0.1:7447 --listen tls/0.0.0.0:7448 ...\n"
         "  board51 send rig1 reference 0.003 --connect tls/10.0.0.5:7448 --identity keys/identities/ben\n"
         "  board51 security add-user keys cyd:viewer\n"
+        "  board51 security add-token keys matlab --user ana --role operator\n"
         "  board51 security check keys\n"
         "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7448 --out ben.json5"
     )
@@ -55,6 +58,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         )
     remove = _step(steps, "remove-user", "remove the login and the identity of a person")
     remove.add_argument("name")
+    token = _step(steps, "add-token", "make a token by which a program logs in at /api/v1, and print it once")
+    token.add_argument("name", help="of the token, such as matlab")
+    token.add_argument("--user", required=True, metavar="NAME", help="for whom the program acts: the log has this name")
+    token.add_argument("--role", choices=ROLE_WORDS, help="at most that of the user (default: that)")
+    withdrawn = _step(steps, "remove-token", "remove a token")
+    withdrawn.add_argument("name")
     _step(steps, "renew", "make new certificates; names, roles and passwords stay")
     config = _step(steps, "zenoh-config", "write an identity as zenoh's own configuration, for clients in any language")
     config.add_argument("--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help="the router (%(default)s)")
@@ -90,6 +99,14 @@ def run(args: argparse.Namespace) -> int:
         case "remove-user":
             folder.remove_user(args.name)
             print(f"{args.name} is gone; on the bus this counts when its router starts again.")
+        case "add-token":
+            role = Role[args.role.upper()] if args.role else folder.people().get(args.user, Role.VIEWER)
+            token = set_token(folder.users, args.name, User(name=args.user, role=role))
+            _warn_of_open_output(f"the token {args.name}")
+            print(token)
+        case "remove-token":
+            remove_token(folder.users, args.name)
+            print(f"{args.name} is gone; it counts at once.")
         case "renew":
             folder.renew()
             print(f"{folder.path}: new certificates; copy the identity folders to their machines again")
@@ -120,13 +137,15 @@ def _user(text: str) -> User:
 def _add(folder: SecurityFolder, user: User, *, prompt: bool) -> None:
     password = getpass.getpass(f"Password of {user.name}: ") if prompt else secrets.token_urlsafe(12)
     identity = folder.add_user(user, password)
-    if not prompt and (mode := open_output()):
-        print(
-            f"others may read the password of {user.name} in the file to which it is printed (mode {mode})",
-            file=sys.stderr,
-        )
+    if not prompt:
+        _warn_of_open_output(f"the password of {user.name}")
     password_text = "" if prompt else f"  password {password}"
     print(f"{user.name:<12} {user.role.word:<9} {identity}{password_text}")
+
+
+def _warn_of_open_output(secret: str) -> None:
+    if mode := open_output():
+        print(f"others may read {secret} in the file to which it is printed (mode {mode})", file=sys.stderr)
 
 
 def _check(folder: SecurityFolder, *, as_json: bool) -> int:

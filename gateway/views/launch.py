@@ -11,7 +11,10 @@ from gateway.processes.supervisor import Service
 from gateway.views.listen import ACCOUNT, address
 from protocol.errors import require
 
-NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn", "jinja2")}  # view: extra, libraries
+NEEDS = {
+    "opcua": ("opcua", "asyncua"),
+    "hmi": ("web", "starlette", "uvicorn", "jinja2", "prometheus_client"),
+}  # view: extra, libraries
 
 
 def views_for(config: GatewayConfig) -> list[Service]:

@@ -96,7 +96,7 @@ class Actions:
     def role(self, session: LoginSession) -> Role:
         """Return the current role: a change of the users file takes effect at once."""
         if self.users is not None:
-            user = self.users.find(session.name)
+            user = self.users.bearer(session.grant) if session.grant else self.users.find(session.name)
             session.role = Role.VIEWER if user is None else user.role  # None: the session is over, too
         return session.role
 
@@ -139,9 +139,11 @@ class Actions:
             _logger.warning("command of %s to %s: %s", session.name, board, error)
             return refusal("not-delivered", text_of("refusal.not_delivered", error=error))
 
-    def acknowledge(self, session: LoginSession, board: str, alarm: str, *, issued_ns: int = 0) -> pb.CommandReply:
+    def acknowledge(
+        self, session: LoginSession, board: str, alarm: str, *, comment: str = "", issued_ns: int = 0
+    ) -> pb.CommandReply:
         """Acknowledge an alarm."""
-        send = partial(self.feed.acknowledge, board, alarm, issued_ns=issued_ns)
+        send = partial(self.feed.acknowledge, board, alarm, comment=comment, issued_ns=issued_ns)
         return self._send(session, "acknowledge", board, send)
 
     def remove(self, session: LoginSession, board: str) -> pb.CommandReply:

@@ -24,15 +24,19 @@ from starlette.types import ASGIApp
 
 from gateway.access.listeners import allow_restart
 from gateway.access.roles import Role
-from gateway.access.users import Users
+from gateway.access.users import User, Users
 from gateway.views.feed import Feed
+from gateway.views.hmi import metrics
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
+from gateway.views.hmi.acts import Acts
+from gateway.views.hmi.api.routes import Api, not_there, release
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
 from gateway.views.hmi.model.work import ModelWork
+from gateway.views.hmi.programs import Programs
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus.identity import login_name
@@ -104,7 +108,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     sessions = LoginSessions(
         idle_s=settings.idle_s,
         lifetime_s=settings.lifetime_s,
-        known=lambda name: users is None or users.find(name) is not None,
+        known=lambda session: users is None or _user_of(session, users) is not None,
     )
     actions = Actions(
         feed,
@@ -119,31 +123,43 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        pumps = [asyncio.create_task(snapshots.pump()) for snapshots in (live, replay)]
+        pumps = [asyncio.create_task(pump) for pump in (live.pump(), replay.pump(), api.recent.follow())]
         yield
         for pump in pumps:
             pump.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await pump
 
-    sockets: list[BaseRoute] = []
-    for prefix, snapshots, page_jobs in (("/live", live, jobs), (REPLAY, replay, None)):
-        readers = Live(snapshots, sessions, page_jobs)
-        sockets.append(WebSocketRoute(prefix, readers.overview))
-        sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
-        sockets.append(WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum))
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
-    requests = Requests(actions, work, users)
+    acts = Acts(actions)
+    requests, api = Requests(actions, acts, work, users), Api(actions, acts, work)
     static = Mount("/static", StaticFiles(directory=STATIC))
+    pages = Pages(actions, work, api.document)
+    sockets = [*_frames("/live", live, sessions, jobs), *_frames(REPLAY, replay, sessions, None)]
+    routes = [static, metrics.route(feed, release()), *sockets, *api.routes(), *requests.routes(), *pages.routes()]
     guard = Guard(
-        Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(actions, work).routes()]),
+        Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there}),
         sessions,
+        Programs(sessions, users),
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,
         https=settings.certificate is not None,
     )
     requests.guard = guard
     return guard
+
+
+def _frames(prefix: str, snapshots: Snapshots, sessions: LoginSessions, jobs: Jobs | None) -> list[BaseRoute]:
+    readers = Live(snapshots, sessions, jobs)
+    return [
+        WebSocketRoute(prefix, readers.overview),
+        WebSocketRoute(f"{prefix}/{{board}}", readers.board),
+        WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum),
+    ]
+
+
+def _user_of(session: LoginSession, users: Users) -> User | None:
+    return users.bearer(session.grant) if session.grant else users.find(session.name)
 
 
 def _local(sessions: LoginSessions) -> LoginSession:

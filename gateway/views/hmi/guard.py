@@ -8,7 +8,10 @@ Rule 3: what changes something bears the session's token in TOKEN_HEADER, a WebS
 Rule 4: on loopback the Host must be a name of loopback, against foreign pages whose name resolves to 127.0.0.1.
 Rule 5: a WebSocket ends with its session, also in the middle.
 Rule 6: bodies are bounded.
-Rule 7: over TLS the browser is asked to use TLS for a year (HSTS).  It keeps that for the host's name, whatever the
+Rule 7: a program has a session at the paths of `is_api` by its token, or, where no login is needed, without one
+        (programs.py).  What a browser sends from a page of another server is refused there as well, by its Origin and
+        Sec-Fetch-Site.  With a browser's cookie the rules above hold: no foreign page opens the API by it.
+Rule 8: over TLS the browser is asked to use TLS for a year (HSTS).  It keeps that for the host's name, whatever the
         port, and not for an address.
 """
 
@@ -24,6 +27,8 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from gateway.views.hmi.problems import problem
+from gateway.views.hmi.programs import Programs, is_api
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.texts import text_of
 
@@ -53,6 +58,7 @@ class Guard:
     Args:
         app: what is guarded.
         sessions: all that are open.
+        programs: sessions of those that are no browsers.
         newcomer: Opens a session for a browser without one if no login is needed; else None.
         loopback: whether the server listens on loopback only.
         https: whether it speaks TLS.
@@ -62,12 +68,13 @@ class Guard:
         self,
         app: ASGIApp,
         sessions: LoginSessions,
+        programs: Programs,
         *,
         newcomer: Callable[[], LoginSession] | None,
         loopback: bool,
         https: bool,
     ) -> None:
-        self._app, self._sessions, self._newcomer = app, sessions, newcomer
+        self._app, self._sessions, self._programs, self._newcomer = app, sessions, programs, newcomer
         self._loopback, self._https = loopback, https
         self._added = _HEADERS + (_HTTPS_HEADERS if https else ())
 
@@ -79,6 +86,8 @@ class Guard:
         scope["board51_arrived_s"] = time.monotonic()  # before the body, which a network may hold up
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         session = self._sessions.get(_cookie(headers), time.monotonic())
+        if is_api(scope["path"]) and (session is None or "authorization" in headers):
+            session = None if self._is_foreign(headers) else self._programs.session(headers, time.monotonic())
         if scope["type"] == "websocket":
             await self._websocket(scope, receive, send, headers, session)
         else:
@@ -89,12 +98,18 @@ class Guard:
     ) -> None:
         path, reads = scope["path"], scope["method"] in ("GET", "HEAD")
         public = path.startswith(PUBLIC)
+        of_api, of_program = is_api(path), session is not None and session.grant is not None
+        refused = _refusal_of_program if of_api else refusal
         answer: Response | None = None
         opened = None
         if not self._host_is_known(headers):
-            answer = refusal(421, "host", text_of("refusal.host"))
-        elif not reads and not self._same_origin(headers):
-            answer = refusal(403, "origin", text_of("refusal.origin"))
+            answer = refused(421, "host", text_of("refusal.host"))
+        elif of_api and self._is_foreign(headers):
+            answer = refused(403, "origin", text_of("refusal.origin"))
+        elif of_api and session is None:
+            answer = refused(401, "session", text_of("refusal.no_token"))
+        elif not reads and not of_program and not self._same_origin(headers):
+            answer = refused(403, "origin", text_of("refusal.origin"))
         elif session is None and not public:
             a_page = reads and "text/html" in headers.get("accept", "")
             if self._newcomer is not None and a_page:
@@ -103,16 +118,17 @@ class Guard:
                 over = cookie_name(headers.get("host", "")) in headers.get("cookie", "")
                 answer = RedirectResponse(login_for(path, over=over), status_code=303)
             else:
-                answer = refusal(401, "session", text_of("refusal.session"))
+                answer = refused(401, "session", text_of("refusal.session"))
         elif (
             not public
+            and not of_program
             and (TOKEN_HEADER in headers or not reads)
             and not _bears_token(headers.get(TOKEN_HEADER, ""), session)
         ):  # a page of an earlier session also sends a token: it must reload
             status = 401 if reads else 403
-            answer = refusal(status, "token", text_of("refusal.token", header=TOKEN_HEADER))
+            answer = refused(status, "token", text_of("refusal.token", header=TOKEN_HEADER))
         if answer is None and _too_long(headers):
-            answer = refusal(413, "oversize", text_of("refusal.oversize", bytes=MAX_BODY))
+            answer = refused(413, "oversize", text_of("refusal.oversize", bytes=MAX_BODY))
         send = self._with_headers(send, opened, headers.get("host", ""))
         if answer is not None:
             await answer(scope, receive, send)
@@ -121,15 +137,16 @@ class Guard:
         try:
             await self._app(scope, _bounded(receive), send)
         except ClientDisconnect:  # it went away in the middle of its body, or that was too long
-            await refusal(413, "oversize", text_of("refusal.oversize", bytes=MAX_BODY))(scope, receive, send)
+            await refused(413, "oversize", text_of("refusal.oversize", bytes=MAX_BODY))(scope, receive, send)
 
     async def _websocket(
         self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: LoginSession | None
     ) -> None:
-        good = session is not None and self._host_is_known(headers) and self._same_origin(headers)
-        if good:
+        good = session is not None and self._host_is_known(headers)
+        if session is not None and good and session.grant is None:
+            good = self._same_origin(headers)
             offered = scope.get("subprotocols", [])
-            good = len(offered) == 2 and offered[0] == PROTOCOL and _bears_token(offered[1], session)
+            good = good and len(offered) == 2 and offered[0] == PROTOCOL and _bears_token(offered[1], session)
         if not good or session is None:
             await receive()  # websocket.connect
             await send({"type": "websocket.close", "code": SESSION_OVER})  # before accept: HTTP 403
@@ -154,6 +171,12 @@ class Guard:
     def _same_origin(self, headers: dict[str, str]) -> bool:
         scheme = "https" if self._https else "http"
         return headers.get("origin", "") == f"{scheme}://{headers.get('host', '')}"
+
+    def _is_foreign(self, headers: dict[str, str]) -> bool:
+        """Return whether a browser sends this for a page of another server, as far as it says so."""
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return True
+        return "origin" in headers and not self._same_origin(headers)
 
     def _with_headers(self, send: Send, opened: LoginSession | None, host: str) -> Send:
         async def sender(message: Message) -> None:
@@ -198,6 +221,13 @@ def local_page(target: str) -> str:
 def refusal(status: int, reason: str, text: str) -> JSONResponse:
     """Return the answer of a refused request."""
     return JSONResponse({"accepted": False, "refused_by": "hmi", "reason": reason, "text": text}, status_code=status)
+
+
+def _refusal_of_program(status: int, code: str, text: str) -> Response:
+    answer = problem(status, code, text)
+    if status == 401:
+        answer.headers["www-authenticate"] = "Bearer"
+    return answer
 
 
 def cookie_name(host: str) -> str:

@@ -13,18 +13,14 @@ GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see model/exp
 GET  /log/<name>, /report-file/<name>    a file that the lists name
 POST /login (form), POST /logout
 
-Rule 1: a request may give the time at which it was made in PAGE_TIME_HEADER.  It counts by this server's clock, which
-        the page knows from its frames.  A delayed request is refused, because its sender has already seen a time-out.
-        A STOP always acts.
-Rule 2: acts and STOP have threads of their own, and a STOP gives up the acts that wait for its rig (views/dispatch.py).
-Rule 3: summaries and exports are one process at a time, which ends with its request (turns.py).
+Rule: summaries and exports are one process at a time, which ends with its request (turns.py).  acts.py has the rules
+of acts.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
-import math
 import time
 from collections.abc import Callable
 from urllib.parse import parse_qs
@@ -36,8 +32,10 @@ from starlette.routing import Route
 
 from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
-from gateway.views.dispatch import EVERY_RIG, FRESH_S, Dispatch, Wish
+from gateway.views.dispatch import EVERY_RIG, Wish
 from gateway.views.hmi.actions import Actions
+from gateway.views.hmi.acts import Acts, status_of
+from gateway.views.hmi.downloads import download
 from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal, session_of
 from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.exports import FORMATS, exported
@@ -51,13 +49,11 @@ from gateway.views.hmi.turns import Turns, departure
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
-_STATUS = {"not-allowed": 403, "session-over": 401, "no-board": 404, "not-delivered": 503}
 # A report was made from recordings: it may draw itself, and reach nothing.
 _REPORT_POLICY = (
     "sandbox allow-same-origin; default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:;"
     " frame-ancestors 'self'"
 )
-PAGE_TIME_HEADER = "x-board51-seen"  # s, of this server's monotonic clock
 
 
 class Requests:
@@ -65,15 +61,15 @@ class Requests:
 
     Args:
         actions: does what is asked.
+        acts: runs it.
         work: on models.
         users: Users who may log in; None: no login is needed.
     """
 
-    def __init__(self, actions: Actions, work: ModelWork, users: Users | None) -> None:
-        self._actions = actions
+    def __init__(self, actions: Actions, acts: Acts, work: ModelWork, users: Users | None) -> None:
+        self._actions, self._acts = actions, acts
         self._starts = starts(actions, work)
         self._logins = Logins(users) if users is not None else None
-        self._dispatch = Dispatch("hmi", actions.feed.stopped_s)
         self._work = work
         self._turns = Turns()
         self.guard: Guard | None = None  # makes the cookies; set once it stands
@@ -106,8 +102,8 @@ class Requests:
 
     async def stop(self, request: Request) -> Response:
         """Switch the coil off at once."""
-        board, session = request.path_params["board"], session_of(request)
-        replies = await self._dispatch.stop([board], lambda: self._actions.stop(session, board))
+        board = request.path_params["board"]
+        replies = await self._acts.stop(request, board)
         if board != "*":
             return _answer(replies[board])
         boards = {name: _body(reply) for name, reply in replies.items()}
@@ -197,7 +193,7 @@ class Requests:
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", text_of("refusal.no_log"))
-        return FileResponse(entry.path, media_type="application/octet-stream", filename=entry.path.name)
+        return download(entry)
 
     async def report(self, request: Request) -> Response:
         """Return one report of a diagnosis."""
@@ -272,19 +268,7 @@ class Requests:
         return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None, _host(request))})
 
     async def _act(self, request: Request, board: str, do: Callable[[LoginSession, Wish], pb.CommandReply]) -> Response:
-        session, wish = session_of(request), Wish(board=board, arrived_s=_made_s(request))
-        if not abs(time.monotonic() - wish.arrived_s) <= FRESH_S:  # also NaN
-            return refusal(409, "not-fresh", text_of("refusal.not_fresh"))
-
-        def leave(_: asyncio.Task[None]) -> None:
-            wish.has_left = True
-
-        leaving = asyncio.create_task(departure(request))
-        leaving.add_done_callback(leave)
-        try:
-            return _answer(await self._dispatch.act(wish, lambda: do(session, wish)))
-        finally:
-            leaving.cancel()
+        return _answer(await self._acts.act(request, board, do))
 
 
 _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields]
@@ -294,23 +278,12 @@ def _host(request: Request) -> str:
     return str(request.headers.get("host", ""))
 
 
-def _made_s(request: Request) -> float:
-    """Return when a request was made, or at least arrived: monotonic; NaN where its date cannot be read."""
-    arrived_s: float = request.scope["board51_arrived_s"]
-    date = request.headers.get(PAGE_TIME_HEADER)
-    try:
-        made_s = arrived_s if date is None else float(date)
-    except ValueError:
-        return math.nan
-    return min(arrived_s, made_s) if made_s - arrived_s <= FRESH_S else math.nan
-
-
 def _body(reply: pb.CommandReply) -> dict[str, object]:
     return {name: getattr(reply, name) for name in ("accepted", "refused_by", "reason", "text", "tick")}
 
 
 def _answer(reply: pb.CommandReply) -> JSONResponse:
-    return JSONResponse(_body(reply), status_code=200 if reply.accepted else _STATUS.get(reply.reason, 409))
+    return JSONResponse(_body(reply), status_code=status_of(reply))
 
 
 async def _json(request: Request) -> dict[str, object] | None:

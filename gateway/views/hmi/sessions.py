@@ -5,11 +5,13 @@ Rule 1: a session ends after `idle_s` without an action of the user, and after `
 Rule 2: the token of a session is in an HttpOnly cookie; `csrf` is in the page, and every request that changes something
         must bear it.
 Rule 3: the sessions of a removed user end at once, even while a page is open.
-Rule 4: memory is bounded: the session that was idle longest makes room.
+Rule 4: the session of a program does not end with time: each of its requests bears a token, and it ends with that.
+Rule 5: memory is bounded: the session that was idle longest makes room.
 """
 
 from __future__ import annotations
 
+import math
 import secrets
 from collections import OrderedDict
 from collections.abc import Callable
@@ -22,12 +24,13 @@ MAX_SESSIONS = 256
 
 @dataclass(slots=True, kw_only=True)
 class LoginSession:
-    """A login of one person."""
+    """A login of one person, or of a program for one."""
 
     name: str
     role: Role
     opened_s: float  # monotonic
     acted_s: float
+    grant: str | None = None  # of a program: the digest of its token; empty: none is needed.  None: of a browser
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     csrf: str = field(default_factory=lambda: secrets.token_urlsafe(32))
 
@@ -38,23 +41,23 @@ class LoginSessions:
     Args:
         idle_s: without an action for so long, a session is over.
         lifetime_s: so long after login it is over in any case.
-        known: Returns whether a user of that name exists.
+        known: Returns whether the user of a session exists, and its token, if it has one.
     """
 
     def __init__(
-        self, *, idle_s: float, lifetime_s: float, known: Callable[[str], bool] = lambda name: bool(name)
+        self, *, idle_s: float, lifetime_s: float, known: Callable[[LoginSession], bool] = lambda _: True
     ) -> None:
         self.idle_s, self.lifetime_s, self._known = idle_s, lifetime_s, known
         self._open: dict[str, LoginSession] = {}
         self._names: OrderedDict[str, str] = OrderedDict()  # by token, also of sessions that are over
 
-    def open(self, name: str, role: Role, now_s: float) -> LoginSession:
-        """A new session; the caller has checked who it is."""
+    def open(self, name: str, role: Role, now_s: float, *, grant: str | None = None) -> LoginSession:
+        """A new session; the caller has checked who it is.  `grant`: see LoginSession."""
         for token in [t for t, s in self._open.items() if self.left_s(s, now_s) <= 0.0]:
             del self._open[token]
         if len(self._open) >= MAX_SESSIONS:
             del self._open[min(self._open.values(), key=lambda s: s.acted_s).token]
-        session = LoginSession(name=name, role=role, opened_s=now_s, acted_s=now_s)
+        session = LoginSession(name=name, role=role, opened_s=now_s, acted_s=now_s, grant=grant)
         self._open[session.token] = session
         self._names[session.token] = name
         if len(self._names) > MAX_SESSIONS:
@@ -68,7 +71,7 @@ class LoginSessions:
     def get(self, token: str, now_s: float) -> LoginSession | None:
         """Return the session of a cookie, or None if there is none or it has ended."""
         session = self._open.get(token)
-        if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session.name)):
+        if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session)):
             self._open.pop(token, None)
             return None
         return session
@@ -82,7 +85,9 @@ class LoginSessions:
         session.acted_s = max(session.acted_s, now_s)
 
     def left_s(self, session: LoginSession, now_s: float) -> float:
-        """Return the remaining time without further actions, s."""
+        """Return the remaining time without further actions, s; infinite for a program."""
+        if session.grant is not None:
+            return math.inf
         return min(session.acted_s + self.idle_s, session.opened_s + self.lifetime_s) - now_s
 
     def close(self, session: LoginSession) -> None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Mapping
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -18,10 +20,12 @@ from starlette.routing import Route
 from gateway.access.roles import MINIMUM_ROLE
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal, session_of
+from gateway.views.hmi.html.api_page import operations
 from gateway.views.hmi.html.model_page import shown
 from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.campaigns import campaign_of, rig_of
 from gateway.views.hmi.model.work import ModelWork
+from gateway.views.hmi.programs import VERSION
 from gateway.views.hmi.texts import text_of
 
 REPLAY = "/live-replay"  # where the frames of replays come from
@@ -29,10 +33,16 @@ MAX_REPORTS = 20
 
 
 class Pages:
-    """The pages of one server."""
+    """The pages of one server.
 
-    def __init__(self, actions: Actions, work: ModelWork) -> None:
-        self._actions, self._work = actions, work
+    Args:
+        actions: tells who may do what.
+        work: on models.
+        api: the description of the API in OpenAPI.
+    """
+
+    def __init__(self, actions: Actions, work: ModelWork, api: Mapping[str, Any]) -> None:
+        self._actions, self._work, self._api = actions, work, api
 
     def routes(self) -> list[Route]:
         """Return the routes of the pages."""
@@ -44,6 +54,7 @@ class Pages:
             "/replay/{board}": self.replay,
             "/logs": self.logs,
             "/report/{name:path}": self.report,
+            f"{VERSION}/": self.api,
         }
         return [Route(path, endpoint, methods=["GET"]) for path, endpoint in pages.items()]
 
@@ -97,6 +108,12 @@ class Pages:
             folder=folder,
             rig_of=rig_of,
             campaign_of=campaign_of,
+        )
+
+    async def api(self, request: Request) -> Response:
+        """Return the list of what programs may ask."""
+        return self._page(
+            request, "api.html", live="/live", title=text_of("title.api"), operations=operations(self._api)
         )
 
     async def report(self, request: Request) -> Response:

@@ -1,0 +1,174 @@
+"""The bodies of POST /rigs/{rig}/commands, and the command of the bus that each gives.  Pure.
+
+The names are those of `board51 send`, and `gateway.client.commands` builds the command for both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from gateway.client import commands
+from gateway.views.hmi.api.shapes import Mode
+from protocol.bus import board51_pb2 as pb
+from protocol.checked import Flag, Keys, Number, Whole, key
+from protocol.errors import DataError
+
+_LARGEST = 2**32 - 1  # of a whole number on the bus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetMode(Keys):
+    """Enter a mode; clears a fault whose cause is gone."""
+
+    command: Literal["mode"]
+    mode: Annotated[Mode, key("source of the input")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetReference(Keys):
+    """Set the position to hold."""
+
+    command: Literal["reference"]
+    x_ref_m: Annotated[Number, key("position, m, up from the sensor")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetGains(Keys):
+    """Set law, gains and operating point, all at one tick (eq. 16-19)."""
+
+    command: Literal["gains"]
+    law: Annotated[Literal["lqi", "pid"], key("control law")] = "lqi"
+    gains: Annotated[
+        list[Number],
+        Field(min_length=4, max_length=4, description="four, SI: k_i k_x k_v k_int of LQI, k_p k_int k_d 0 of PID"),
+    ]
+    i_0_a: Annotated[Number, key("current at the operating point, A")]
+    x_0_m: Annotated[Number, key("position at the operating point, m")]
+    u_0_v: Annotated[Number, key("input at the operating point, V")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Excite(Keys):
+    """Play a signal on u_c (open loop) or on the reference (closed loop); the shape none ends it."""
+
+    command: Literal["excite"]
+    shape: Annotated[
+        Literal["none", "step", "rectangle", "sawtooth", "prbs", "multisine", "chirp"], key("of the signal")
+    ]
+    on_reference: Annotated[Flag, key("true: the reference, m; false: the input u_c, V")] = False
+    amplitude: Annotated[Number, key("V or m")] = 0.0
+    offset: Annotated[Number | None, key("V or m, absolute")] = None
+    period_s: Annotated[Number, key("period, s")] = 0.0
+    period_end_s: Annotated[Number, key("last period of a chirp, s")] = 0.0
+    duration_s: Annotated[Number | None, key("length, s; needed for every shape except none, or endless")] = None
+    endless: Annotated[Flag, key("without an end, if the gateway allows it")] = False
+    seed: Annotated[Whole, key("of prbs and multisine", 0, _LARGEST)] = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Capture(Keys):
+    """Record i_c at 25 kHz around a step of u_c, into the log."""
+
+    command: Literal["capture"]
+    u_from_v: Annotated[Number, key("input before the step, V")]
+    u_to_v: Annotated[Number, key("input after the step, V")]
+    duration_s: Annotated[Number, key("length, s")] = 0.04
+    pre_s: Annotated[Number, key("time before the step, s")] = 0.004
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetStream(Keys):
+    """Make the board send every n-th tick."""
+
+    command: Literal["stream"]
+    divider: Annotated[Whole, key("n; 0: none", 0, _LARGEST)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetHostLoss(Keys):
+    """Set the action of the board without its host."""
+
+    command: Literal["host-loss"]
+    policy: Annotated[Literal["keep", "coil-off", "hold"], key("action")]
+    timeout_s: Annotated[Number, key("time without the host, s")] = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark(Keys):
+    """Write a remark into every log."""
+
+    command: Literal["mark"]
+    text: Annotated[str, key("the remark")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acknowledge(Keys):
+    """Acknowledge an alarm, in every view and in the log."""
+
+    command: Literal["acknowledge"]
+    alarm: Annotated[str, key("its name, such as divergence-x")]
+    comment: Annotated[str, key("the reason")] = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stop(Keys):
+    """Switch the coil off at once, as POST /rigs/{rig}/stop."""
+
+    command: Literal["stop"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ping(Keys):
+    """Ask the board for an answer."""
+
+    command: Literal["ping"]
+
+
+Body = Annotated[
+    SetMode | SetReference | SetGains | Excite | Capture | SetStream | SetHostLoss | Mark | Acknowledge | Stop | Ping,
+    Field(discriminator="command"),
+]
+
+
+def _gains(body: SetGains) -> pb.Command:
+    point = commands.OperatingPoint(i_c_a=body.i_0_a, x_m=body.x_0_m, u_c_v=body.u_0_v)
+    return commands.set_gains(body.gains, point, law=body.law)
+
+
+def _excite(body: Excite) -> pb.Command:
+    if body.shape != "none" and body.duration_s is None and not body.endless:
+        raise DataError(f"The {body.shape} has no duration_s", remedy="Give duration_s, or endless = true")
+    return commands.excite(
+        body.shape,
+        on_reference=body.on_reference,
+        amplitude=body.amplitude,
+        offset=body.offset,
+        period_s=body.period_s,
+        period_end_s=body.period_end_s,
+        duration_s=math.inf if body.endless else body.duration_s,
+        seed=body.seed,
+    )
+
+
+def _capture(body: Capture) -> pb.Command:
+    return commands.capture(u_from_v=body.u_from_v, u_to_v=body.u_to_v, duration_s=body.duration_s, pre_s=body.pre_s)
+
+
+KINDS: dict[str, tuple[type, Callable[[Any], pb.Command]]] = {  # of the key "command"
+    "mode": (SetMode, lambda body: commands.set_mode(body.mode)),
+    "reference": (SetReference, lambda body: commands.set_reference(body.x_ref_m)),
+    "gains": (SetGains, _gains),
+    "excite": (Excite, _excite),
+    "capture": (Capture, _capture),
+    "stream": (SetStream, lambda body: commands.set_stream(body.divider)),
+    "host-loss": (SetHostLoss, lambda body: commands.set_host_loss(body.policy, timeout_s=body.timeout_s)),
+    "mark": (Mark, lambda body: commands.mark(body.text)),
+    "acknowledge": (Acknowledge, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
+    "stop": (Stop, lambda _: commands.stop()),
+    "ping": (Ping, lambda _: commands.ping()),
+}

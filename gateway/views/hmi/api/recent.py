@@ -1,0 +1,76 @@
+"""The newest samples of every board, kept whether or not somebody looks: what happened just now can be read.
+
+Rule: memory is bounded, LONGEST_S at 500 Hz for each board: 13 MB.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+
+from gateway.views.feed import BoardFeed, Feed
+from protocol.bus import board51_pb2 as pb
+
+LONGEST_S = 60.0
+MAX_SAMPLES = 30_000
+_LOOK_S = 0.25  # a new board is noticed so soon
+
+
+class Samples:
+    """The newest samples of one board.
+
+    Args:
+        board: as heard on the bus.
+    """
+
+    def __init__(self, board: BoardFeed) -> None:
+        self.board = board
+        self._states: deque[pb.State] = deque(maxlen=MAX_SAMPLES)
+        self._lock = threading.Lock()
+        board.attach(pb.State, self)
+
+    def push(self, message: pb.State) -> None:
+        """Take in a sample; called by the feed."""
+        with self._lock:
+            self._states.append(message)
+
+    def last(self, seconds: float) -> list[pb.State]:
+        """Return the samples that arrived in the last `seconds`, the oldest first.
+
+        Now is the arrival of the newest sample and its age: the clocks of the gateway's host and of ours may differ.
+        """
+        with self._lock:
+            states = list(self._states)
+        if not states:
+            return []
+        begin_ns = states[-1].host_time_ns - round(1e9 * (seconds - self.board.age_s(pb.State)))
+        first = next((n for n, state in enumerate(states) if state.host_time_ns >= begin_ns), len(states))
+        return states[first:]
+
+
+class Recent:
+    """The newest samples of all boards of a feed.
+
+    Args:
+        feed: of the live site.
+    """
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._samples: dict[str, Samples] = {}
+
+    def of(self, board: BoardFeed) -> Samples:
+        """Return the samples of a board, from the first look on."""
+        samples = self._samples.get(board.name)
+        if samples is None or samples.board is not board:  # a board that was removed comes back as another one
+            samples = self._samples[board.name] = Samples(board)
+        return samples
+
+    async def follow(self) -> None:
+        """Look for new boards; runs until it is cancelled."""
+        while True:
+            for board in map(self._feed.board, self._feed.boards()):
+                if board is not None:
+                    self.of(board)
+            await asyncio.sleep(_LOOK_S)

@@ -1,0 +1,166 @@
+"""The answers about rigs, from what the bus says of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from gateway.board.reference import reference_range
+from gateway.views.feed import BoardFeed
+from gateway.views.hmi import snapshot
+from gateway.views.hmi.api import shapes
+from gateway.views.hmi.problems import remedy_of, sentence
+from protocol.bus import board51_pb2 as pb
+
+_STATES = TypeAdapter(shapes.States)
+_MODES = {mode: word.replace(" ", "-") for mode, word in snapshot.MODES.items()}
+
+
+def _measured(name: str) -> Callable[[pb.State], float | None]:
+    def value_of(message: pb.State) -> float | None:
+        value: float = getattr(message, name)
+        return value if message.HasField(name) and math.isfinite(value) else None
+
+    return value_of
+
+
+# A minute has 30 000 samples, so columns are made one after the other, without a row in between.
+_VALUES: dict[str, Callable[[pb.State], Any]] = {
+    "t_s": attrgetter("t_s"),
+    "tick": attrgetter("tick"),
+    "session": attrgetter("session"),
+    "host_time_s": lambda message: message.host_time_ns / 1e9,
+    **{name: _measured(name) for name in ("i_c_a", "x_m", "u_c_v", "x_ref_m")},
+    "mode": lambda message: _MODES.get(message.mode, str(message.mode)),
+    "flags": attrgetter("flags"),
+    "lost_before": attrgetter("lost_before"),
+}
+HEADER = ",".join(_VALUES)  # of CSV
+
+
+def state(message: pb.State, *, lost: int | None = None) -> shapes.State:
+    """Return a sample; `lost` replaces the samples missing before it."""
+    values = {name: value_of(message) for name, value_of in _VALUES.items()}
+    return shapes.State(**values if lost is None else values | {"lost_before": lost})
+
+
+def json_columns(messages: Sequence[pb.State]) -> bytes:
+    """Return samples as columns, in JSON."""
+    return _STATES.dump_json(shapes.States(**_columns(messages)))
+
+
+def csv_table(messages: Sequence[pb.State]) -> str:
+    """Return samples as CSV with a header; an absent number is an empty cell, as in `board51 export`."""
+    rows = map(_line, zip(*_columns(messages).values(), strict=True))
+    return "".join(f"{line}\n" for line in (HEADER, *rows))
+
+
+def csv_line(sample: shapes.State) -> str:
+    """Return a line of CSV without its end."""
+    return _line(getattr(sample, name) for name in _VALUES)
+
+
+def _line(cells: Iterable[object]) -> str:
+    return ",".join("" if cell is None else str(cell) for cell in cells)
+
+
+def _columns(messages: Sequence[pb.State]) -> dict[str, list[Any]]:
+    return {name: [value_of(message) for message in messages] for name, value_of in _VALUES.items()}
+
+
+def entry(board: BoardFeed) -> shapes.RigEntry:
+    """Return a line of the list of rigs."""
+    line = snapshot.summary(board)
+    return shapes.RigEntry(
+        name=board.name,
+        alarms=line["alarms"],
+        fault=line["fault"],
+        x_m=line.get("x_m"),
+        **_now(line),
+    )
+
+
+def rig(board: BoardFeed) -> shapes.Rig:
+    """Return the status of a rig."""
+    now, model, status = snapshot.now(board), board.latest(pb.TwinModel), board.latest(pb.Status)
+    return shapes.Rig(
+        name=board.name,
+        reason=now["reason"],
+        flags=now.get("flags", []),
+        alarms=[
+            shapes.AlarmEntry(
+                name=alarm.name,
+                severity="fault" if alarm.severity == "fault" else "warning",
+                text=alarm.text,
+                active=alarm.active,
+                acknowledged=alarm.acknowledged,
+                acknowledger=alarm.acknowledger,
+                since_s=alarm.since_ns / 1e9,
+                times=alarm.times,
+            )
+            for alarm in board.alarms()
+        ],
+        twin=now["twin"],
+        divergence=_divergence(now) if "nis_mean" in now else None,
+        model=shapes.TwinModel(name=model.name, sha256=model.sha256, who=model.who) if model is not None else None,
+        limits=_limits(board.latest(pb.Parameters)),
+        log_state=status.log_state if status is not None else "",
+        **_now(now),
+    )
+
+
+def reply(answer: pb.CommandReply) -> shapes.Reply:
+    """Return the outcome of an act."""
+    code = "" if answer.accepted else answer.reason
+    return shapes.Reply(
+        executed=answer.accepted,
+        code=code,
+        message=sentence(answer.text),
+        remedy=remedy_of(code) if code else "",
+        refused_by=answer.refused_by,
+        tick=answer.tick,
+    )
+
+
+def _now(now: dict[str, Any]) -> dict[str, Any]:
+    mode = now.get("mode")
+    return {
+        "link": now["link"],
+        "age_s": now["age_s"],
+        "mode": mode.replace(" ", "-") if mode is not None else None,
+        "coil": now.get("coil"),
+        "x_ref_m": now.get("x_ref_m"),
+    }
+
+
+def _divergence(now: dict[str, Any]) -> shapes.Divergence:
+    return shapes.Divergence(
+        error_x_m=now["error_x_m"],
+        error_x_sigma=now["error_x"],
+        error_i_c_a=now["error_i_a"],
+        nis_mean=now["nis_mean"],
+        nis_on=now["nis_on"],
+    )
+
+
+def _limits(parameters: pb.Parameters | None) -> shapes.Limits | None:
+    if parameters is None:
+        return None
+    low_m, high_m = reference_range(parameters)
+    return shapes.Limits(
+        x_ref_min_m=low_m,
+        x_ref_max_m=high_m,
+        x_ref_step_max_m=parameters.x_ref_step_max_m,
+        u_max_v=parameters.u_max_v,
+        sample_time_s=parameters.sample_time_s,
+        law="pid" if parameters.law == pb.LAW_PID else "lqi",
+        gains=list(parameters.gains),
+        i_0_a=parameters.i_0_a,
+        x_0_m=parameters.x_0_m,
+        u_0_v=parameters.u_0_v,
+        firmware=parameters.firmware,
+    )

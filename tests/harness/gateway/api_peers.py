@@ -1,0 +1,66 @@
+"""A program at the API of a web page's server, and tokens for it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+from websockets.sync.client import ClientConnection, connect
+
+from gateway.access.roles import Role
+from gateway.access.users import User, set_token
+from tests.harness.gateway.hmi_peers import ROLES, users_file
+from tests.patience import HANG_S
+
+
+class Program:
+    """A client that is no browser: no cookie, no origin."""
+
+    def __init__(self, port: int, token: str = "") -> None:
+        self.port = port
+        self._headers = {"authorization": f"Bearer {token}"} if token else {}
+        self.http = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=HANG_S, headers=self._headers)
+
+    def get(self, path: str, **query: object) -> httpx.Response:
+        """GET below /api/v1."""
+        return self.http.get(f"/api/v1{path}", params={name: str(value) for name, value in query.items()})
+
+    def json(self, path: str, **query: object) -> Any:
+        """The answer to a GET that succeeds."""
+        answer = self.get(path, **query)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def post(self, path: str, body: object = None, **headers: str) -> httpx.Response:
+        """POST JSON below /api/v1."""
+        return self.http.post(
+            f"/api/v1{path}", content=json.dumps(body), headers={"content-type": "application/json", **headers}
+        )
+
+    def command(self, **body: object) -> httpx.Response:
+        """Send a command to the board `rig`."""
+        return self.post("/rigs/rig/commands", body)
+
+    @contextmanager
+    def stream(self, query: str = "", rig: str = "rig", **headers: str) -> Iterator[ClientConnection]:
+        """The WebSocket of samples."""
+        url = f"ws://127.0.0.1:{self.port}/api/v1/rigs/{rig}/stream{query}"
+        with connect(
+            url, additional_headers={**self._headers, **headers}, open_timeout=HANG_S, close_timeout=1.0
+        ) as socket:
+            yield socket
+
+
+def users_with_tokens(folder: Path) -> tuple[Path, dict[str, str]]:
+    """The users of `users_file`, each with a token of the user's own name and role."""
+    path = users_file(folder)
+    return path, {name: set_token(path, name, User(name=name, role=role)) for name, role in ROLES.items()}
+
+
+def viewer_token_of(path: Path, name: str) -> str:
+    """A token by which a program may only look, for a user who may do more."""
+    return set_token(path, f"{name}-looks", User(name=name, role=Role.VIEWER))
