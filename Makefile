@@ -1,4 +1,4 @@
-# make setup | install | demo | test | test-slow | mutants | check | docs | release | clean.
+# make setup | install | demo | test | test-slow | mutants | check | docs | pictures | release | clean.
 # Everything lives in .venv, from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
@@ -16,7 +16,7 @@ CACHE := $(abspath $(VENV))/cache
 ALONE := XDG_CACHE_HOME=$(CACHE) XDG_CONFIG_HOME=$(CACHE)/config MPLCONFIGDIR=$(CACHE)/matplotlib npm_config_cache=$(CACHE)/npm
 unexport NUMBA_CACHE_DIR
 
-.PHONY: setup install demo test test-slow mutants check docs release clean
+.PHONY: setup install demo test test-slow mutants check docs pictures release clean
 setup: $(STAMP)
 
 $(STAMP): requirements.lock pyproject.toml
@@ -64,6 +64,10 @@ check: setup
 # Pages that open from the file system: site/index.html.  Strict: a broken link or a missing page is an error.
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# The pictures of README and docs, flown anew by the emulated rig; needs chromium, 4 minutes.
+pictures: setup
+	$(ALONE) $(BIN)/python .ci/pictures.py
 
 # Of the last commit, the same to the byte each time; CONTRIBUTING.md says what comes before and after.
 release: setup
