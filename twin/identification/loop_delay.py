@@ -21,14 +21,14 @@ _PASSES = 15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Late:
+class LoopDelay:
     """A delay that (1) lacks, and what becomes of b with it."""
 
     delay_s: float
     b: float  # N s/m, of the fit with the delay
 
 
-def late_current(likelihood: Blocks, fitted: Fit) -> Late | None:
+def find_loop_delay(likelihood: Blocks, fitted: Fit) -> LoopDelay | None:
     """Return the delay of i_c if the recordings show one and b depends on it; None otherwise."""
     (cause,) = (cause for cause in CATALOGUE if cause.family == "amplifier" and "delays" in cause.traits)
     delay, *_ = names = coordinates_of(cause.name)
@@ -38,17 +38,17 @@ def late_current(likelihood: Blocks, fitted: Fit) -> Late | None:
     # From several delays, because T_A that imitates one is a maximum of its own.
     starts = [
         replace(fitted.theta, T_A=T_A, closed_form=False).having(delay, share * likelihood.whole.tick_s)
-        for share in settings.LATE_SHARES
+        for share in settings.LOOP_DELAY_SHARES
         for T_A in (fitted.theta.T_A, 0.3 * fitted.theta.T_A)
     ]
     best = max(starts, key=lambda start: current.visit(start)[0])
-    late = fit(current, best, (*_FREE, *names), passes=_PASSES)
-    if late.loglik < prompt.loglik + settings.LATE_GAIN:
+    best_fit = fit(current, best, (*_FREE, *names), passes=_PASSES)
+    if best_fit.loglik < prompt.loglik + settings.LOOP_DELAY_GAIN:
         return None
-    held = late.theta.value(delay)
+    held = best_fit.theta.value(delay)
     start = replace(fitted.theta, closed_form=False).all_of(
-        [(name, late.theta.value(name)) for name in (*names, "T_A")]
+        [(name, best_fit.theta.value(name)) for name in (*names, "T_A")]
     )
     whole = fit(likelihood, start, fitted.free, passes=_PASSES)
     moves = abs(whole.theta.b - fitted.theta.b) > fitted.std("b", likelihood.plant)
-    return Late(delay_s=held, b=whole.theta.b) if moves else None
+    return LoopDelay(delay_s=held, b=whole.theta.b) if moves else None

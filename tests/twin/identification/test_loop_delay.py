@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from twin import identify
 
 
@@ -23,7 +23,7 @@ def test_beside_a_delay_b_has_no_interval_but_its_value_with_the_delay(tmp_path:
 
 
 @pytest.mark.parametrize(("plant", "seed"), [("emulator", 5), ("independent", 6)])
-def test_without_one_the_interval_stays(plant: str, seed: int, tmp_path: Path) -> None:
+def test_without_one_the_interval_stays(plant: PlantName, seed: int, tmp_path: Path) -> None:
     make_campaign(tmp_path, effects={}, seed=seed, plant=plant, quick=True)
 
     found = identify(tmp_path)
