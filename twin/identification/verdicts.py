@@ -187,8 +187,8 @@ def drag(
     if loop_delay is not None:
         delay = f"{loop_delay.delay_s * 1e3:.2g} ms"
         warnings.append(
-            f"i_c answers as if u_c acted {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} instead "
-            f"of {value:.3g} N s/m, so it has no interval. board51 diagnose extends the model by the delay"
+            f"i_c answers as if u_c acted {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} "
+            f"instead of {value:.3g} N s/m, so it has no interval. board51 diagnose extends the model by the delay"
         )
         return Parameter(
             value=max(value, 0.0),
