@@ -93,7 +93,8 @@ class Streams:
         tap = board.tap(pb.State, width_s=1.0 / query.rate_hz)
         try:
             while not leaving.done():
-                if not self._sessions.is_open(session, time.monotonic()):
+                now_s = time.monotonic()
+                if not self._sessions.is_open(session, now_s):
                     await asyncio.wait_for(socket.close(SESSION_OVER), STUCK_S)
                     return
                 for closed in tap.take():
