@@ -160,6 +160,16 @@ def test_a_campaign_is_started_seen_and_interrupted(rig: Rig) -> None:
     assert program.get("/rigs/rig/models/a/model.json").json()["code"] == "no-model"
 
 
+def test_a_recording_is_started_and_found_among_the_logs(flight: Program, rig: Rig) -> None:
+    started = flight.http.post("/api/v1/rigs/rig/recordings", data={"title": "steps"})
+    wait_for(lambda: any("steps" in log["name"] for log in flight.json("/logs")["logs"]), "its file")
+    stopped = flight.post("/rigs/rig/recordings/stop")
+
+    assert started.json()["executed"], started.text
+    assert stopped.json()["executed"]
+    wait_for(lambda: flight.post("/rigs/rig/recordings/stop").json()["code"] == "not-running", "its end")
+
+
 def test_metrics_are_those_of_the_flight(flight: Program) -> None:
     flight.command(command="reference", x_ref_m=1.0)
 
