@@ -20,7 +20,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from protocol.checked import Keys, Number, RuleError, checked, key
-from protocol.errors import DataError, quoted
+from protocol.errors import ConfigError, DataError, quoted
 from protocol.files import parse_toml, read_small
 from protocol.plant import GRAVITY_M_S2 as GRAVITY_M_S2
 from protocol.plant import Plant as Plant
@@ -277,6 +277,22 @@ def load_plant(path: Path) -> Plant:
     """
     text, file = _read(path, remedy="Name a file with a [plant] table, or a campaign's folder")
     plant: Plant = checked(PlantFile, parse_toml(text, where=str(file)), where=str(file)).plant
+    return plant
+
+
+def load_stated_plant(path: Path) -> Plant:
+    """Read the `[plant]` of a file, as `load_plant`, for the plant card of a rig.
+
+    Raises:
+        DataError: the file is absent or not text.
+        ConfigError: there is no `[plant]`, it is wrong, or it is assumed: then nobody has stated it.
+    """
+    plant = load_plant(path)
+    if plant.assumed:
+        raise ConfigError(
+            f"{path}: plant.assumed = true: nobody stated this plant",
+            remedy="Write mass and travel of the rig, and delete `assumed`",
+        )
     return plant
 
 

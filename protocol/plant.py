@@ -19,6 +19,7 @@ from pydantic import Field
 from protocol.checked import Flag, Keys, Number, RuleError, bounds, key, keys_of
 
 GRAVITY_M_S2 = 9.81
+MAX_NAME = 64  # characters of the name on a plant card
 STEEL_KG_M3 = 7850.0  # balls of bearings: 7.7e3 (stainless) .. 7.85e3 (chromium steel)
 _MASS_SHARE = 0.1  # of the mass of a steel ball; the published ball of a CE 152 is 2 % lighter than its diameter says
 _EARTH_M_S2 = (9.75, 9.84)  # 9.764 on high mountains near the equator, 9.834 at the poles

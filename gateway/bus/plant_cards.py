@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gateway.config import BoardConfig, GatewayConfig
@@ -21,7 +21,7 @@ from gateway.link.card_keeper import STATED
 from gateway.link.driver import BoardDriver
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import EMULATED, card_plant, plant_message
-from protocol.campaign import PlantFile, load_plant
+from protocol.campaign import PlantFile, load_stated_plant
 from protocol.campaign_text import plant_text
 from protocol.checked import Number, checked
 from protocol.errors import Board51Error, ConfigError, DataError, UsageError
@@ -56,12 +56,10 @@ def configured_card(board: BoardConfig) -> pb.PlantCard:
         return pb.PlantCard()
     file = Path(board.plant)
     try:
-        plant = load_plant(file)
+        plant = load_stated_plant(file)
         written_ns = (file / "campaign.toml" if file.is_dir() else file).stat().st_mtime_ns
     except UsageError as error:
         raise ConfigError(f"plant of the board {board.name}: {error.problem}", remedy=error.remedy) from None
-    if plant.assumed:
-        return pb.PlantCard()
     return pb.PlantCard(plant=plant_message(plant), who=CONFIGURATION, stated_ns=written_ns)
 
 
@@ -71,9 +69,9 @@ def state_now(config: GatewayConfig, board: str, file: Path, who: str) -> tuple[
     Raises:
         UsageError: the file cannot be read, its [plant] is not usable, or the card cannot be written.
     """
-    plant, kept = load_plant(file), folder_of(config) / f"{board}.toml"
+    plant, kept = load_stated_plant(file), folder_of(config) / f"{board}.toml"
     try:
-        _write(kept, pb.PlantCard(who=who, stated_ns=time.time_ns()), replace(plant, assumed=False))
+        _write(kept, pb.PlantCard(who=who, stated_ns=time.time_ns()), plant)
     except OSError as error:
         raise UsageError(
             f"The plant card cannot be written to {kept}: {error.strerror}", remedy="Give another --log-dir"

@@ -27,7 +27,8 @@ from protocol.errors import Board51Error, ServiceError
 from protocol.wire.messages import Flag
 
 SILENCE_S = 3.0  # longest time without a state; the gateway reconnects a port and reads a board again within it
-CARD_WAIT_S = 6.0  # the plant card comes every 5 s; a gateway of before sends none
+# The plant card comes every 5 s, later on a busy machine; only a gateway of before sends none.
+CARD_WAIT_S = 15.0
 SETTLE_S = 4.0  # longest time from the command to the ball resting at its reference
 STEADY_S = 0.25
 LANDING_S = 0.3  # a fall through the travel takes 0.03 s, its bounces ten times that

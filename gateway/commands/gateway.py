@@ -136,7 +136,7 @@ def _board(text: str, config: GatewayConfig) -> BoardConfig:
 
 def _plant(text: str, config: GatewayConfig) -> tuple[str, Path]:
     """Return board and file of a `--plant`, both of which must exist."""
-    from protocol.campaign import load_plant
+    from protocol.campaign import load_stated_plant
 
     boards = [board.name for board in config.boards]
     name, equals, file = text.rpartition("=")
@@ -147,7 +147,7 @@ def _plant(text: str, config: GatewayConfig) -> tuple[str, Path]:
             f"--plant {text}: {name or 'nothing'} is not the name of a board",
             remedy=f"Give one of {', '.join(boards)}=FILE",
         )
-    load_plant(Path(file))
+    load_stated_plant(Path(file))
     return name, Path(file)
 
 

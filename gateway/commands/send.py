@@ -151,9 +151,9 @@ def build(args: argparse.Namespace) -> pb.Command:
         case "acknowledge":
             return commands.acknowledge(args.alarm, comment=args.comment)
         case "plant":
-            from protocol.campaign import load_plant
+            from protocol.campaign import load_stated_plant
 
-            return commands.set_plant(load_plant(args.file), confirmed=args.confirmed)
+            return commands.set_plant(load_stated_plant(args.file), confirmed=args.confirmed)
         case "stop":
             return commands.stop()
         case _:

@@ -16,9 +16,8 @@ from gateway.board.scaling import Refusal
 from gateway.link.sink import Sink
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import EMULATED, card_plant, plant_message, plant_of
-from protocol.plant import in_words, objections
+from protocol.plant import MAX_NAME, in_words, objections
 
-MAX_NAME = 64
 STATED = "plant-stated"  # the event
 
 
@@ -60,6 +59,9 @@ class CardKeeper:
                 self._replace(card, host_ns)
         elif emulated is not None:
             if is_stated or not self.card.HasField("plant"):
+                if is_stated:
+                    text = f"{EMULATED}: {in_words(emulated)}; before: {in_words(plant_of(self.card.plant))}"
+                    self._publish(STATED, "info", text, pb.Event(host_time_ns=host_ns))
                 card = pb.PlantCard(plant=plant_message(emulated), who=EMULATED, stated_ns=host_ns, board=self._board)
                 self._replace(card, host_ns)
         elif is_stated:

@@ -81,6 +81,7 @@ class Bench:
     lift_input_v: float = 0.0
     faults: set[str] = field(default_factory=set)
     expected_resets: int = 0
+    expected_host_losses: int = 0
     _rest: Rest | None = None
     _scaling: Scaling | None = None
 
@@ -138,7 +139,7 @@ class Bench:
             self.line.run(_SETTLE_S)
             samples = self.line.run(0.5 if self.quick else 2.0)
             if len(samples) < 100:
-                raise NotReadyError("no states come")
+                raise too_few_states(len(samples))
             i_a, x_m = self.currents(samples), self.positions(samples)
             self._rest = Rest(*mean_and_deviation(i_a), *mean_and_deviation(x_m), samples)
         return self._rest
@@ -223,6 +224,11 @@ class Bench:
             seed=1,
             duration=duration,
         )
+
+
+def too_few_states(count: int) -> FaultFoundError:
+    """Return what to raise where states are missing."""
+    return FaultFoundError(fault("no-states", "states", f"only {count}", remedy="the line loses them: see link"))
 
 
 def at_input(samples: Sequence[Sample], count: int) -> list[Sample]:

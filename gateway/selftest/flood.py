@@ -11,7 +11,7 @@ from gateway.selftest.wire import Wire
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import EventCode, Message
+from protocol.wire.messages import RESETS, EventCode, Message
 
 _BITS_PER_BYTE = 10  # 8N1
 _AHEAD_S = 0.01  # so much may wait in this computer: a STOP stands behind it
@@ -29,7 +29,7 @@ class Flood:
 
     def __init__(self, wire: Wire, baud: int) -> None:
         self.states: list[tuple[float, State]] = []  # arrival, s
-        self.pings = self.answers = 0
+        self.pings = self.answers = self.restarts = 0
         self.overload = False
         self.stop_s: float | None = None  # when the last byte of STOP was written
         self._wire = wire
@@ -82,5 +82,6 @@ class Flood:
                 self.states.append((now_s, item))
             elif isinstance(item, Message) and item.name == "EVENT":
                 self.overload |= item.int("code") == EventCode.OVERLOAD
+                self.restarts += item.int("code") in RESETS
             elif isinstance(item, Message):
                 self.answers += item.name == "PONG" or (item.name == "NACK" and item.int("id") != _STOP_ID)

@@ -12,9 +12,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from gateway.selftest.bench import Bench, FaultFoundError, NotReadyError
+from gateway.selftest.checks.link import no_answer
+from gateway.selftest.checks.load import OVERRUN_REMEDY
 from gateway.selftest.connection import BOOT_S, NoAnswerError, RefusedError
 from gateway.selftest.table import Check
-from gateway.selftest.verdict import Result, Verdict, fault, passed, skipped
+from gateway.selftest.verdict import Result, Verdict, fault, passed, skipped, warning
 from protocol.wire.messages import FAULT_EVENTS, RESETS, EventCode
 
 _REPORTS = "reported-"
@@ -24,6 +26,7 @@ UNSAFE = frozenset(  # faults after which no current may flow
         "scalings",
         "input-at-zero",
         "stop",
+        "stop-unanswered",
         "host-loss",
         "reset",
         "reported-output-fault",
@@ -31,6 +34,7 @@ UNSAFE = frozenset(  # faults after which no current may flow
         "reported-over-current",
     }
 )
+_STOP_REMEDY = "a STOP may not reach the board: look at its RX, keep a hand on the plug of the coil"
 _REMEDIES = {
     EventCode.OUTPUT_FAULT: "CUT THE SUPPLY OF THE COIL: the input converter confirms no write",
     EventCode.UNCOMMANDED_CURRENT: "CUT THE SUPPLY OF THE COIL: current flows at u_c = 0, the driver is shorted",
@@ -46,6 +50,9 @@ def run_checks(bench: Bench, checks: Sequence[Check]) -> Iterator[Verdict]:
         bench.connect()
     except (NoAnswerError, RefusedError) as error:
         yield replace(fault("start", "the first commands", error.problem, remedy=error.remedy), check="start")
+    if bench.begin.identity is None:
+        yield replace(no_answer(bench), check="start")
+        dead = "the board does not answer"
     for check in checks:
         if dead:
             yield replace(skipped(check.name, check.summary, dead), check=check.name)
@@ -58,12 +65,17 @@ def run_checks(bench: Bench, checks: Sequence[Check]) -> Iterator[Verdict]:
             if verdict.result == Result.FAULT:
                 bench.faults.add(verdict.name)
             yield replace(verdict, check=check.name)
-        dead = _recover(bench)
+        for verdict in _recover(bench):
+            dead = verdict.value if verdict.name == "lost-board" else dead
+            if verdict.name not in bench.faults:
+                bench.faults.add(verdict.name)
+                yield replace(verdict, check=check.name)
 
 
 def _run_check(bench: Bench, check: Check) -> Iterator[Verdict]:
     """Yield the verdicts of a check, and what the board reports meanwhile; the latter explains why a check ends."""
     events, restarts, expected = len(bench.line.events), bench.line.restarts, bench.expected_resets
+    losses = bench.expected_host_losses
     end: Verdict | None = None
     try:
         yield from check.run(bench)
@@ -77,6 +89,11 @@ def _run_check(bench: Bench, check: Check) -> Iterator[Verdict]:
     reports_of_resets = sum(event.code in RESETS for event in bench.line.events[events:])
     unexpected = max(bench.line.restarts - restarts, reports_of_resets) - (bench.expected_resets - expected)
     reports = list(_reported(bench, events, unexpected))
+    host_losses = sum(event.code == EventCode.HOST_LOST for event in bench.line.events[events:])
+    if host_losses > bench.expected_host_losses - losses:
+        yield warning(
+            "host-lost", "the board reports", "HOST_LOST", remedy="the line or this computer stalls for 0.5 s"
+        )
     yield from (verdict for verdict in reports if verdict.name not in bench.faults)
     known = {verdict.name for verdict in reports} or {name for name in bench.faults if name.startswith(_REPORTS)}
     if end is not None and end.name == "refused" and known:
@@ -120,17 +137,20 @@ def _reported(bench: Bench, first: int, unexpected: int) -> Iterator[Verdict]:
             bound="0",
             remedy="look at the supply under load, the brown-out level, the reset line and the watchdog",
         )
+    if any(event.code == EventCode.OVERRUN for event in events):
+        yield fault("overruns", "the board reports", "OVERRUN", remedy=OVERRUN_REMEDY)
     for code in sorted({event.code for event in events} & _REPORTED):
         name = code.name.lower().replace("_", "-")
         yield fault(f"{_REPORTS}{name}", "the board reports", code.name, remedy=_REMEDIES[code])
 
 
-def _recover(bench: Bench) -> str:
-    """Let the coil be off and the session open before the next check; return why there cannot be one."""
+def _recover(bench: Bench) -> Iterator[Verdict]:
+    """Let the coil be off and the session open before the next check; yield why there cannot be one."""
     try:
         if not bench.line.until(lambda: bench.line.session.is_open, BOOT_S):
-            return "the board does not answer any more"
-        bench.line.stop()
+            remedy = "look at its supply and at the line to it"
+            yield fault("lost-board", "after the check", "the board does not answer any more", remedy=remedy)
+        elif bench.line.stop() is None:
+            yield fault("stop-unanswered", "STOP after the check", "has no ACK within 1 s", remedy=_STOP_REMEDY)
     except NoAnswerError as error:
-        return error.problem
-    return ""
+        yield fault("lost-board", "after the check", error.problem, remedy="look at the plug and at dmesg, and repeat")

@@ -34,6 +34,7 @@ from twin.identification.fit import Blocks, bare, fit
 from twin.identification.horizon import Horizon, error_at
 from twin.identification.input_delay import input_delay
 from twin.identification.intervals import Interval, quadratic_or_profile
+from twin.identification.loop_delay import LoopDelay, find_loop_delay
 from twin.identification.result import Identification, noise_of, provenance_of
 from twin.identification.starts import find_starts
 from twin.inference.likelihood import Criterion
@@ -90,6 +91,7 @@ def identify_records(
     fitted: Fit | None = None
     white: Whiteness | None = None
     intervals: dict[str, Interval] = {}
+    loop_delay: LoopDelay | None = None
     flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
     if starts.amplifier is not None and starts.amplifier.K_A > 0 and (series.flags & USE_I).any():
         free, start = BASE if flying else _AT_REST, starts.theta(starts.amplifier, plant.mass_kg)
@@ -102,6 +104,9 @@ def identify_records(
             # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
             robust = None if white.white else likelihood.sandwich(fitted)
             intervals = quadratic_or_profile(likelihood, fitted, robust)
+            # A delay colours the residuals: where they are white there is none to look for.
+            if robust is not None and "b" in fitted.free:
+                loop_delay = find_loop_delay(likelihood, robust)
         warnings += _not_converged(fitted)
     warnings += _left_out(usages)
 
@@ -113,7 +118,7 @@ def identify_records(
         "K_A": verdicts.gain(intervals.get("K_A"), levels, shape, warnings),
         "T_A": verdicts.time_constant(intervals.get("T_A"), shape, tick_s, warnings),
         "K_c": verdicts.force_constant(intervals.get("K_c"), force, ball, plant, warnings),
-        "b": verdicts.drag(intervals.get("b"), held, ball, plant, warnings, coloured=coloured),
+        "b": verdicts.drag(intervals.get("b"), held, ball, plant, warnings, coloured=coloured, loop_delay=loop_delay),
     }
     provenance = day_of(records) | provenance_of(campaign, fitted, white, usages, warnings, starts)
     noise = noise_of(fitted, records)

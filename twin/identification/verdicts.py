@@ -10,6 +10,7 @@ from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.evidence.starting.regression import BallStart
 from twin.identification.intervals import Interval
+from twin.identification.loop_delay import LoopDelay
 from twin.model.parameters import PARAMETERS, Parameter, Verdict
 from twin.settings import identification as settings
 
@@ -155,12 +156,13 @@ def drag(
     warnings: list[str],
     *,
     coloured: bool,
+    loop_delay: LoopDelay | None,
 ) -> Parameter:
     """The drag b; an interval that includes zero is reported, and with coloured residuals b is at most weak.
 
     Drag is the smallest force, so an effect that the model lacks (a lag, a delay, another force law) biases b first.
     Arguments as in `force_constant`; `held`: the b of the flights, where no maximum has a possible one; `coloured`:
-    whether the residuals are coloured.
+    whether the residuals are coloured; `loop_delay`: a delay of the current on which b depends.
     """
     if joint is None:
         if held is None or ball is None:
@@ -180,6 +182,19 @@ def drag(
             ci95=(0.0, max(joint.std, 0.0)),
             verdict="not-identifiable",
             method=f"innovations likelihood, at its bound (unbounded {value:.3g}); {joint.method}",
+            equation="(5), (7)",
+        )
+    if loop_delay is not None:
+        delay = f"{loop_delay.delay_s * 1e3:.2g} ms"
+        warnings.append(
+            f"i_c answers as if u_c acted {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} "
+            f"instead of {value:.3g} N s/m, so it has no interval. board51 diagnose extends the model by the delay"
+        )
+        return Parameter(
+            value=max(value, 0.0),
+            unit=PARAMETERS["b"][0],
+            verdict="not-identifiable",
+            method=f"innovations likelihood; with a delay of {delay} it is {loop_delay.b:.3g}",
             equation="(5), (7)",
         )
     # Left free below 0 in the fit and cut here: a bound in the fit would make the interval wrong.

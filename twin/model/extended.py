@@ -238,8 +238,8 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
         f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
         z_half = magnetic_hysteresis.turned(c, z, f, f_half)
-        seen_half = magnetic_hysteresis.field(c, f_half, z_half)
-        a2 = 0.0 if held else acceleration(p, c, seen_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
+        felt_half = magnetic_hysteresis.field(c, f_half, z_half)
+        a2 = 0.0 if held else acceleration(p, c, felt_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
             i_next = _driven(p, c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, 0.5 * h, 0.5 * h)
         else:
@@ -247,19 +247,19 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
         f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
         z_next = magnetic_hysteresis.turned(c, z_half, f_half, f_next)
-        seen_next = magnetic_hysteresis.field(c, f_next, z_next)
+        felt_next = magnetic_hysteresis.field(c, f_next, z_next)
         v3 = v + 0.5 * h * a2
-        a3 = acceleration(p, c, seen_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
+        a3 = acceleration(p, c, felt_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
         v4 = v + h * a3
-        a4 = acceleration(p, c, seen_next, x + h * v3, v4, t + h) - brake
+        a4 = acceleration(p, c, felt_next, x + h * v3, v4, t + h) - brake
         x_next = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v_next = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         if held:
-            after = acceleration(p, c, seen_next, x, 0.0, t + h)
+            after = acceleration(p, c, felt_next, x, 0.0, t + h)
             v_next, path = coulomb_friction.let_go(coulomb_friction.static_friction(c, p.mass_kg), free, after, h)
             x_next = x + path
         elif brake * v_next < 0.0:
-            after = acceleration(p, c, seen_next, x, 0.0, t + h)
+            after = acceleration(p, c, felt_next, x, 0.0, t + h)
             v_next, path = coulomb_friction.turned(abs(brake), v, v_next, x_next - x, free, after, h)
             x_next = x + path
         if stops and max(x + 0.5 * h * v2, x + h * v3) > p.travel_m:

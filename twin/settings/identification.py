@@ -84,6 +84,9 @@ WINDOWS = 40
 # Level.  Improvement of log-likelihood that shows a delay of u_c: z = 10, to leave room for errors of the model.
 DELAY_GAIN = 50.0
 DELAY_SAMPLES = 2  # reasoned: largest delay
+# Level.  Improvement of the log-likelihood of i_c that shows a delay by a part of a sample: z = 4.5.
+LOOP_DELAY_GAIN = 10.0
+LOOP_DELAY_SHARES = (0.05, 0.15, 0.3, 0.6, 0.9)  # reasoned: delays at which the search begins, in samples
 
 # --- Does the control law of the campaign file explain u_c? ---
 

@@ -2,6 +2,8 @@
 
 It is a client of the bus: it ends, hangs or dies without touching gateway or board.  Without --security or --users
 everybody who reaches the page may do what `board51 send` may: that is for this machine alone.
+
+Programs without zenoh have an HTTP API at /api/v1/, which lists it, and Prometheus has /metrics.
 """
 
 from __future__ import annotations

@@ -16,14 +16,15 @@ _UNMOVED = frozenset({"position-end", "position-frozen", "no-lift", "no-current"
 def codes(bench: Bench) -> Iterator[Verdict]:
     """Judge the codes of i_c and x."""
     bench.rest()
+    first = len(bench.line.samples)
     bench.open_loop()
     bench.play(Shape.SAWTOOTH, bench.rig.rest_input_v, period_s=_SWEEP_S, duration_s=_SWEEP_S)
     bench.pulse(bench.rig.lift_input_v, 15)
     bench.idle()
     finer = max(_BITS - bench.identity.int("adc_bits"), 0)  # bits that a coarser converter does not have
-    samples = bench.line.samples
-    yield _judge(bench, "i_c", {sample.state.i_c for sample in samples}, finer)
-    yield _judge(bench, "x", {sample.state.x for sample in samples}, finer)
+    samples = [sample.state for sample in bench.line.samples]
+    yield _judge(bench, "i_c", {s.i_c for s in samples}, {s.i_c for s in samples[first:]}, finer)
+    yield _judge(bench, "x", {s.x for s in samples}, {s.x for s in samples[first:]}, finer)
 
 
 def stuck_bits(values: Set[int], lowest: int) -> tuple[list[int], list[int]]:
@@ -36,8 +37,10 @@ def stuck_bits(values: Set[int], lowest: int) -> tuple[list[int], list[int]]:
     return [bit for bit in exercised if len({code >> bit & 1 for code in values}) == 1], exercised
 
 
-def _judge(bench: Bench, channel: str, values: set[int], lowest: int) -> Verdict:
+def _judge(bench: Bench, channel: str, values: set[int], now: set[int], lowest: int) -> Verdict:
+    """Judge the codes since the start, and those of now alone: a bit may have stuck meanwhile."""
     stuck, exercised = stuck_bits(values, lowest)
+    stuck = stuck or stuck_bits(now, lowest)[0]
     name, what = f"stuck-bit-{channel.replace('_', '-')}", f"bits of {channel}"
     if stuck:
         value = f"bit {', '.join(map(str, stuck))} never changes in {len(values)} codes"

@@ -19,9 +19,6 @@ _CRYSTAL = "look at the board's crystal and at the divider of its tick"
 def link(bench: Bench) -> Iterator[Verdict]:
     """Judge the line."""
     begin = bench.begin
-    if begin.identity is None:
-        yield _no_answer(bench)
-        return
     yield judge(
         "answer",
         "first answer after the port was opened",
@@ -39,7 +36,8 @@ def link(bench: Bench) -> Iterator[Verdict]:
     yield from _stream(bench)
 
 
-def _no_answer(bench: Bench) -> Verdict:
+def no_answer(bench: Bench) -> Verdict:
+    """Return the fault of a board that has not answered the first call."""
     line = bench.line
     if line.version_refused is not None:
         return fault(
@@ -125,7 +123,7 @@ def _stream(bench: Bench) -> Iterator[Verdict]:
         line.run(duration_s / 10)
     samples = line.samples[first:]
     bad = sum(line.session.counters.bad_frames.values()) - bad_before
-    tick_s = bench.scaling.sample_time_s if bench.begin.identity else 2e-3
+    tick_s = bench.scaling.sample_time_s
     due = round(duration_s / tick_s)
     if len(samples) < due // 2:
         yield fault("no-states", "states", f"{len(samples)} of {due}", remedy=_WIRES)
@@ -134,7 +132,8 @@ def _stream(bench: Bench) -> Iterator[Verdict]:
     some = max(1, due // 1000)
     yield judge("lost-states", f"states lost, of {due}:", lost, "", good=(0, 0), possible=(0, some), remedy=_WIRES)
     yield judge("bad-frames", "damaged frames from the board", bad, "", good=(0, 0), possible=(0, some), remedy=_WIRES)
-    longest_s = max(b.arrived_s - a.arrived_s for a, b in pairwise(samples))
+    arrivals_s = [*(sample.arrived_s for sample in samples), line.wire.now_s()]
+    longest_s = max(b - a for a, b in pairwise(arrivals_s))
     yield judge(
         "jitter",
         "longest time between two states",

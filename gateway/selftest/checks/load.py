@@ -11,6 +11,7 @@ from gateway.selftest.verdict import Verdict, fault, judge, passed
 _DRAIN_S = 0.3
 _BEFORE_STOP_S = 0.2
 _AFTER_STOP_S = 0.3
+OVERRUN_REMEDY = "the loop is too slow for its T_s: shorten it, or take a faster part"
 _CUT = "CUT THE SUPPLY OF THE COIL, then look at driver and input converter"
 
 
@@ -24,6 +25,10 @@ def load(bench: Bench) -> Iterator[Verdict]:
     flood.drain(_DRAIN_S)
     line.open()
     after = line.order("PING")
+    if flood.restarts:
+        remedy = "the board does not bear the load: look at its supply and its watchdog"
+        yield fault("unexpected-reset", "restarts in a full line", str(flood.restarts), bound="0", remedy=remedy)
+        return
     counted = after.int("bad_frames") - before.int("bad_frames")
     yield judge(
         "unaccounted",
@@ -53,7 +58,7 @@ def load(bench: Bench) -> Iterator[Verdict]:
         after.int("overruns") - before.int("overruns"),
         "",
         good=(0, 0),
-        remedy="the loop is too slow for its T_s: shorten it, or take a faster part",
+        remedy=OVERRUN_REMEDY,
     )
     yield _stop_in_flood(bench)
 

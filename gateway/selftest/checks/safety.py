@@ -86,6 +86,7 @@ def _host_loss(bench: Bench) -> Iterator[Verdict]:
     line, scaling = bench.line, bench.scaling
     current_a = _energize(bench)
     bench.set_host_loss(_LOSS_MS)
+    bench.expected_host_losses += 1
     called_s = line.wire.now_s()
     first, first_event = len(line.samples), len(line.events)
     line.run(2.5e-3 * _LOSS_MS + 0.1, silent=True)

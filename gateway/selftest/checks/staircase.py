@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from statistics import fmean
 
-from gateway.selftest.bench import Bench, at_input
+from gateway.selftest.bench import Bench, at_input, too_few_states
 from gateway.selftest.estimates import Line, line_through
 from gateway.selftest.verdict import Verdict, fault, judge, passed
 
@@ -36,6 +36,8 @@ def staircase(bench: Bench) -> Iterator[Verdict]:
     if wrong is not None:
         yield wrong
         return
+    if len(low.u_v) < 5:
+        raise too_few_states(len(low.u_v))
     rig = bench.rig
     fitted = line_through(low.u_v[len(low.u_v) // 4 :], low.i_a[len(low.u_v) // 4 :])
     if fitted.slope < _ALIVE * rig.K_A:

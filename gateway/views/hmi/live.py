@@ -28,6 +28,7 @@ from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.traces import Traces
 from gateway.views.hmi.watch import Watch
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.plant_card import card_plant
 from protocol.errors import DataError
 from protocol.files import parse_json
 
@@ -72,6 +73,9 @@ class Snapshots:
         return snapshot.rest(board) | {"travel_m": self._travel_m(board)}
 
     def _travel_m(self, board: BoardFeed) -> float | None:
+        plant = card_plant(board.latest(pb.PlantCard))
+        if plant is not None:
+            return plant.travel_m
         model, parameters = board.latest(pb.TwinModel), board.latest(pb.Parameters)
         travel_m = travel_of(model.model_json) if model is not None else math.nan
         if math.isfinite(travel_m):

@@ -56,7 +56,7 @@ class LoginSessions:
         for token in [t for t, s in self._open.items() if self.left_s(s, now_s) <= 0.0]:
             del self._open[token]
         if len(self._open) >= MAX_SESSIONS:
-            del self._open[min(self._open.values(), key=lambda s: s.acted_s).token]
+            del self._open[min(self._open.values(), key=lambda s: (s.grant is not None, s.acted_s)).token]
         session = LoginSession(name=name, role=role, opened_s=now_s, acted_s=now_s, grant=grant)
         self._open[session.token] = session
         self._names[session.token] = name

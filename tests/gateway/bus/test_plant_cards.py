@@ -122,7 +122,7 @@ def test_the_newest_statement_counts(tmp_path: Path) -> None:
                                  " x_max 9 mm, g 9.81 m/s2")  # fmt: skip
 
 
-def test_a_configured_plant_that_is_impossible_ends_the_start_and_an_assumed_one_states_nothing(
+def test_a_configured_plant_that_is_impossible_or_assumed_ends_the_start(
     tmp_path: Path,
 ) -> None:
     (board,) = gateway_config("/dev/null", plant=str(tmp_path / "rig.toml")).boards
@@ -132,8 +132,9 @@ def test_a_configured_plant_that_is_impossible_ends_the_start_and_an_assumed_one
     with pytest.raises(ConfigError, match=r"plant of the board rig: .*mass_kg: 30 kg .* You may mean 30 g"):
         configured_card(board)
     (tmp_path / "rig.toml").write_text(FILE + "assumed = true\n")
+    with pytest.raises(ConfigError, match=r"plant of the board rig: .*nobody stated this plant"):
+        configured_card(board)
 
-    assert not configured_card(board).HasField("plant")
     assert not configured_card(replace(board, plant="")).HasField("plant")
 
 

@@ -28,7 +28,7 @@ class Seen:
         return self.keeper.card
 
     @property
-    def warnings(self) -> list[str]:
+    def events(self) -> list[str]:
         return [event.name for event in self.sink.messages["event"]]
 
 
@@ -46,7 +46,7 @@ def test_another_version_of_the_firmware_is_the_same_board(firmware: str) -> Non
     seen = Seen(OF_FILE)
 
     assert seen.after(REAL, (7, firmware)).plant == OWN
-    assert seen.warnings == []
+    assert seen.events == []
 
 
 @pytest.mark.parametrize("other", [(8, "1.0 at89c51"), OWN_RIG])
@@ -56,7 +56,7 @@ def test_with_another_board_a_card_is_doubted_once(other: tuple[int, str]) -> No
     card = seen.after(REAL, other, other)
 
     assert card.plant == OWN
-    assert seen.warnings == ["plant-of-another-board"]
+    assert seen.events == ["plant-of-another-board"]
 
 
 def test_an_emulated_ce_152_has_its_own_plant_after_another_rig_and_none_is_left_for_a_real_one() -> None:
@@ -66,6 +66,7 @@ def test_an_emulated_ce_152_has_its_own_plant_after_another_rig_and_none_is_left
     left = seen.after(REAL)
 
     assert (emulated.who, emulated.plant.mass_kg) == (EMULATED, 8.28e-3)
+    assert seen.events == ["plant-stated"]
     assert not left.HasField("plant")
 
 

@@ -136,6 +136,25 @@ def test_a_shorted_driver_is_a_coil_that_may_be_on(check: str) -> None:
     assert faults[0].name in ("stop", "stop-in-load", "reported-uncommanded-current")
 
 
+def test_a_silence_between_two_checks_is_found_by_the_stop_after_one() -> None:
+    verdicts = selftest(faults=["stall=3.9@1.7"])
+
+    assert names_of(verdicts, Result.FAULT)[0] in ("jitter", "stop-unanswered")
+
+
+@pytest.mark.parametrize("check", ["identity", "staircase", "load"])
+def test_a_board_that_does_not_answer_is_a_fault_of_any_check(check: str) -> None:
+    verdicts = selftest(only=[check], faults=["lost=1:rx"])
+
+    assert names_of(verdicts, Result.FAULT) == ["deaf-board"]
+    assert names_of(verdicts, Result.OK) == []
+
+
+@pytest.mark.parametrize(("faults", "name"), [(["stall=0.8@4.6"], "host-lost"), (["i-bit=4@5"], "stuck-bit-i-c")])
+def test_what_comes_and_goes_is_found(faults: list[str], name: str) -> None:
+    assert name in names_of(selftest(faults=faults), Result.FAULT, Result.WARNING)
+
+
 @pytest.mark.slow
 def test_a_line_of_small_losses_is_a_warning() -> None:
     verdicts = selftest(only=["link"], faults=["flip=2e-5"], quick=False)

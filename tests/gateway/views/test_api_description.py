@@ -106,3 +106,14 @@ def test_the_page_lists_every_operation_with_its_keys(document: dict[str, Any]) 
         ("last_s", "number 0 .. 60"),
         ("format", '"json" | "csv"'),
     ]
+
+
+def test_the_how_to_names_every_path(document: dict[str, Any]) -> None:
+    page = (Path(gateway.__file__).parents[1] / "docs" / "howto" / "clients.md").read_text(encoding="utf-8")
+    examples = {"{rig}": "rig1", "{model}": "NAME", "{log}": "NAME"}
+
+    for path in document["paths"]:
+        shown = re.sub(r"{\w+}", lambda part: examples[part[0]], path)
+        assert (
+            shown in page or f".../{shown.partition('/rig1/')[2]}" in page or f"...{shown[shown.rindex('/') :]}" in page
+        )

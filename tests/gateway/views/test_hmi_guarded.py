@@ -12,10 +12,13 @@ import pytest
 from playwright.sync_api import Browser, expect
 from playwright.sync_api import Page as Tab
 
+from gateway.access.roles import Role
+from gateway.access.users import User, set_token
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from protocol.log.reader import read
 from tests.harness.gateway.access_peers import PASSWORD, guarded_rig, made_folder
+from tests.harness.gateway.api_peers import Program
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, Process, hmi
@@ -157,3 +160,23 @@ def test_a_person_s_command_reaches_the_board_under_that_person_s_name_and_role(
         assert (forbidden.status_code, forbidden.json()["refused_by"]) == (403, "hmi")
         with pytest.raises(httpx.ConnectError, match="CERTIFICATE_VERIFY_FAILED"):
             httpx.get(f"https://127.0.0.1:{port}/login")
+
+
+def test_a_program_s_command_reaches_the_board_under_its_user_s_name_and_the_token_s_role(tmp_path: Path) -> None:
+    folder = made_folder(tmp_path / "keys")
+    token = set_token(folder.users, "matlab", User(name="ana", role=Role.OPERATOR))
+    with (
+        guarded_rig(folder, tmp_path / "logs") as rig,
+        hmi(tmp_path, rig.endpoint, "--security", str(folder.path)) as (port, _),
+        rig.join("vic") as bus,
+    ):
+        program = Program(port, token, ca=folder.ca)
+        wait_for(lambda: program.command(command="ping").json()["executed"], "the board behind the API")
+        stopped = program.post("/rigs/rig/stop")
+        wait_for(lambda: any(r.command.HasField("stop") for r in bus.records), "the record")
+        forbidden = program.command(command="stream", divider=2)
+
+    record = next(r for r in bus.records if r.command.HasField("stop"))
+    assert stopped.json()["executed"]
+    assert (record.command.who, record.command.role) == ("ana", "operator")
+    assert (forbidden.status_code, forbidden.json()["code"]) == (403, "not-allowed")

@@ -350,7 +350,7 @@ def test_axe_finds_nothing_serious_on_any_page(
     found: list[object] = []
     with site.live():
         raise_alarms(site, 2)
-        for path in ("/", "/rig/rig", "/model/rig", "/logs", "/replay/"):
+        for path in ("/", "/rig/rig", "/model/rig", "/logs", "/replay/", "/api/v1/"):
             page.goto(site.url + path)
             page.wait_for_load_state("networkidle" if path == "/logs" else "load")
             page.evaluate(axe)
@@ -412,7 +412,7 @@ def test_every_text_can_be_read(page: Page, site: Site, scheme: Literal["light",
         expect(page.locator(".toast[data-state=good]")).to_be_visible()
         expect(page.locator(SAID)).to_have_attribute("data-state", "good")
         look("accepted")
-        for path in ("/", "/model/rig", "/logs", "/replay/", "/replay/rig"):
+        for path in ("/", "/model/rig", "/logs", "/replay/", "/replay/rig", "/api/v1/"):
             page.goto(f"{site.url}{path}")
             expect(page.locator(".messages .hint")).to_be_visible()
             if path == "/":

@@ -123,3 +123,11 @@ def test_the_dashboard_and_the_alerts_ask_for_metrics_that_exist(bus: tuple[Play
     assert len({panel["id"] for panel in dashboard["panels"]}) == len(dashboard["panels"])
     for counter in re.findall(r"board51_\w+_total", " ".join(queries)):
         assert all(f"rate({counter}" in query for query in queries if counter in query)
+
+
+def test_the_how_to_names_every_metric_and_no_other(bus: tuple[PlayedGateway, Feed]) -> None:
+    page = (MONITORING.parent / "howto" / "monitoring.md").read_text(encoding="utf-8")
+
+    told = {f"board51{rest}" for rest in re.findall(r"`(?:board51)?(_[a-z0-9_]+)`", page)}
+
+    assert told == names(scraped(bus[1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,10 +21,12 @@ from tests.patience import HANG_S
 class Program:
     """A client that is no browser: no cookie, no origin."""
 
-    def __init__(self, port: int, token: str = "") -> None:
+    def __init__(self, port: int, token: str = "", *, ca: Path | None = None) -> None:
         self.port = port
         self._headers = {"authorization": f"Bearer {token}"} if token else {}
-        self.http = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=HANG_S, headers=self._headers)
+        base = f"{'http' if ca is None else 'https'}://127.0.0.1:{port}"
+        trust = ssl.create_default_context(cafile=ca) if ca is not None else False
+        self.http = httpx.Client(base_url=base, timeout=HANG_S, headers=self._headers, verify=trust)
 
     def get(self, path: str, **query: object) -> httpx.Response:
         """GET below /api/v1."""

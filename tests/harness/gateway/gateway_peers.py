@@ -228,7 +228,8 @@ def gateway_config(*urls: str, log: Path | None = None, **board: Any) -> Gateway
     return GatewayConfig(
         boards=tuple(BoardConfig(name=name, port=url, **options) for name, url in zip(names, urls, strict=True)),
         zenoh=ZenohConfig(listen=(f"tcp/127.0.0.1:{free_port()}",)),
-        log=LogConfig(enabled=log is not None, directory=str(log), min_free_bytes=0),
+        # Without a log no plant card can be kept, which one test would leave to another.
+        log=LogConfig(enabled=log is not None, directory=str(log or os.devnull), min_free_bytes=0),
     )
 
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import Field, TypeAdapter
+from pydantic import TypeAdapter
 from starlette.responses import FileResponse, PlainTextResponse, Response
 
 from gateway.views.dispatch import Wish
@@ -20,7 +19,8 @@ from gateway.views.hmi import snapshot
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.acts import Acts, status_of
 from gateway.views.hmi.api import commands, rigs, shapes
-from gateway.views.hmi.api.recent import LONGEST_S, Recent
+from gateway.views.hmi.api.queries import Identify, StartCampaign, StartRecording, StatesQuery, StreamQuery
+from gateway.views.hmi.api.recent import Recent
 from gateway.views.hmi.api.resource import (
     BINARY,
     CSV,
@@ -30,7 +30,6 @@ from gateway.views.hmi.api.resource import (
     ProblemError,
     checked_body,
 )
-from gateway.views.hmi.api.stream import StreamQuery
 from gateway.views.hmi.downloads import download
 from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.model.work import ModelWork
@@ -38,7 +37,6 @@ from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.starts import Start, starts
 from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
-from protocol.checked import Flag, Keys, Number, key
 
 EVERY = "*"
 _REPLY = TypeAdapter(shapes.Reply)
@@ -47,30 +45,6 @@ _ACT = {
     403: "the role does not suffice", 404: "no rig of this name", 409: "refused; the code says why",
     503: "no gateway answers",
 }  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StatesQuery(Keys):
-    """The query of recent samples."""
-
-    last_s: Annotated[Number, Field(ge=0.0, le=LONGEST_S, description="how far back, s")] = 10.0
-    format: Annotated[Literal["json", "csv"], key("of the answer")] = "json"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartCampaign(Keys):
-    """A campaign to start; it moves the ball."""
-
-    quick: Annotated[Flag, key("the short campaign, 35 s instead of 2 min")] = False
-    investigate: Annotated[Flag, key("campaign and diagnosis in turns, until the cause is certain")] = False
-    resume: Annotated[str, key("name of an interrupted campaign to continue; the others count for nothing then")] = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Identify(Keys):
-    """An identification to start."""
-
-    campaign: Annotated[str, key("its name; empty: the newest")] = ""
 
 
 def _body_of_command(table: Mapping[str, object], is_form: bool) -> object:
@@ -128,6 +102,10 @@ class Endpoints:
               body=_body(Identify), body_type=Identify, statuses=_ACT),
             e(method=get, path="/rigs/{rig}/models/{model}", run=self.model, answer=dict[str, Any], tag="models",
               statuses={404: "no rig or model of this name"}),
+            e(method=post, path="/rigs/{rig}/recordings", run=self.start_recording, answer=shapes.Reply, tag="logs",
+              body=_body(StartRecording), body_type=StartRecording, statuses=_ACT),
+            e(method=post, path="/rigs/{rig}/recordings/stop", run=self.stop_recording, answer=shapes.Reply,
+              tag="logs", statuses=_ACT),
             e(method=get, path="/logs", run=self.logs, answer=shapes.Logs, tag="logs"),
             e(method=get, path="/logs/{log}", run=self.log, answer=None, tag="logs", media=(BINARY,),
               statuses={404: "no log of this name"}),
@@ -219,8 +197,7 @@ class Endpoints:
 
     async def interrupt(self, call: Call) -> Response:
         """Interrupt the campaign that runs; it parks the ball."""
-        board = self._board(call).name
-        return await self._act(call, lambda session, _: self._actions.stop_job(session, "campaign", board), board="")
+        return await self._end(call, "campaign")
 
     async def models(self, call: Call) -> shapes.Models:
         """List the models of a rig, and the progress of an identification that runs."""
@@ -243,6 +220,14 @@ class Endpoints:
             if file.name == call.path("model"):
                 return FileResponse(file.path, media_type=JSON, filename=f"{board}-{file.path.name}")
         raise ProblemError(404, "no-model", text_of("refusal.no_model"))
+
+    async def start_recording(self, call: Call) -> Response:
+        """Start a recording: a file of its own, which appears among the logs."""
+        return await self._start(call, "record", {"title": call.body.title})
+
+    async def stop_recording(self, call: Call) -> Response:
+        """Stop the recording that runs, and close its file."""
+        return await self._end(call, "record")
 
     async def logs(self, _: Call) -> shapes.Logs:
         """List the logs and recordings of all rigs."""
@@ -277,6 +262,10 @@ class Endpoints:
     async def _start(self, call: Call, kind: str, table: dict[str, object]) -> Response:
         board = self._board(call).name
         return await self._act(call, lambda session, _: self._starts[kind](session, board, table))
+
+    async def _end(self, call: Call, kind: str) -> Response:
+        board = self._board(call).name
+        return await self._act(call, lambda session, _: self._actions.stop_job(session, kind, board), board="")
 
     async def _act(
         self, call: Call, do: Callable[[LoginSession, Wish], pb.CommandReply], *, board: str | None = None

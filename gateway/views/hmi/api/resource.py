@@ -181,7 +181,7 @@ async def _table(request: Request) -> tuple[Mapping[str, object], bool]:
         return {}, False
     if media not in ("", JSON, _FORM):
         raise ProblemError(415, "media-type", f"The body is {media[:80]}")
-    if media == _FORM and not text.startswith("{"):
+    if media in ("", _FORM) and not text.startswith(("{", "[")):
         pairs = parse_qsl(text, keep_blank_values=True)
         if len(dict(pairs)) < len(pairs):
             raise ProblemError(400, "malformed", "A key of the form appears twice")

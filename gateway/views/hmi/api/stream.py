@@ -12,36 +12,23 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import TypeAdapter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gateway.views.feed import BoardFeed, Feed
 from gateway.views.hmi.api import rigs, shapes
+from gateway.views.hmi.api.queries import StreamQuery
 from gateway.views.hmi.api.resource import checked_form
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.live import FRAME_S, STUCK_S
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus import board51_pb2 as pb
-from protocol.checked import Keys, Number, key
 from protocol.errors import Board51Error
 
 MAX_STREAMS = 32
-MAX_RATE_HZ = 1000.0
 NO_RIG, BAD_QUERY, TOO_MANY = 4404, 4400, 1013  # WebSocket close codes
 _STATE = TypeAdapter(shapes.State)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreamQuery(Keys):
-    """The query of a stream."""
-
-    rate_hz: Annotated[
-        Number, Field(ge=0.1, le=MAX_RATE_HZ, description="samples a second; at most those that the board sends")
-    ] = 50.0
-    format: Annotated[Literal["json", "csv"], key("of the messages")] = "json"
 
 
 class Streams:
@@ -93,7 +80,8 @@ class Streams:
         tap = board.tap(pb.State, width_s=1.0 / query.rate_hz)
         try:
             while not leaving.done():
-                if not self._sessions.is_open(session, time.monotonic()):
+                now_s = time.monotonic()
+                if not self._sessions.is_open(session, now_s):
                     await asyncio.wait_for(socket.close(SESSION_OVER), STUCK_S)
                     return
                 for closed in tap.take():

@@ -14,9 +14,8 @@ from typing import Any
 from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import EMULATED, card_plant
-from protocol.plant import GRAVITY_M_S2, Objection, objections, with_defaults
+from protocol.plant import GRAVITY_M_S2, MAX_NAME, Objection, objections, with_defaults
 
-MAX_NAME = 64
 # Field of the page: key of `[plant]`, SI units in one unit of the page.
 FIELDS: Mapping[str, tuple[str, float]] = {
     "mass_g": ("mass_kg", 1e-3),

@@ -1,0 +1,118 @@
+"""The table of modes in firmware/README.md, cell by cell, on both firmwares."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import pytest
+
+from gateway.emulator.firmware_model.output import OutputFault
+from gateway.emulator.native.flags import SOURCES
+from protocol.wire.messages import EventCode, Flag, Mode
+from tests.harness.gateway.board_host import FIRMWARES, Bench, Host, skip_without_compiler
+
+MODES = {"idle": Mode.IDLE, "open loop": Mode.OPEN_LOOP, "closed loop": Mode.CLOSED_LOOP}
+Action = Callable[[Host, Bench], object]
+FULL_A, TOP_M = 5.0, 1.0
+
+
+class Row(NamedTuple):
+    """One of the table."""
+
+    event: str
+    after: dict[Mode, Mode]
+    fault: str
+
+
+def rows() -> list[Row]:
+    text = (SOURCES / "README.md").read_text(encoding="utf-8")
+    table = text.partition("| what happens | in idle ")[2].partition("\n\n")[0]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+    return [Row(row[0], dict(zip(Mode, (MODES[name] for name in row[1:4]), strict=True)), row[4]) for row in cells]
+
+
+def lose_host(policy: int) -> Action:
+    def act(host: Host, bench: Bench) -> None:
+        host.ask("SET_HOST_LOSS", policy=policy, timeout=50)
+        host.run(30, alive=False)
+
+    return act
+
+
+def read(*, i_a: float | None = None, x_m: float | None = None, ticks: int) -> Action:
+    def act(host: Host, bench: Bench) -> None:
+        bench.i_a, bench.x_m = bench.i_a if i_a is None else i_a, bench.x_m if x_m is None else x_m
+        host.run(ticks)
+
+    return act
+
+
+def set_mode(mode: Mode) -> Action:
+    return lambda host, bench: host.ask("SET_MODE", mode=mode)
+
+
+def fail_writes(host: Host, bench: Bench) -> None:
+    host.firmware.fail_output(OutputFault.DEAF)
+    host.run(6)
+
+
+def reset(host: Host, bench: Bench) -> None:
+    host.firmware.reset(EventCode.RESET_WATCHDOG)
+    host.run(20)
+
+
+ACTIONS: dict[str, Action] = {
+    **{f"SET_MODE {name}": set_mode(mode) for name, mode in MODES.items()},
+    "STOP": lambda host, bench: host.ask("STOP"),
+    "host lost, policy keep": lose_host(0),
+    "host lost, policy coil off": lose_host(1),
+    "host lost, policy hold": lose_host(2),
+    "i_c at its top for 50 ticks": read(i_a=FULL_A, ticks=51),
+    "x at an end for 500 ticks": read(x_m=TOP_M, ticks=501),
+    "5 writes of u_c not confirmed": fail_writes,
+    "a reset": reset,
+}
+
+
+def state(host: Host) -> tuple[Mode, bool]:
+    """The mode in force, and whether a fault is."""
+    flags = host.run(1)[-1].flags
+    return Mode(flags & 3), bool(flags & Flag.FAULT)
+
+
+@pytest.mark.parametrize("kind", FIRMWARES)
+@pytest.mark.parametrize("before", Mode, ids=lambda mode: mode.name)
+@pytest.mark.parametrize("row", rows(), ids=lambda row: re.sub(r"\W+", "_", row.event))
+def test_the_cell_says_what_the_board_does(row: Row, before: Mode, kind: str) -> None:
+    if kind == "c":
+        skip_without_compiler()
+    bench = Bench()
+    host = Host(bench, board=FIRMWARES[kind](bench))
+    host.ask("SET_HOST_LOSS", policy=0, timeout=60000)
+    host.ask("SET_MODE", mode=before)
+
+    ACTIONS[row.event](host, bench)
+
+    mode, fault = state(host)
+    assert mode == row.after[before]
+    assert fault == (row.fault == "begins" or row.fault == f"begins in {before.name.lower().replace('_', ' ')}")
+
+
+@pytest.mark.parametrize("kind", FIRMWARES)
+@pytest.mark.parametrize(
+    "row", [row for row in rows() if row.fault in ("ends", "stays")], ids=lambda row: re.sub(r"\W+", "_", row.event)
+)
+def test_a_fault_ends_or_stays_as_the_row_says(row: Row, kind: str) -> None:
+    if kind == "c":
+        skip_without_compiler()
+    bench = Bench(i_a=FULL_A)
+    host = Host(bench, board=FIRMWARES[kind](bench))
+    host.run(60)
+    bench.i_a = 0.0
+    assert state(host) == (Mode.IDLE, True)
+
+    ACTIONS[row.event](host, bench)
+
+    assert state(host)[1] == (row.fault == "stays")
