@@ -42,7 +42,8 @@ def rig(folder: Path) -> Iterator[None]:
         deadline = time.monotonic() + 300.0
         while True:
             try:
-                urllib.request.urlopen(f"http://{PAGE}/", timeout=2.0).close()
+                page = urllib.request.Request(f"http://{PAGE}/", headers={"Accept": "text/html"})
+                urllib.request.urlopen(page, timeout=10.0).close()
                 break
             except (urllib.error.URLError, OSError):
                 if process.poll() is not None or time.monotonic() > deadline:
@@ -84,7 +85,7 @@ def story(page: Page) -> list[Image.Image]:
     """Fly, measure, identify, diagnose, and fly on with the model that has the cause: the frames of it."""
     frames: list[Image.Image] = []
     page.goto(f"http://{PAGE}/rig/rig1")
-    time.sleep(SETTLE_S)
+    expect(page.get_by_text("no twin")).to_be_hidden(timeout=WORK_MS)
     frames.append(picture(page))
     fly(page, frames)
     picture(page).quantize(256).save(ASSETS / "control-room.png", optimize=True)
