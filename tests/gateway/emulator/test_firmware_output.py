@@ -218,3 +218,25 @@ def rebooted(stored: Settings) -> Host:
     host.run(BOOT_TICKS + 1, alive=False)
     host.hello(2)
     return host
+
+
+def test_idle_in_idle_after_a_capture_leaves_what_a_deaf_converter_confirmed() -> None:
+    host = Host()
+    host.ask("CAPTURE", u_from=0, u_to=900, pre=1, count=20)
+    host.run(20)
+    assert host.states[-1].u_c == 0
+    host.firmware.fail_output(OutputFault.DEAF)
+
+    host.ask("SET_MODE", mode=0)
+
+    assert host.states[-1].u_c == 0
+
+
+def test_a_reference_in_open_loop_does_not_end_the_signal_of_the_input() -> None:
+    host = open_loop()
+    host.ask("EXCITE", shape=2, target=0, offset=CODE, **(QUIET | {"amplitude": 50, "period": 10}))
+    host.run(10)
+
+    assert host.ask("SET_REFERENCE", x_ref=2034).name == "ACK"
+
+    assert {state.u_c for state in host.run(20)} == {CODE - 50, CODE + 50}
