@@ -125,6 +125,7 @@ def judge(library: Path) -> None:
     core = Core(library)
     of_law.fly_both(core, 1, 6_000)
     of_law.test_before_rounding_the_accumulator_is_that_of_python(core)
+    of_law.test_within_two_counts_of_its_ends_the_integral_is_that_of_python(core)
     for law, integral in product(Law, (-1, 0, 1)):
         of_law.test_at_its_limits_and_a_count_beside_them_the_integral_is_that_of_python(core, law, integral)
     for seed in range(19, 23):
