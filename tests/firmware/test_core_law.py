@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import product
 
 import pytest
 
@@ -90,3 +91,35 @@ def test_the_twin_rounds_half_a_count_as_the_board_does(core: Core) -> None:
     core.load(Gains(law=0, mantissas=(-256, 0, 0, 0), shifts=(9, 0, 0, 0), i_0=0, x_0=0, u_0=100))  # u = 100 + i/2
 
     assert [core.run(i, 0, 0)[0] for i in range(8)] == [rounded(100.0 + 0.5 * i, 1.0) for i in range(8)]
+
+
+@pytest.mark.parametrize("law", Law)
+@pytest.mark.parametrize("integral", [-1, 0, 1])
+def test_at_its_limits_and_a_count_beside_them_the_integral_is_that_of_python(
+    core: Core, law: Law, integral: int
+) -> None:
+    """Where u, the error or the integral's gain is at or beside the number that decides; chance rarely meets it."""
+    of_integral = (1, 3)[law is Law.LQI]
+    mantissas = tuple(256 if n == 0 else integral if n == of_integral else 0 for n in range(4))  # a count for a count
+    for u_0, total, more, error in product((0, 4095), (-256, 0, 256), (-1, 0, 1), (-1, 0, 1)):
+        python = ControlLaw(
+            Gains(law=law, mantissas=mantissas, shifts=(8, 8, 8, 8), i_0=2000, x_0=2000, u_0=u_0)  # type: ignore[arg-type]
+        )
+        core.load(python.gains)
+        python.sum = core.law.sum = total
+
+        expected = python.run(2000 + more, 2000, 2000 + error)
+
+        assert core.run(2000 + more, 2000, 2000 + error) == expected, (u_0, total, more, error)
+        assert core.law.sum == python.sum, (u_0, total, more, error)
+
+
+def test_within_two_counts_of_its_ends_the_integral_is_that_of_python(core: Core) -> None:
+    python = ControlLaw(Gains(law=0, mantissas=(0, 0, 0, 0), shifts=(0, 0, 0, 0), i_0=0, x_0=0, u_0=0))
+    core.load(python.gains)
+    for end, beside, error in product((-(1 << 23), (1 << 23) - 1), range(-2, 3), range(-2, 3)):
+        total = min(max(end + beside, -(1 << 23)), (1 << 23) - 1)
+        python.sum = core.law.sum = total
+
+        assert core.run(0, 2000, 2000 + error) == python.run(0, 2000, 2000 + error)
+        assert core.law.sum == python.sum, (total, error)

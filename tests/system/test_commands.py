@@ -77,6 +77,7 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
         (["send", "rig1", "reference", "nan"], "not a finite number"),
         (["send", "Rig 1", "stop"], "is not a name"),
         (["send", "rig1", "stop", "--connect", "7447"], "is not a zenoh endpoint"),
+        (["send", "rig1", "plant", "absent.toml"], "absent.toml cannot be read"),
         (["gateway"], "board"),
         (["gateway", "--board", "rig1"], "NAME=PORT"),
         (["gateway", "--config", "absent.toml"], "absent.toml"),

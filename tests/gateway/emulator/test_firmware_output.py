@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.emulator.firmware_model.flash import BOOT_TICKS, CE152_BOARD, GAINS, INPUT, LIMITS, Settings
+from gateway.emulator.firmware_model.flash import BOOT_TICKS, CE152_BOARD, CURRENT, GAINS, INPUT, LIMITS, Settings
 from gateway.emulator.firmware_model.output import OutputFault
 from protocol.wire.messages import COUNTS_MAX, ROW_OF_NAME, EventCode, Flag, Mode, Reason
 from tests.harness.firmware.random_host import random_settings
@@ -218,3 +218,34 @@ def rebooted(stored: Settings) -> Host:
     host.run(BOOT_TICKS + 1, alive=False)
     host.hello(2)
     return host
+
+
+def test_idle_in_idle_after_a_capture_leaves_what_a_deaf_converter_confirmed() -> None:
+    host = Host()
+    host.ask("CAPTURE", u_from=0, u_to=900, pre=1, count=20)
+    host.run(20)
+    assert host.states[-1].u_c == 0
+    host.firmware.fail_output(OutputFault.DEAF)
+
+    host.ask("SET_MODE", mode=0)
+
+    assert host.states[-1].u_c == 0
+
+
+def test_a_reference_in_open_loop_does_not_end_the_signal_of_the_input() -> None:
+    host = open_loop()
+    host.ask("EXCITE", shape=2, target=0, offset=CODE, **(QUIET | {"amplitude": 50, "period": 10}))
+    host.run(10)
+
+    assert host.ask("SET_REFERENCE", x_ref=2034).name == "ACK"
+
+    assert {state.u_c for state in host.run(20)} == {CODE - 50, CODE + 50}
+
+
+@pytest.mark.parametrize(("count", "told"), [(511, []), (512, [512])])
+def test_a_current_is_uncommanded_from_an_eighth_of_its_range_on(count: int, told: list[int]) -> None:
+    host = Host(Bench(i_a=CURRENT.to_si(count)))
+
+    host.run(UNCOMMANDED_TICKS + 2)
+
+    assert host.details(EventCode.UNCOMMANDED_CURRENT) == told

@@ -19,7 +19,7 @@ from twin.inference.likelihood import Criterion
 from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
 from twin.model.causes.cause import PLACES, Cause
-from twin.model.extended import Base, advance
+from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, Base, V, X, advance
 
 BALL = Ball()
 TICK_S = BALL.tick
@@ -46,9 +46,11 @@ TRUE = Theta(
 
 
 def start(rng: np.random.Generator) -> FloatArray:
-    """A ball in flight, all six states those of a rig without causes."""
+    """A ball in flight, all states those of a rig without causes."""
     i, x = rng.uniform(0.2, 1.2), rng.uniform(0.5e-3, 4.5e-3)
-    return np.array([i, x, rng.uniform(-0.05, 0.05), i, x, i * i])
+    y = np.zeros(STATES)
+    y[[I_C, X, V, FIELD, SENSOR, WARMTH]] = i, x, rng.uniform(-0.05, 0.05), i, x, i * i
+    return y
 
 
 def after_a_tick(c: FloatArray, y: FloatArray, u: float) -> FloatArray:
