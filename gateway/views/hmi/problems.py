@@ -49,6 +49,8 @@ REMEDIES: Mapping[str, str] = {
     "out-of-range": "Give a value within the limits that the message names",
     "not-finite": "Give a finite number",
     "slew": "Move the reference in smaller steps",
+    "implausible": "Correct the value that the message names",
+    "not-confirmed": "Correct the value, or add \"confirmed\": true if it is right",
     "wrong-mode": "Set the mode that it needs first: {\"command\": \"mode\", \"mode\": \"closed-loop\"}",
     "fault-active": "Remove the cause of the fault; the command mode then clears it",
     "not-available": "Use a board or firmware that has it",

@@ -123,6 +123,19 @@ def test_what_the_board_or_gateway_refuses_leaves_the_ball_where_it_is(flight: P
     assert abs(flight.json("/rigs/rig")["x_ref_m"] - X_M) < 1e-6
 
 
+def test_a_plant_in_grams_is_refused_and_an_unusual_one_wants_to_be_confirmed(flight: Program) -> None:
+    card = {"command": "plant", "name": "mine", "mass_kg": 8.28, "travel_m": 5.7e-3}
+
+    grams = flight.command(**card)
+    light = flight.command(**card | {"mass_kg": 8.28e-3, "gravity_m_s2": 9.7})
+    confirmed = flight.command(**card | {"mass_kg": 8.28e-3, "gravity_m_s2": 9.7, "confirmed": True})
+
+    assert (grams.status_code, grams.json()["code"]) == (409, "implausible")
+    assert "0.00828" in grams.json()["message"]
+    assert (light.status_code, light.json()["code"]) == (409, "not-confirmed")
+    assert confirmed.json()["executed"], confirmed.text
+
+
 def test_an_alarm_is_acknowledged_by_its_name_alone(flight: Program) -> None:
     answer = flight.command(command="acknowledge", alarm="no-such-alarm", comment="because")
 

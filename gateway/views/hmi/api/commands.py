@@ -17,6 +17,7 @@ from gateway.views.hmi.api.shapes import Mode
 from protocol.bus import board51_pb2 as pb
 from protocol.checked import Flag, Keys, Number, Whole, key
 from protocol.errors import DataError
+from protocol.plant import GRAVITY_M_S2, Plant
 
 _LARGEST = 2**32 - 1  # of a whole number on the bus
 
@@ -116,6 +117,20 @@ class Acknowledge(Keys):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SetPlant(Keys):
+    """State the plant of the rig for its card; values that are unusual have to be confirmed."""
+
+    command: Literal["plant"]
+    name: Annotated[str, key("of the rig")]
+    mass_kg: Annotated[Number, key("mass of the ball, kg")]
+    travel_m: Annotated[Number, key("highest position of the ball, m")]
+    x_max_m: Annotated[Number | None, key("x_max of eq. (3), m; without it the travel")] = None
+    gravity_m_s2: Annotated[Number, key("acceleration of gravity, m/s^2")] = GRAVITY_M_S2
+    ball_diameter_m: Annotated[Number | None, key("of a ball of steel, m")] = None
+    confirmed: Annotated[Flag, key("unusual values are right")] = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stop(Keys):
     """Switch the coil off at once, as POST /rigs/{rig}/stop."""
 
@@ -130,7 +145,18 @@ class Ping(Keys):
 
 
 Body = Annotated[
-    SetMode | SetReference | SetGains | Excite | Capture | SetStream | SetHostLoss | Mark | Acknowledge | Stop | Ping,
+    SetMode
+    | SetReference
+    | SetGains
+    | Excite
+    | Capture
+    | SetStream
+    | SetHostLoss
+    | Mark
+    | Acknowledge
+    | SetPlant
+    | Stop
+    | Ping,
     Field(discriminator="command"),
 ]
 
@@ -159,6 +185,18 @@ def _capture(body: Capture) -> pb.Command:
     return commands.capture(u_from_v=body.u_from_v, u_to_v=body.u_to_v, duration_s=body.duration_s, pre_s=body.pre_s)
 
 
+def _plant(body: SetPlant) -> pb.Command:
+    plant = Plant(
+        name=body.name,
+        mass_kg=body.mass_kg,
+        travel_m=body.travel_m,
+        x_max_m=body.travel_m if body.x_max_m is None else body.x_max_m,
+        gravity_m_s2=body.gravity_m_s2,
+        ball_diameter_m=body.ball_diameter_m,
+    )
+    return commands.set_plant(plant, confirmed=body.confirmed)
+
+
 KINDS: dict[str, tuple[type, Callable[[Any], pb.Command]]] = {  # of the key "command"
     "mode": (SetMode, lambda body: commands.set_mode(body.mode)),
     "reference": (SetReference, lambda body: commands.set_reference(body.x_ref_m)),
@@ -169,6 +207,7 @@ KINDS: dict[str, tuple[type, Callable[[Any], pb.Command]]] = {  # of the key "co
     "host-loss": (SetHostLoss, lambda body: commands.set_host_loss(body.policy, timeout_s=body.timeout_s)),
     "mark": (Mark, lambda body: commands.mark(body.text)),
     "acknowledge": (Acknowledge, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
+    "plant": (SetPlant, _plant),
     "stop": (Stop, lambda _: commands.stop()),
     "ping": (Ping, lambda _: commands.ping()),
 }
