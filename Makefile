@@ -44,7 +44,7 @@ demo: setup
 test: setup
 	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow"
 
-# The rest, 25 minutes: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a
+# The rest, half an hour: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a
 # failing network.
 test-slow: setup
 	$(ALONE) $(BIN)/pytest -n 3 --dist loadgroup $(PYTEST_ARGS) -m slow
