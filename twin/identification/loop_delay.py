@@ -29,13 +29,14 @@ class LoopDelay:
 
 
 def find_loop_delay(likelihood: Blocks, fitted: Fit) -> LoopDelay | None:
-    """Return the delay of i_c if the recordings show one and b depends on it; None otherwise."""
+    """Return the delay of i_c, and b with it, if the recordings show one; None otherwise."""
     (cause,) = (cause for cause in CATALOGUE if cause.family == "amplifier" and "delays" in cause.traits)
     delay, *_ = names = coordinates_of(cause.name)
     flags = likelihood.series.flags & np.uint16(~(FLIES | USE_X) & 0xFFFF)
     current = Blocks(likelihood.whole.over(bare(replace(likelihood.series, flags=flags))))
     prompt = fit(current, fitted.theta, _FREE, passes=_PASSES)
-    # From several delays, because T_A that imitates one is a maximum of its own.
+    # From several delays, because T_A that imitates one is a maximum of its own, and the likelihood has a kink at each
+    # sample of a capture.
     starts = [
         replace(fitted.theta, T_A=T_A, closed_form=False).having(delay, share * likelihood.whole.tick_s)
         for share in settings.LOOP_DELAY_SHARES
@@ -49,6 +50,4 @@ def find_loop_delay(likelihood: Blocks, fitted: Fit) -> LoopDelay | None:
     start = replace(fitted.theta, closed_form=False).all_of(
         [(name, best_fit.theta.value(name)) for name in (*names, "T_A")]
     )
-    whole = fit(likelihood, start, fitted.free, passes=_PASSES)
-    moves = abs(whole.theta.b - fitted.theta.b) > fitted.std("b", likelihood.plant)
-    return LoopDelay(delay_s=held, b=whole.theta.b) if moves else None
+    return LoopDelay(delay_s=held, b=fit(likelihood, start, fitted.free, passes=_PASSES).theta.b)

@@ -162,7 +162,7 @@ def drag(
 
     Drag is the smallest force, so an effect that the model lacks (a lag, a delay, another force law) biases b first.
     Arguments as in `force_constant`; `held`: the b of the flights, where no maximum has a possible one; `coloured`:
-    whether the residuals are coloured; `loop_delay`: a delay of the current on which b depends.
+    whether the residuals are coloured; `loop_delay`: a delay of the current, which biases b.
     """
     if joint is None:
         if held is None or ball is None:
@@ -187,7 +187,7 @@ def drag(
     if loop_delay is not None:
         delay = f"{loop_delay.delay_s * 1e3:.2g} ms"
         warnings.append(
-            f"i_c answers as if u_c acted {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} "
+            f"i_c answers as if u_c acted about {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} "
             f"instead of {value:.3g} N s/m, so it has no interval. board51 diagnose extends the model by the delay"
         )
         return Parameter(

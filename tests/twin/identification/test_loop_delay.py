@@ -10,15 +10,16 @@ from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from twin import identify
 
 
-def test_beside_a_delay_b_has_no_interval_but_its_value_with_the_delay(tmp_path: Path) -> None:
-    make_campaign(tmp_path, effects={"actuation-delay": 2.6e-4}, seed=3, plant="emulator", quick=True)
+@pytest.mark.parametrize("seed", [3, 704])
+def test_beside_a_delay_b_has_no_interval_but_its_value_with_the_delay(seed: int, tmp_path: Path) -> None:
+    make_campaign(tmp_path, effects={"actuation-delay": 2.6e-4}, seed=seed, plant="emulator", quick=True)
 
     found = identify(tmp_path)
 
     b = found.model.parameters["b"]
     assert (b.ci95, b.std, b.verdict) == (None, None, "not-identifiable")
     (said,) = [line for line in found.warnings if "ms late" in line]
-    assert "acted 0.26 ms late" in said
+    assert "acted about 0.26 ms late" in said
     assert "board51 diagnose" in said
 
 

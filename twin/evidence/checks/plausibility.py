@@ -145,7 +145,7 @@ def _position(record: Record, plant: Plant) -> None:
     if low < -0.3 * travel or high > 1.3 * travel:
         raise DataError(
             f"{record.name}: x runs from {low:.4g} to {high:.4g} m, the travel is 0 to {travel:g} m"
-            + ", assumed: nobody stated the plant of this rig" * plant.assumed,
+            + (", assumed: nobody stated the plant of this rig" if plant.assumed else ""),
             remedy="x is up from the ball's lowest position, in m: correct scale and offset of its column, or travel_m",
         )
 
