@@ -16,9 +16,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any, NoReturn
 
-from protocol.arguments import number, whole_number
+from protocol.arguments import Parser, nearest
 from protocol.ending import end_is_ordered, is_panic, order_end, reword
 from protocol.errors import Board51Error, missing_extra, single_line
 
@@ -65,6 +64,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
 }
 
+PURPOSES = {  # the order of the help: what one wants to do, and the commands for it
+    "fly": "start demo emulate send watch flash selftest",
+    "measure and model": "campaign identify validate bode design twin predict what-if compare diagnose investigate"
+    " export-model",
+    "logs": "record info plot export import replay recover",
+    "views": "hmi opcua foxglove",
+    "operate": "gateway router security compile bench",
+}
 EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
     **{name: "twin" for name, (module, _) in COMMANDS.items() if module.startswith("twin.")},
     **dict.fromkeys(("demo", "investigate"), "twin"),
@@ -81,31 +88,21 @@ SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "
 PANIC_PATIENCE_S = 10.0
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line without names of Python; its sub-commands inherit that."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self.register("type", float, number)
-        self.register("type", int, whole_number)
-
-    def error(self, message: str) -> NoReturn:
-        """Write the usage error to stderr, and exit with 2."""
-        self.exit(2, f"{self.prog}: {single_line(message)}. `{self.prog} --help` explains.\n")
-
-
 def _parser() -> Parser:
     """Return the parser of the command's name; the commands declare their own arguments."""
-    listing = "\n".join(f"  {name:<12} {summary}" for name, (_, summary) in COMMANDS.items())
+    listing = "\n\n".join(
+        "\n".join([f"{purpose}:", *(f"  {name:<12} {COMMANDS[name][1]}" for name in names.split())])
+        for purpose, names in PURPOSES.items()
+    )
     parser = Parser(
         prog="board51",
+        usage="board51 COMMAND ...",
         description="Gateway and digital twin of a magnetic levitation rig.",
-        epilog=f"commands:\n{listing}\n\nboard51 COMMAND --help tells more, with an example.",
+        epilog=f"{listing}\n\nboard51 COMMAND --help tells more, with an example.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
-    parser.add_argument("command", nargs="?", choices=COMMANDS, metavar="COMMAND", help=argparse.SUPPRESS)
-    parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    parser.add_argument("command", nargs="?", help=argparse.SUPPRESS)
     return parser
 
 
@@ -129,6 +126,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:2], "--help"]
     parser = _parser()
     words = parser.parse_args(arguments[:1])
     if words.version:
@@ -138,6 +137,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if chosen is None:
         parser.print_help()
         return 0
+    if chosen not in COMMANDS:
+        parser.error(f"there is no command {chosen!r}{nearest(chosen, COMMANDS)}")
 
     try:
         module = importlib.import_module(COMMANDS[chosen][0])

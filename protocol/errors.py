@@ -61,7 +61,8 @@ def missing_extra(extra: str, library: str) -> InstallError:
     """Return the error for a missing `library` that the extra `extra` of pyproject.toml installs."""
     return InstallError(
         f"{library} is not installed: it comes with the extra {extra!r}",
-        remedy=f"In the folder with board51's source: pip install '.[{extra}]' (or pipx install --force '.[{extra}]')",
+        remedy=f"pip install 'board51[{extra}]' adds it; with pipx: pipx runpip board51 install 'board51[{extra}]';"
+        f" in a clone: pip install -e '.[{extra}]'",
     )
 
 

@@ -1,10 +1,9 @@
 """Send one command to a board through its gateway, and say what became of it.
 
 Exit code 0 if the board accepted it, 1 if it was refused or not delivered.
-
-Rule: a STOP imports what it needs and no more (tests/system/test_stop_imports.py): an import is time with the coil on.
 """
 
+# A STOP imports what it needs and no more (tests/system/test_stop_imports.py): an import is time with the coil on.
 from __future__ import annotations
 
 import argparse

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 import board51
+from protocol.arguments import Parser
 
 BAD = ("no-such", "\x01")  # the second for arguments that take any text that can be printed
 PYTHON = re.compile(r"[<>]|\b_\w|\b(?:float|int|str|lambda|function|object|None|Path)\b")
@@ -35,7 +36,7 @@ def refusals(parser: argparse.ArgumentParser, action: argparse.Action) -> Iterat
 
 
 def of_command(name: str) -> list[Argument]:
-    parser = board51.Parser(prog=f"board51 {name}")
+    parser = Parser(prog=f"board51 {name}")
     importlib.import_module(board51.COMMANDS[name][0]).configure(parser)
     return list(arguments(parser))
 
@@ -54,6 +55,34 @@ def test_the_walk_reaches_sub_commands_and_all_kinds_of_refusals() -> None:
     assert "argument METRES: 'no-such' is not a number" in seen
     assert "argument --seed: 'no-such' is not a whole number" in seen
     assert r"argument --id: '\x01' has characters that cannot be printed" in seen
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("idenify", "board51: there is no command 'idenify' (did you mean identify?)."),
+        ("--versoin", "board51: there is no option --versoin (did you mean --version?)."),
+        ("send rig1 referense 3", "(did you mean reference?)"),
+        ("send rig1 excite step --ampltude=1", "there is no option --ampltude (did you mean --amplitude?)"),
+        ("validate runs --modle m --out d", "there is no option --modle (did you mean --model?)"),
+        ("watch --qqq", "there is no option --qqq. "),
+        ("watch rig1", "'rig1' is one argument too many"),
+    ],
+)
+def test_a_misspelt_word_is_answered_with_the_nearest_one(
+    line: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        board51.main(line.split())
+
+    assert said in capsys.readouterr().err
+
+
+def test_help_can_be_asked_for_as_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        board51.main(["help", "watch"])
+
+    assert "board51 watch --topic" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_a_command_without_its_extra_says_what_to_install(core: Path, tmp_path: 
     for (words, extra), line in zip(WITHOUT, done.stdout.splitlines(), strict=True):
         code, said = json.loads(line)
         assert (code, said.count("\n")) == (2, 1), (words, said)
-        assert f"pip install '.[{extra}]'" in said, words
+        assert f"pip install 'board51[{extra}]'" in said, words
         assert extra in PROJECT["optional-dependencies"]
 
 

@@ -83,7 +83,7 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
         "--model",
         default=SHIPPED[0],
         metavar="FILE",
-        help=f"model.json, or the name of a shipped model: {', '.join(SHIPPED)} (default %(default)s)",
+        help=f"model.json, or the name of a shipped model: {', '.join(SHIPPED)} (default {SHIPPED[0]})",
     )
     parser.add_argument(
         "--window", type=float, default=Settings().window_s, metavar="S", help="window of RMSE, fit and alarms (1)"
