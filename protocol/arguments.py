@@ -7,7 +7,8 @@ from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn, TypeVar
 
-from protocol.errors import single_line
+from protocol import units
+from protocol.errors import UsageError, single_line
 
 T = TypeVar("T")
 
@@ -72,6 +73,18 @@ def whole_number(text: str) -> int:
         return int(text)
     except ValueError:
         raise ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def quantity(channel: str) -> Callable[[str], float]:
+    """Return the type of an option that is a value of `channel` (units.py): `0.003` or `3mm`."""
+
+    def parse(text: str) -> float:
+        try:
+            return units.quantity(text, channel)
+        except UsageError as error:
+            raise ArgumentTypeError(f"{error.problem}. {error.remedy}") from None
+
+    return parse
 
 
 def argument(parse: Callable[[str], T], is_good: Callable[[T], bool], problem: str) -> Callable[[str], T]:

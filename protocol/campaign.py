@@ -25,7 +25,7 @@ from protocol.files import parse_toml, read_small
 from protocol.plant import GRAVITY_M_S2 as GRAVITY_M_S2
 from protocol.plant import Plant as Plant
 from protocol.plant import refuse_impossible, with_defaults
-from protocol.units import unit_of_name
+from protocol.units import UNITS, unit_of_name
 
 Channel = Literal["t", "u_c", "i_c", "x", "x_ref"]
 Kind = Literal["amplifier-step", "sawtooth", "prbs", "closed-loop", "equilibria", "free"]
@@ -33,7 +33,6 @@ Use = Literal["fit", "judge"]
 Law = Literal["lqi", "pid"]
 
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
-UNITS: Mapping[str, str] = {"t": "s", "u_c": "V", "i_c": "A", "x": "m", "x_ref": "m"}
 KINDS: tuple[Kind, ...] = get_args(Kind)
 USES: tuple[Use, ...] = get_args(Use)
 CONTROLLERS: tuple[Law, ...] = get_args(Law)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.link.port import PortProblem, open_port
+from protocol.arguments import quantity
 from protocol.errors import InstallError, ServiceError, UsageError, single_line
 from protocol.files import writing
 
@@ -48,12 +49,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baud", type=int, default=115200, help="speed of the firmware's UART (default: %(default)s)")
     parser.add_argument(
         "--x-ground",
-        type=float,
+        type=quantity("x"),
         metavar="M",
         help="x of the magnet on the ground, read with an image without calibration",
     )
     parser.add_argument(
-        "--x-ceiling", type=float, metavar="M", help="x of the magnet at the ceiling, read in the same way"
+        "--x-ceiling", type=quantity("x"), metavar="M", help="x of the magnet at the ceiling, read in the same way"
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the image (Intel HEX) there and stop")
     parser.add_argument("--dry-run", action="store_true", help="compile, print the command of avrdude, touch no port")

@@ -15,7 +15,8 @@ from pathlib import Path
 from gateway.client import commands
 from gateway.client.connection import add_bus_arguments
 from gateway.client.rig import Rig
-from protocol.arguments import argument, number, whole_number
+from protocol import units
+from protocol.arguments import argument, number, quantity, whole_number
 from protocol.bus import board51_pb2 as pb
 
 _number = argument(number, math.isfinite, "is not a finite number")
@@ -56,7 +57,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Board and one sub-command for each command of the bus."""
     parser.epilog = (
-        "examples:\n  board51 send rig1 mode closed-loop\n  board51 send rig1 reference 0.0030\n"
+        "examples:\n  board51 send rig1 mode closed-loop\n  board51 send rig1 reference 0.0030      or 3mm\n"
         "  board51 send rig1 excite rectangle --on-reference --amplitude 0.001"
         " --offset 0.003 --period 2 --duration 20\n"
         "  board51 send rig1 stop --connect tls/10.0.0.5:7447 --identity identities/ana"
@@ -69,20 +70,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "mode", choices=list(map(str, commands.Mode))
     )
     what.add_parser("reference", parents=[options], help="position to hold").add_argument(
-        "x_ref", type=_number, metavar="METRES"
+        "x_ref", type=quantity("x_ref"), metavar="METRES"
     )
     gains = what.add_parser("gains", parents=[options], help="control law, gains and operating point, SI (eq. 16-19)")
     gains.add_argument("gains", type=_number, nargs=4, metavar="K", help="LQI: k_i k_x k_v k_int; PID: k_p k_int k_d 0")
     gains.add_argument("--law", choices=list(map(str, commands.Law)), default=str(commands.Law.LQI))
-    gains.add_argument("--operating-point", type=_number, nargs=3, required=True, metavar=("I_A", "X_M", "U_V"))
+    gains.add_argument("--operating-point", nargs=3, required=True, metavar=("I_A", "X_M", "U_V"))
     excite = what.add_parser(
         "excite", parents=[options], help="play a signal on u_c (open loop) or x_ref (closed loop)"
     )
     excite.add_argument("shape", choices=list(map(str, commands.Shape)))
     excite.add_argument("--on-reference", action="store_true", help="x_ref in metres instead of u_c in volts")
-    for name, unit in (("amplitude", "V|M"), ("period", "S"), ("period-end", "S")):
-        excite.add_argument(f"--{name}", type=_number, default=0.0, metavar=unit)
-    excite.add_argument("--offset", type=_number, metavar="V|M", help="absolute (default 0)")
+    excite.add_argument("--amplitude", default="0", metavar="V|M")
+    for name in ("period", "period-end"):
+        excite.add_argument(f"--{name}", type=_number, default=0.0, metavar="S")
+    excite.add_argument("--offset", metavar="V|M", help="absolute (default 0)")
     excite.add_argument(
         "--duration", type=_duration, metavar="S|endless", help="length; needed for every shape except none"
     )
@@ -93,7 +95,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     capture = what.add_parser("capture", parents=[options], help="record i_c at 25 kHz around a step of u_c")
     for name in ("u-from", "u-to"):
-        capture.add_argument(f"--{name}", type=_number, required=True, metavar="V")
+        capture.add_argument(f"--{name}", type=quantity("u_c"), required=True, metavar="V")
     capture.add_argument("--duration", type=_number, default=0.04, metavar="S", help="length (0.04 s)")
     capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="time before the step (0.004 s)")
     what.add_parser("stream", parents=[options], help="send every n-th tick").add_argument("divider", type=_whole)
@@ -125,15 +127,16 @@ def build(args: argparse.Namespace) -> pb.Command:
         case "reference":
             return commands.set_reference(args.x_ref)
         case "gains":
-            i_c_a, x_m, u_c_v = args.operating_point
+            i_c_a, x_m, u_c_v = map(units.quantity, args.operating_point, ("i_c", "x", "u_c"))
             point = commands.OperatingPoint(i_c_a=i_c_a, x_m=x_m, u_c_v=u_c_v)
             return commands.set_gains(args.gains, point, law=args.law)
         case "excite":
+            channel = "x_ref" if args.on_reference else "u_c"
             return commands.excite(
                 args.shape,
                 on_reference=args.on_reference,
-                amplitude=args.amplitude,
-                offset=args.offset,
+                amplitude=units.quantity(args.amplitude, channel),
+                offset=None if args.offset is None else units.quantity(args.offset, channel),
                 period_s=args.period,
                 period_end_s=args.period_end,
                 seed=args.seed,

@@ -7,9 +7,10 @@ import math
 import pytest
 from pydantic.fields import FieldInfo
 
-from protocol.campaign import CHANNELS, UNITS, Plant
+from protocol.campaign import CHANNELS, Plant
 from protocol.checked import bounds, keys_of
-from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, SCALES, scale_of_size, unit_of_name
+from protocol.errors import UsageError
+from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, SCALES, UNITS, quantity, scale_of_size, unit_of_name
 
 
 @pytest.mark.parametrize(
@@ -34,6 +35,43 @@ from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, SCALES, scale_of_size, u
 )
 def test_a_name_tells_its_unit_at_its_end(column: str, channel: str, unit: tuple[str, float] | None) -> None:
     assert unit_of_name(column, channel) == unit
+
+
+@pytest.mark.parametrize(
+    ("text", "channel", "value"),
+    [
+        ("0.003", "x_ref", 3e-3),
+        ("3mm", "x_ref", 3e-3),
+        ("-2.5 mm", "x", -2.5e-3),
+        ("3e3\u00b5m", "x", 3e-3),
+        ("800mV", "u_c", 0.8),
+        ("2V", "u_c", 2.0),
+        ("20mA", "i_c", 0.02),
+        ("2ms", "t", 2e-3),
+    ],
+)
+def test_a_quantity_is_in_si_or_bears_its_unit(text: str, channel: str, value: float) -> None:
+    assert quantity(text, channel) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "channel", "said"),
+    [
+        ("3", "x_ref", "3 m is no x_ref of this rig. You may mean 0.003 (3 mm)."),
+        ("-1500", "u_c", "-1500 V is no u_c of this rig. You may mean -1.5 (-1500 mV)."),
+        ("2", "t", "2 s is no t of this rig. You may mean 0.002 (2 ms)."),
+        ("3m", "x", "You may mean 0.003 (3 mm)"),
+        ("nan", "x", "'nan' is not a finite number"),
+        ("1e999", "x", "'1e999' is not a finite number"),
+        ("3mV", "x", "'3mV' is not a number. Give it in m, or with its unit: 3mm."),
+        ("", "i_c", "'' is not a number"),
+    ],
+)
+def test_a_quantity_that_is_none_is_asked_back(text: str, channel: str, said: str) -> None:
+    with pytest.raises(UsageError) as error:
+        quantity(text, channel)
+
+    assert said in str(error.value)
 
 
 def test_every_channel_has_its_ranges() -> None:

@@ -76,6 +76,8 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
     [
         (["fly"], "there is no command 'fly'"),
         (["send", "rig1", "reference", "nan"], "not a finite number"),
+        (["send", "rig1", "excite", "step", "--amplitude", "1500", "--duration", "1"], "You may mean 1.5 (1500 mV)"),
+        (["send", "rig1", "excite", "step", "--on-reference", "--amplitude", "2", "--duration", "1"], "0.002 (2 mm)"),
         (["send", "Rig 1", "stop"], "is not a name"),
         (["send", "rig1", "stop", "--connect", "7447"], "is not a zenoh endpoint"),
         (["send", "rig1", "plant", "absent.toml"], "absent.toml cannot be read"),

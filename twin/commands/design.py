@@ -11,6 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from protocol.arguments import quantity
 from protocol.bus.endpoint import DEFAULT_ENDPOINT
 from protocol.bus.identity import HELP, find_identity
 from protocol.bus.topics import DEFAULT_SITE
@@ -30,7 +31,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco, magnetoshield")
     parser.add_argument(
-        "--operating-point", type=float, metavar="X_M", help="position in m, up from the bottom stop (mid-travel)"
+        "--operating-point",
+        type=quantity("x"),
+        metavar="X_M",
+        help="position in m, up from the bottom stop (mid-travel)",
     )
     parser.add_argument("--law", choices=("lqi", "pid"), default="lqi", help="law on the board (%(default)s)")
     parser.add_argument(
@@ -47,14 +51,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="for Bryson's rule: how long an error may last (four time constants of the falling ball)",
     )
-    parser.add_argument("--sample-time", type=float, default=2e-3, metavar="S", help="T_s (%(default)s)")
+    parser.add_argument("--sample-time", type=quantity("t"), default=2e-3, metavar="S", help="T_s (%(default)s)")
     parser.add_argument(
         "--observer", action="store_true", help="compare with a Kalman filter (the board cannot run it)"
     )
-    parser.add_argument("--u-max", type=float, default=5.0, metavar="V", help="end of the input's range (%(default)s)")
-    parser.add_argument("--i-lsb", type=float, metavar="A", help="one count of i_c (2 A / 4096)")
-    parser.add_argument("--x-lsb", type=float, metavar="M", help="one count of x (5 V / 4096 / 855 V/m)")
-    parser.add_argument("--u-lsb", type=float, metavar="V", help="one count of u_c (5 V / 4096)")
+    parser.add_argument(
+        "--u-max", type=quantity("u_c"), default=5.0, metavar="V", help="end of the input's range (%(default)s)"
+    )
+    parser.add_argument("--i-lsb", type=quantity("i_c"), metavar="A", help="one count of i_c (2 A / 4096)")
+    parser.add_argument("--x-lsb", type=quantity("x"), metavar="M", help="one count of x (5 V / 4096 / 855 V/m)")
+    parser.add_argument("--u-lsb", type=quantity("u_c"), metavar="V", help="one count of u_c (5 V / 4096)")
     parser.add_argument(
         "--seed", type=int, default=1, help="of the parameters drawn from their intervals (%(default)s)"
     )

@@ -10,6 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from protocol.arguments import quantity
 from protocol.errors import UsageError
 
 
@@ -30,11 +31,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--controller", type=Path, metavar="CONTROLLER.json", help="law of the closed loop (a design for the model)"
     )
     parser.add_argument(
-        "--operating-point", type=float, metavar="X_M", help="of the design, m, up from the bottom stop (mid-travel)"
+        "--operating-point",
+        type=quantity("x"),
+        metavar="X_M",
+        help="of the design, m, up from the bottom stop (mid-travel)",
     )
     parser.add_argument("--law", choices=("lqi", "pid"), default="lqi", help="of the design (%(default)s)")
-    parser.add_argument("--sample-time", type=float, default=2e-3, metavar="S", help="T_s of the design (%(default)s)")
-    parser.add_argument("--u-max", type=float, default=5.0, metavar="V", help="end of the input's range (%(default)s)")
+    parser.add_argument(
+        "--sample-time", type=quantity("t"), default=2e-3, metavar="S", help="T_s of the design (%(default)s)"
+    )
+    parser.add_argument(
+        "--u-max", type=quantity("u_c"), default=5.0, metavar="V", help="end of the input's range (%(default)s)"
+    )
     parser.add_argument(
         "--compiler", metavar="CC", help="C compiler of an FMU's binary (gcc, cc or clang); '': sources only"
     )

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from protocol.arguments import quantity
 from protocol.campaign import Campaign
 from protocol.errors import DataError, UsageError
 from protocol.files import make_folder
@@ -43,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     parser.add_argument("--board", metavar="BOARD", help="board, for a log of several boards")
     parser.add_argument(
-        "--u-max", type=float, default=5.0, metavar="V", help="largest u_c (of the log, or %(default)s)"
+        "--u-max", type=quantity("u_c"), default=5.0, metavar="V", help="largest u_c (of the log, or %(default)s)"
     )
     parser.add_argument("--seed", type=int, default=1, help="of the draws (%(default)s)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="gets what_if.html, what_if.json and what_if.csv")

@@ -26,9 +26,9 @@ from gateway.record.tables.table import FloatArray, Table, read_csv, read_mat, r
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.campaign import CHANNELS, UNITS, Campaign, Channel, Column, Recording
+from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError, quoted
-from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, scale_of_size
+from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, UNITS, scale_of_size
 
 GAP_STEPS = 1.5  # a step longer than this lost at least one sample
 LARGEST_GAP = 1 << 31  # samples: `lost_before` counts in 32 bits
