@@ -1,4 +1,4 @@
-"""Print what travels on the bus: one line a message, decoded."""
+"""Print what travels on the bus: one line a message, decoded; or with --table one line a rig, refreshed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from google.protobuf.message import Message
 
 from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.client.message_queue import MessageQueue
+from gateway.commands.watch_table import SHOWN, show
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
+from protocol.errors import UsageError
 
+TABLE_S = 0.5  # between two tables
 LONGEST = 200  # characters of a text on a line for people
 
 _OFTEN = ("every tick", "every 20 ms")  # rates that are printed on request only
@@ -24,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments: which keys, how many, how often."""
     parser.epilog = (
         "examples:\n  board51 watch                       everything but samples, one line per message"
-        "\n  board51 watch --topic state --every 0.5"
+        "\n  board51 watch --topic state --every 0.5\n  board51 watch --table               all rigs, one line each"
     )
     add_bus_arguments(parser)
     parser.add_argument("--board", default="*", help="only this board")
@@ -34,8 +37,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=[t.name for t in topics.TOPICS if t.bus and t.source != "client"],
         help="only this topic; repeat for more (default: those slower than the tick)",
     )
+    parser.add_argument(
+        "--table", action="store_true", help="one line per rig, refreshed: mode, x, i_c, measured minus twin, alarms"
+    )
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="at most one line per key in this time")
-    parser.add_argument("--count", type=int, default=0, help="stop after so many lines")
+    parser.add_argument("--count", type=int, default=0, help="stop after so many lines, or tables")
     parser.add_argument("--timeout", type=float, default=0.0, metavar="S", help="stop after this time")
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
 
@@ -58,12 +64,16 @@ def run(args: argparse.Namespace) -> int:
     """Print messages; return 0 if any arrived, 1 if none did before the time-out."""
     rare = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and not t.rate.startswith(_OFTEN)]
     names = args.topic or rare
+    if args.table and (args.topic or args.json):
+        raise UsageError("--table has its own columns", remedy="Leave out --topic and --json")
     printed, last = 0, dict[str, float]()
     end = time.monotonic() + args.timeout if args.timeout else None
     with (
         open_bus(args.connect, find_identity(args.identity)) as session,
-        MessageQueue(BusBoard(session, args.site, args.board), names) as queue,
+        MessageQueue(BusBoard(session, args.site, args.board), SHOWN if args.table else names) as queue,
     ):
+        if args.table:
+            return 0 if show(queue, every_s=args.every or TABLE_S, count=args.count, end_s=end) else 1
         while not args.count or printed < args.count:
             arrival = queue.take(max(0.0, end - time.monotonic()) if end else None)
             if arrival is None:
