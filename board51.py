@@ -60,6 +60,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "recover": ("gateway.commands.logs.recover", "save the intact messages of a broken log"),
     "info": ("gateway.commands.logs.info", "the contents of a log"),
     "plot": ("twin.commands.plot", "plot measured values against the twin, from a log"),
+    "completion": ("gateway.commands.completion", "a script that completes commands in bash or zsh"),
     "compile": ("twin.commands.compile", "compile the numerical kernels now instead of at their first use"),
     "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
 }
@@ -70,7 +71,7 @@ PURPOSES = {  # the order of the help: what one wants to do, and the commands fo
     " export-model",
     "logs": "record info plot export import replay recover",
     "views": "hmi opcua foxglove",
-    "operate": "gateway router security compile bench",
+    "operate": "gateway router security completion compile bench",
 }
 EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
     **{name: "twin" for name, (module, _) in COMMANDS.items() if module.startswith("twin.")},

@@ -1,0 +1,52 @@
+"""Completion: the script in a real shell."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+
+import pytest
+
+import board51
+
+BASH = shutil.which("bash")
+pytestmark = pytest.mark.skipif(BASH is None, reason="no bash here")
+
+
+@pytest.fixture(scope="module")
+def script() -> str:
+    """What the command prints."""
+    with pytest.MonkeyPatch.context() as patch:
+        printed: list[str] = []
+        patch.setattr("builtins.print", lambda text: printed.append(text))
+        assert board51.main(["completion", "bash"]) == 0
+    return printed[0]
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("board51 ident", {"identify"}),
+        ("board51 --", {"--help", "--version"}),
+        ("board51 send rig1 re", {"reference"}),
+        ("board51 send rig1 mode ", {"idle", "open-loop", "closed-loop"}),
+        ("board51 send rig1 excite --on", {"--on-reference"}),
+        ("board51 watch --topic twin/al", {"twin/alarm", "twin/alarms"}),
+        ("board51 design --law ", {"lqi", "pid"}),
+        ("board51 completion ", {"bash", "zsh"}),
+        ("board51 identify ", set()),  # files
+    ],
+)
+def test_the_shell_offers_what_may_follow(script: str, line: str, offered: set[str]) -> None:
+    words = line.split(" ")
+    ask = f"COMP_WORDS=({shlex.join(words)}) COMP_CWORD={len(words) - 1}"
+
+    done = subprocess.run(
+        [str(BASH), "-c", f'{script}\n{ask}\n_board51\necho "${{COMPREPLY[@]}}"'],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+    assert set(done.stdout.split()) == offered
