@@ -86,6 +86,11 @@ EXTRAS = {  # what a command needs beyond the core; what is not here runs withou
 # A missing module of these packages is a fault of the installation, not an extra that is not installed.
 PACKAGES = frozenset({"board51", "protocol", "gateway", "twin"})
 SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record"})  # run until they are told
+# Those that say nothing while they work: on a terminal they give signs of life.
+SILENT = frozenset(
+    {"bode", "design", "export", "export-model", "import", "info", "plot", "predict", "recover", "what-if"}
+)
+FIRST_SIGN_S, NEXT_SIGN_S = 2.0, 10.0
 PANIC_PATIENCE_S = 10.0
 
 
@@ -147,7 +152,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             prog=f"board51 {chosen}", formatter_class=argparse.RawDescriptionHelpFormatter, description=module.__doc__
         )
         module.configure(command)
-        with _hang_up_ends_in_good_order():
+        with _hang_up_ends_in_good_order(), _signs_of_life(chosen):
             if chosen in SERVICES:
                 return _ending_at_a_panic(module.run, command.parse_args(arguments[1:]))
             return int(module.run(command.parse_args(arguments[1:])))
@@ -224,6 +229,25 @@ def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.
         thread.join(1.0)
         os.close(real)
     return OUR_FAULT if panicked.is_set() else code
+
+
+@contextmanager
+def _signs_of_life(command: str) -> Iterator[None]:
+    """Say every few seconds that a command still works, if it says nothing itself and somebody is there to see it."""
+    ended, began_s = threading.Event(), time.monotonic()
+
+    def tell() -> None:
+        wait_s = FIRST_SIGN_S
+        while not ended.wait(wait_s):
+            print(f"[{time.monotonic() - began_s:5.1f} s] board51 {command} is working", file=sys.stderr, flush=True)
+            wait_s = NEXT_SIGN_S
+
+    if command in SILENT and sys.stderr.isatty():
+        threading.Thread(target=tell, daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
 
 
 @contextmanager

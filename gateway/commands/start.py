@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import os
 import signal
 import socket
 import sys
 import tempfile
 import threading
-import webbrowser
 from pathlib import Path
 
 from gateway.access.listeners import endpoint_host, is_loopback
@@ -25,6 +23,7 @@ from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.ending import on_signals, wait_for_end
 from protocol.errors import ServiceError, UsageError, require
 from protocol.files import replace_text, writing
+from protocol.viewer import open_viewer
 
 PAGE = "127.0.0.1:8051"
 READY_S = 90.0  # includes the first compilation of the kernels on a slow machine
@@ -187,7 +186,5 @@ def _print_services(args: argparse.Namespace, services: list[Service]) -> None:
     print(f"bus           {args.listen}")
     print(f"logs          {args.log_dir}; output of {', '.join(s.name for s in services)}: {args.log_dir}/*.out")
     print("Ctrl-C stops everything", flush=True)
-    screens = ("DISPLAY", "WAYLAND_DISPLAY")
-    has_display = sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in screens)
-    if has_display and not args.no_browser:
-        webbrowser.open(url)
+    if not args.no_browser:
+        open_viewer(url)

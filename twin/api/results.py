@@ -319,6 +319,18 @@ class Predicted:
             "notes": list(result.notes),
         }
 
+    def figure(self) -> Figure:
+        """Return x with its predictions, and their errors, over time."""
+        from twin.page.figures import MEASURED, MODEL, grid, label
+
+        figure, ((above,), (below,)) = grid(2, 1, height=6.0)
+        above.plot(self.t_s, 1e3 * self.x_m, color=MEASURED, label="measured")
+        above.plot(self.t_s, 1e3 * self.x_hat_m, color=MODEL, label=f"predicted {1e3 * self.horizon_s:.3g} ms ahead")
+        below.plot(self.t_s, 1e6 * (self.x_m - self.x_hat_m), color=MODEL, label="measured minus predicted")
+        label(above, "", "x [mm]")
+        label(below, "t [s]", "error [µm]")
+        return figure
+
     def to_csv(self) -> str:
         """Return the rows t, x, x_hat in s and m."""
         rows = zip(self.t_s.tolist(), self.x_m.tolist(), self.x_hat_m.tolist(), strict=True)

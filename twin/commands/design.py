@@ -16,6 +16,7 @@ from protocol.bus.endpoint import DEFAULT_ENDPOINT
 from protocol.bus.identity import HELP, find_identity
 from protocol.bus.topics import DEFAULT_SITE
 from protocol.errors import UsageError
+from twin.commands import add_show, show_text
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -70,6 +71,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="CONTROLLER.json", help="write law, gains and operating point")
     parser.add_argument("--analysis", type=Path, metavar="FILE.json", help="write what --json prints")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    add_show(parser)
     parser.add_argument("--send", metavar="BOARD", help="load gains and operating point into this board")
     parser.add_argument("--site", default=DEFAULT_SITE, help="first chunk of the keys (default %(default)s)")
     parser.add_argument(
@@ -111,6 +113,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         for warning in result.warnings:
             print(f"! {warning}", file=sys.stderr)
+    if args.show:
+        page = (args.out or Path("design")).with_suffix(".html")
+        show_text(page, f"Controller from {Path(args.model).name}", result.table())
     if not result.stable:
         return 1
     if args.analysis is not None:

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 from protocol.errors import DataError
-from twin.commands import progress_printer
+from twin.commands import add_show, progress_printer, show_text
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", default="", help="name of the model for people (default: plant and day)")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     parser.add_argument("--json", action="store_true", help="print the model as JSON instead of a table")
+    add_show(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
 
@@ -49,4 +50,7 @@ def run(args: argparse.Namespace) -> int:
             progress(f"! {warning}")
     if not result.usable:
         progress("no usable model; this is the best fit so far" + (f" is in {args.out}" if args.out else ""))
+    if args.show:
+        page = (args.out or Path("identify")).with_suffix(".html")
+        show_text(page, f"Model of {result.model.plant.name}", result.table())
     return 0 if result.usable else 1

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import check_name
 from protocol.errors import DataError, UsageError
+from twin.commands import add_show, show
 from twin.commands.twin import add_model_options, chosen_settings
 from twin.model.parameters import SHIPPED, Model
 from twin.settings.mirror import Settings
@@ -31,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = (
         "examples:\n"
-        "  board51 plot run.mcap --out run.png\n"
+        "  board51 plot run.mcap --out run.png --show\n"
         "  board51 plot run.mcap --out run.png --board rig1 --from 2 --to 8\n"
         "  board51 plot run.mcap --out run.png --model identified.json\n"
         "  board51 plot run.mcap --out run.png --span 2:12=before --span 60:70=after    side by side"
@@ -49,6 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="board time, s; repeat it to see spans side by side (label: the model that ran)",
     )
     parser.add_argument("--json", action="store_true", help="print what was drawn as JSON")
+    add_show(parser)
     add_model_options(parser)
     parser.set_defaults(model=None)
 
@@ -100,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
         "twin": source,
     }
     print(json.dumps(result, indent=2) if args.json else f"{args.out}: {len(trace.rows)} samples of {board}, {source}")
+    if args.show:
+        show(args.out)
     return 0
 
 

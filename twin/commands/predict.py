@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from protocol.campaign import Campaign
+from twin.commands import add_show, show_text
 from twin.model.parameters import Model
 
 
@@ -34,6 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     parser.add_argument("--board", metavar="BOARD", help="board, for a log of several boards")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    add_show(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,6 +56,9 @@ def run(args: argparse.Namespace) -> int:
     print(as_text(result.to_json()) if args.json else result.table())
     for note in result.details.notes:
         print(f"! {note}", file=sys.stderr)
+    if args.show:
+        page = (args.out or Path("predict")).with_suffix(".html")
+        show_text(page, f"{result.recording} under {Path(args.model).name}", result.table(), figures=[result.figure()])
     return 0 if len(result.x_m) else 1
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from protocol.campaign import Campaign
 from protocol.files import make_folder
+from twin.commands import add_show, progress_printer, show
 from twin.model.parameters import Model
 
 
@@ -32,6 +33,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--figures", choices=("png", "pdf", "svg"), help="also write each figure of the report into --out"
     )
+    add_show(parser)
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
     parser.add_argument("--json", action="store_true", help="print validation.json instead of the answer")
 
 
@@ -43,11 +46,13 @@ def run(args: argparse.Namespace) -> int:
 
     campaign, model = Campaign.load(args.campaign), Model.load(args.model)
     make_folder(args.out)  # before the work, which takes a minute
-    result = validate(campaign, model, data=args.data)
+    result = validate(campaign, model, data=args.data, progress=progress_printer(quiet=args.quiet))
     result.save(args.out, title=f"Validation of {args.model.name} on {campaign.plant.name}")
     if args.figures is not None:
         save_figures(result.figures(), args.out / "figures", args.figures)
     print(as_text(result.to_json()) if args.json else f"{result.answer}\n{args.out / 'report.html'}")
     for note in result.notes:
         print(f"! {note}", file=sys.stderr)
+    if args.show:
+        show(args.out / "report.html")
     return 0 if result.passed else 1
