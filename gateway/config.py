@@ -156,8 +156,14 @@ class LogConfig(Keys):
     min_free_bytes: Annotated[Whole, key("stop logging when less is free, resume when it is back [B]", 0, 10**13)] = (
         50_000_000
     )
+    keep_days: Annotated[
+        Number, key("delete own logs that are older, when a part begins; 0: keep all [days]", 0.0, 1e5)
+    ] = 0.0
+    keep_gb: Annotated[
+        Number, key("delete the oldest own logs when all have more, when a part begins; 0: keep all [GB]", 0.0, 1e6)
+    ] = 0.0
     compression: Annotated[Literal["lz4", "zstd", "none"], key("of the chunks")] = "lz4"
-    raw: Annotated[Flag, key("log the bytes of the UART too")] = True
+    raw: Annotated[Flag, key("log the bytes of the UART too; `replay --bytes` needs them")] = True
 
 
 @dataclass(frozen=True, kw_only=True)

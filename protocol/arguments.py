@@ -30,11 +30,11 @@ class Parser(ArgumentParser):
         words = list(sys.argv[1:] if args is None else args)
         if self._subparsers is None:  # first: argparse would complain of a missing argument, which is only misspelt
             self._refuse_unknown(words)
-        found, rest = super().parse_known_args(words, namespace)
+        result, rest = super().parse_known_args(words, namespace)
         self._refuse_unknown(rest)
         if rest:
             self.error(f"{rest[0]!r} is one argument too many")
-        return found, rest
+        return result, rest
 
     def _refuse_unknown(self, words: list[str]) -> None:
         known = self._option_string_actions

@@ -21,8 +21,9 @@ from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
 
 if TYPE_CHECKING:  # pydantic takes its time: --help answers at once
-    from gateway.config import BoardConfig, GatewayConfig
+    from gateway.config import BoardConfig, GatewayConfig, LogConfig
 
+KEPT = ("keep_days", "keep_gb")  # options, and keys of [log]
 VIEWS = {"opcua": "OPC UA server", "hmi": "control room in a browser", "foxglove": "live Foxglove WebSocket"}
 
 
@@ -64,6 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     log = parser.add_mutually_exclusive_group()
     log.add_argument("--log-dir", metavar="DIR", help="where the MCAP log goes (default logs)")
     log.add_argument("--no-log", action="store_true", help="write no log")
+    add_log_options(parser)
     guard = parser.add_argument_group("who may do what")
     guard.add_argument(
         "--security", metavar="DIR", help="guard the bus with the folder that `board51 security init DIR` made"
@@ -80,6 +82,27 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--print-config", action="store_true", help="print a commented configuration and end")
     parser.add_argument("--check", action="store_true", help="check the configuration and end")
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options on what is logged, and for how long it is kept."""
+    parser.add_argument("--lean", action="store_true", help="log no raw bytes of the UART: a tenth less")
+    parser.add_argument(
+        "--keep-days", type=float, metavar="DAYS", help="delete own logs that are older (default: never)"
+    )
+    parser.add_argument("--keep-gb", type=float, metavar="GB", help="delete the oldest own logs beyond this size")
+
+
+def log_options(log: LogConfig, args: argparse.Namespace) -> LogConfig:
+    """Return `log` with the options of `add_log_options`.  Raises ConfigError."""
+    from gateway.config import changed
+
+    if args.lean:
+        log = replace(log, raw=False)
+    for name in KEPT:
+        if (bound := getattr(args, name)) is not None:
+            log = changed(log, f"--{name.replace('_', '-')}", **{name: bound})
+    return log
 
 
 def configuration(args: argparse.Namespace) -> GatewayConfig:
@@ -110,6 +133,7 @@ def configuration(args: argparse.Namespace) -> GatewayConfig:
         config = replace(config, zenoh=replace(config.zenoh, mode="router", listen=tuple(args.listen)))
     if args.log_dir is not None:
         config = replace(config, log=replace(config.log, enabled=True, directory=args.log_dir))
+    config = replace(config, log=log_options(config.log, args))
     if args.no_log:
         config = replace(config, log=replace(config.log, enabled=False))
     if args.security is not None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
+import shutil
 import signal
 import socket
 import sys
@@ -16,9 +18,13 @@ import threading
 from pathlib import Path
 
 from gateway.access.listeners import endpoint_host, is_loopback
+from gateway.commands.gateway import KEPT, add_log_options, log_options
+from gateway.commands.gateway import VIEWS as GATEWAY_VIEWS
+from gateway.config import LogConfig
+from gateway.link.port import closed_problem
 from gateway.processes.command import emulated_line
 from gateway.processes.supervisor import Service, running
-from gateway.views.listen import address
+from gateway.views.listen import ADDRESSES, address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.ending import on_signals, wait_for_end
 from protocol.errors import ServiceError, UsageError, require
@@ -28,13 +34,16 @@ from protocol.viewer import open_viewer
 PAGE = "127.0.0.1:8051"
 READY_S = 90.0  # includes the first compilation of the kernels on a slow machine
 POLL_S = 0.1
+VIEWS = ("opcua", "foxglove")  # beside the web page
+MB_PER_MINUTE = {False: 11.0, True: 10.0}  # of a board in flight and its twin, T_s = 2 ms; by lean
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments: which board, which model, where."""
     parser.epilog = (
         "examples:\n  board51 start --emulated\n  board51 start --emulated --effect coulomb-friction=2e-3\n"
-        "  board51 start --board /dev/ttyUSB0 --plant my-rig.toml\n  board51 start --emulated --rig heavy-ball.toml"
+        "  board51 start --board /dev/ttyUSB0 --plant my-rig.toml --opcua --keep-days 30\n"
+        "  board51 start --emulated --rig heavy-ball.toml"
     )
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--emulated", action="store_true", help="an emulated board, rig1")
@@ -75,15 +84,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="folder of the MCAP logs (default logs)"
     )
+    add_log_options(parser)
+    for view in VIEWS:
+        parser.add_argument(f"--{view}", action="store_true", help=f"{GATEWAY_VIEWS[view]} at {ADDRESSES[view]}, too")
     parser.add_argument("--no-browser", action="store_true", help="open no browser, only print the address")
 
 
 def run(args: argparse.Namespace) -> int:
     """0 when it was ended by a signal."""
-    require("all", "numba", "mcap", "scipy", "starlette", "uvicorn")
+    require("all", "numba", "mcap", "scipy", "starlette", "uvicorn", *["asyncua"] * args.opcua)
     if (args.effect or args.rig) and not args.emulated:
         option = "--effect changes" if args.effect else "--rig describes"
         raise UsageError(f"{option} the emulated plant", remedy="Give it with --emulated")
+    log_options(LogConfig(), args)  # the gateway's own refusal would go to a file
     page = address(args.page, where="--page:")
     check_endpoint(args.listen, where="--listen")
     for host, what in ((page[0], f"--page {args.page}"), (endpoint_host(args.listen)[1], f"--listen {args.listen}")):
@@ -93,6 +106,9 @@ def run(args: argparse.Namespace) -> int:
                 remedy="Take an address of this machine alone, or board51 gateway --security DIR --hmi, and twin",
             )
     _check_free(page, option="--page ")
+    for view in VIEWS:
+        if getattr(args, view):
+            _check_free(address(ADDRESSES[view], where=""), option=f"`board51 gateway` with --{view} ")
     if args.listen.startswith("tcp/"):
         _check_free(address(args.listen.removeprefix("tcp/"), where="--listen:"), option="--listen tcp/")
     try:
@@ -104,6 +120,7 @@ def run(args: argparse.Namespace) -> int:
     stopped = threading.Event()
     hang_up = (signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()
     with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, *hang_up):
+        _warn_of_ports(args.board or [])
         services = _services(args)
         with running(services):
             if _answers(page, stopped):
@@ -129,6 +146,9 @@ def _services(args: argparse.Namespace) -> list[Service]:
     else:
         boards = _named(args.board)
     options = ["--listen", args.listen, "--log-dir", str(args.log_dir), "--hmi", args.page]
+    options += [f"--{name}" for name in ("lean", *VIEWS) if getattr(args, name)]
+    kept = {name: value for name in KEPT if (value := getattr(args, name)) is not None}
+    options += [f"--{name.replace('_', '-')}={value}" for name, value in kept.items()]
     options += [*_limits_of(args), *_repeated("--plant", args.plant or [str(args.rig)] * (args.rig is not None))]
     commands.append(("gateway", [*_repeated("--board", boards), *options]))
     commands.append(("twin", ["--connect", args.listen, "--model", args.model]))
@@ -145,6 +165,23 @@ def _limits_of(args: argparse.Namespace) -> list[str]:
     with writing(file):
         replace_text(file, limits_toml(load_rig(args.rig)[1], "rig1"))
     return ["--config", str(file)]
+
+
+def _warn_of_ports(boards: list[str]) -> None:
+    """Say which ports cannot be opened now: the gateway's own words go to a file."""
+    for board in _named(boards):
+        name, _, port = board.partition("=")
+        problem = closed_problem(port)
+        if problem is not None:
+            print(f"{name}: {problem.text} The gateway looks again twice a second.", file=sys.stderr, flush=True)
+
+
+def _log_size(args: argparse.Namespace) -> str:
+    """Return how much is logged in a minute, and for how long the disk has room."""
+    rate_mb = MB_PER_MINUTE[args.lean] * max(1, len(args.board or ()))
+    bound_gb = min(shutil.disk_usage(args.log_dir).free / 1e9, args.keep_gb or math.inf)
+    then = "then the oldest go" if args.keep_gb and bound_gb == args.keep_gb else "then the disk is full"
+    return f"about {rate_mb:g} MB a minute: {bound_gb * 1e3 / rate_mb / 60:.3g} h in {bound_gb:.3g} GB, {then}"
 
 
 def _named(boards: list[str]) -> list[str]:
@@ -184,6 +221,10 @@ def _print_services(args: argparse.Namespace, services: list[Service]) -> None:
     url = f"http://{args.page}"
     print(f"control room  {url}")
     print(f"bus           {args.listen}")
+    for view in VIEWS:
+        if getattr(args, view):
+            print(f"{view:<13} {ADDRESSES[view]}")
+    print(f"logging       {_log_size(args)}")
     print(f"logs          {args.log_dir}; output of {', '.join(s.name for s in services)}: {args.log_dir}/*.out")
     print("Ctrl-C stops everything", flush=True)
     if not args.no_browser:

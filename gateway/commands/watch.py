@@ -12,7 +12,7 @@ from google.protobuf.message import Message
 
 from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.client.message_queue import MessageQueue
-from gateway.commands.watch_table import SHOWN, show
+from gateway.commands.watch_table import TABLE_TOPICS, show
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
 from protocol.errors import UsageError
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     end = time.monotonic() + args.timeout if args.timeout else None
     with (
         open_bus(args.connect, find_identity(args.identity)) as session,
-        MessageQueue(BusBoard(session, args.site, args.board), SHOWN if args.table else names) as queue,
+        MessageQueue(BusBoard(session, args.site, args.board), TABLE_TOPICS if args.table else names) as queue,
     ):
         if args.table:
             return 0 if show(queue, every_s=args.every or TABLE_S, count=args.count, end_s=end) else 1

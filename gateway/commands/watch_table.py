@@ -15,7 +15,7 @@ from gateway.client.message_queue import MessageQueue
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
-SHOWN = ("states", "status", "alarms", "twin/divergence", "twin/alarm", "twin/alarms")
+TABLE_TOPICS = ("states", "status", "alarms", "twin/divergence", "twin/alarm", "twin/alarms")
 FRESH_S = 2.5  # of what comes once a second or more often
 FRESH_ALARMS_S = 12.0  # they come every 5 s, and on change
 COLUMNS = "{:<14} {:<10} {:<11} {:>8} {:>8} {:>8} {:>11} {:>11}  {}"
@@ -73,7 +73,7 @@ def show(queue: MessageQueue, *, every_s: float, count: int, end_s: float | None
 
     On a terminal the new table takes the place of the old one.
     """
-    table, printed, up, in_place = Table(), 0, "", sys.stdout.isatty()
+    table, printed, up, overwrites = Table(), 0, "", sys.stdout.isatty()
     while not count or printed < count:
         next_s = time.monotonic() + every_s
         while (left_s := next_s - time.monotonic()) > 0:
@@ -81,10 +81,10 @@ def show(queue: MessageQueue, *, every_s: float, count: int, end_s: float | None
             if arrival is not None and arrival.message is not None:
                 table.take(arrival.key, arrival.message, time.monotonic())
         lines = table.lines(time.monotonic())
-        if in_place:  # a line that wraps would not be overwritten
+        if overwrites:  # a line that wraps would not be overwritten
             lines = [line[: shutil.get_terminal_size().columns - 1] for line in lines]
         print(up + "\n".join(lines), flush=True)
-        up = f"\x1b[{len(lines)}A\x1b[J" if in_place else ""
+        up = f"\x1b[{len(lines)}A\x1b[J" if overwrites else ""
         printed += len(lines) > 1
         if end_s is not None and time.monotonic() >= end_s:
             break

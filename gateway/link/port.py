@@ -164,6 +164,17 @@ def _has_tcp_port(url: str) -> bool:
     return bool(host) and port.isdigit() and 0 < int(port) < 65536
 
 
+def closed_problem(url: str) -> PortProblem | None:
+    """Return why a port could not be opened, as far as that is known without opening, which may reset the board."""
+    if "://" in url or os.name != "posix":
+        return None
+    names = glob.glob(url) if _GLOB & set(url) else [url]
+    present = [name for name in names if os.path.exists(name)]
+    if not present:
+        return _absent(url)
+    return None if any(os.access(name, os.R_OK | os.W_OK) for name in present) else _forbidden(url)
+
+
 def open_port(url: str, baud: int) -> Port | PortProblem:
     """Open `url`; for a path with *, ? or [, open the first match that can be opened."""
     names = [url]
@@ -209,10 +220,7 @@ def _problem(name: str, baud: int, error: Exception) -> PortProblem:
             "port-busy", f"{name} is in use by another program, perhaps a second gateway: end one of the two."
         )
     if number in (errno.EACCES, errno.EPERM):
-        return PortProblem(
-            "port-permission",
-            f"No permission to open {name}: add the user to its group (sudo usermod -aG dialout $USER). Log in again.",
-        )
+        return _forbidden(name)
     if "FileNotFoundError" in text or number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         return _absent(name)
     if name.startswith("socket://"):
@@ -222,6 +230,13 @@ def _problem(name: str, baud: int, error: Exception) -> PortProblem:
 
 def _absent(name: str) -> PortProblem:
     return PortProblem("port-absent", f"There is no {name}: is the adapter plugged in?")
+
+
+def _forbidden(name: str) -> PortProblem:
+    return PortProblem(
+        "port-permission",
+        f"No permission to open {name}: add the user to its group (sudo usermod -aG dialout $USER). Log in again.",
+    )
 
 
 def _com_ports() -> list[str]:

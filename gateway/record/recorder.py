@@ -22,6 +22,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from gateway.record.retention import delete_expired
 from gateway.record.writer import Compression, LogError, LogWriter
 
 OnEvent = Callable[[str, str, str], None]
@@ -58,6 +59,8 @@ class RecorderOptions:
     queue: int = 20_000  # messages that may wait
     # With less free space the log pauses: the part in work can still be closed and the machine stays usable.
     min_free_bytes: int = 50_000_000
+    keep_days: float = 0.0  # 0: no bound
+    keep_gb: float = 0.0  # 0: no bound
     compression: Compression = "lz4"  # of the chunks
 
 
@@ -69,7 +72,7 @@ class Recorder:
         options: Of the parts.
         metadata: MCAP metadata of every part.
         on_event: Called as (name, severity, text) in the recorder's thread: log-disk-full, log-failed, log-resumed,
-            log-rotated, log-dropping, log-removed.
+            log-rotated, log-dropping, log-removed, log-deleted.
     """
 
     def __init__(
@@ -95,6 +98,7 @@ class Recorder:
         self._thread: threading.Thread | None = None
         self._run = ""
         self._part = 0
+        self._cleared_part = 0  # the last one at whose begin old logs were deleted
         self._writer: LogWriter | None = None
         self._cut_off: LogWriter | None = None  # a part whose end did not fit on the disk
         self._parameters: dict[str, Entry] = {}
@@ -159,6 +163,10 @@ class Recorder:
             elif (whereabouts := self._writer.whereabouts()) != "here":
                 self._replace(self._writer, file_missing=whereabouts == "gone")
             self._check_free_space()
+            if self._cleared_part < self._part:
+                self._cleared_part, o = self._part, self._options
+                for severity, text in delete_expired(self.directory, o.prefix, o.keep_days, o.keep_gb):
+                    self._publish_event("log-deleted", severity, text)
             self._drain()
             now_s = time.monotonic()
             if now_s - self._flushed_s >= self._options.flush_s:

@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 
 import board51
+from gateway.commands import start
 from gateway.processes.command import listens
+from protocol.arguments import Parser
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.harness.ports import free_port
 from tests.patience import HANG_S
@@ -23,7 +25,7 @@ START = [sys.executable, "-m", "board51", "start"]
 
 def test_one_command_flies_shows_and_ends_everything(tmp_path: Path) -> None:
     page, bus = free_port(), free_port()
-    words = ["--emulated", "--page", f"127.0.0.1:{page}", "--listen", f"tcp/127.0.0.1:{bus}", "--no-browser"]
+    words = ["--emulated", "--page", f"127.0.0.1:{page}", "--listen", f"tcp/127.0.0.1:{bus}", "--no-browser", "--lean"]
     process = subprocess.Popen(
         [*START, *words, "--log-dir", str(tmp_path / "logs")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(tmp_path)},
@@ -113,6 +115,7 @@ def children_of(pid: int) -> list[int]:
         (["--emulated", "--page", "here"], "--page"),
         (["--emulated", "--page", "0.0.0.0:0"], "open to the network"),
         (["--emulated", "--listen", "tcp/0.0.0.0:7447"], "board51 gateway --security DIR"),
+        (["--emulated", "--keep-days", "-3"], "--keep-days = -3.0 is not in 0 .. 100000"),
         (["--emulated", "--log-dir", "/dev/null/logs"], "Give another --log-dir"),
     ],
 )
@@ -124,6 +127,37 @@ def test_what_cannot_be_is_said_at_once(words: list[str], problem: str, capsys: 
 
     assert code == 2
     assert problem in capsys.readouterr().err
+
+
+def test_a_port_that_is_absent_or_closed_is_said_in_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tty0").touch()
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+
+    start._warn_of_ports([f"{tmp_path}/absent", f"cart={tmp_path}/tty*", "socket://127.0.0.1:1"])
+
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["rig1", "cart"]
+    assert f"There is no {tmp_path}/absent: is the adapter plugged in?" in lines[0]
+    assert f"No permission to open {tmp_path}/tty*: add the user to its group" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--board", "a", "--board", "b"], r"about 22 MB a minute: [\d.e+]+ h in \S+ GB, then the disk is full"),
+        (
+            ["--emulated", "--lean", "--keep-gb", "0.06"],
+            r"about 10 MB a minute: 0\.1 h in 0\.06 GB, then the oldest go",
+        ),
+    ],
+)
+def test_it_says_how_much_is_logged_and_for_how_long(words: list[str], said: str, tmp_path: Path) -> None:
+    parser = Parser()
+    start.configure(parser)
+
+    assert re.fullmatch(said, start._log_size(parser.parse_args([*words, "--log-dir", str(tmp_path)])))
 
 
 def test_a_port_that_is_taken_is_named_before_anything_starts(

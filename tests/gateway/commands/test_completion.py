@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import shlex
 import shutil
 import subprocess
@@ -17,11 +19,9 @@ pytestmark = pytest.mark.skipif(BASH is None, reason="no bash here")
 @pytest.fixture(scope="module")
 def script() -> str:
     """What the command prints."""
-    with pytest.MonkeyPatch.context() as patch:
-        printed: list[str] = []
-        patch.setattr("builtins.print", lambda text: printed.append(text))
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         assert board51.main(["completion", "bash"]) == 0
-    return printed[0]
+    return printed.getvalue()
 
 
 @pytest.mark.parametrize(
