@@ -1,6 +1,7 @@
 """ASGI middleware that checks every HTTP and WebSocket request before the pages.
 
-Rule 1: no session, no page: a browser is sent to /login, anything else gets 401.  Only PUBLIC is served without.
+Rule 1: no session, no page: a browser is sent to /login, anything else gets 401, at / a line that
+        says where to go.  Only PUBLIC is served without.
 Rule 2: what changes something (any method but GET and HEAD) and every WebSocket must come from our own origin; without
         an Origin header it is not from a browser's page and is refused as well.
 Rule 3: what changes something bears the session's token in TOKEN_HEADER, a WebSocket bears it as subprotocol.  The
@@ -24,7 +25,7 @@ from http.cookies import CookieError, SimpleCookie
 from urllib.parse import quote, urlsplit
 
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.views.hmi.problems import problem
@@ -117,6 +118,8 @@ class Guard:
             elif a_page:
                 over = cookie_name(headers.get("host", "")) in headers.get("cookie", "")
                 answer = RedirectResponse(login_for(path, over=over), status_code=303)
+            elif reads and path == "/":  # somebody tries curl
+                answer = PlainTextResponse(text_of("root.for_programs") + "\n")
             else:
                 answer = refused(401, "session", text_of("refusal.session"))
         elif (

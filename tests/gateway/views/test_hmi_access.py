@@ -99,6 +99,20 @@ def test_without_a_session_there_is_the_login_and_nothing_else(server: Server) -
     assert page.http.get("/login").status_code == 200
 
 
+def test_curl_at_the_root_reads_where_to_go(server: Server) -> None:
+    page = server.page()
+
+    for accept in ("*/*", "application/json"):
+        answer = page.http.get("/", headers={"accept": accept})
+
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith("text/plain")
+        assert "set-cookie" not in answer.headers
+        assert all(way in answer.text for way in ("/login", "/api/v1/rigs", "/api/v1/openapi.json"))
+    assert page.http.post("/", headers={"accept": "*/*"}).status_code in (401, 403)
+    assert page.http.get("/api/session", headers={"accept": "*/*"}).status_code == 401
+
+
 def test_a_wrong_password_is_refused_and_gives_no_session(server: Server) -> None:
     page = server.page()
 
