@@ -71,6 +71,12 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
     assert not {"zenoh", "numpy", "numba", "matplotlib", "foxglove"} & set(re.findall(r"'([^']+)'", modules))
 
 
+def test_the_page_of_all_commands_has_each_of_them() -> None:
+    page = (ROOT / "docs" / "howto" / "commands.md").read_text(encoding="utf-8")
+
+    assert {name for name in board51.COMMANDS if not re.search(rf"`board51 {name}\b", page)} == set()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
