@@ -63,7 +63,7 @@ def quantity(text: str, channel: str) -> float:
     if smaller is not None:
         prefix = {1e-3: "m", 1e-6: "\u00b5", 1e-9: "n"}[smaller]
         raise UsageError(
-            f"{value:g} {si} is no {channel} of this rig",
+            f"{value:g} {si} is more than any such rig has",
             remedy=f"You may mean {value * smaller:g} ({value:g} {prefix}{si})",
         )
     return value

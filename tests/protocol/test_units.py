@@ -57,9 +57,9 @@ def test_a_quantity_is_in_si_or_bears_its_unit(text: str, channel: str, value: f
 @pytest.mark.parametrize(
     ("text", "channel", "said"),
     [
-        ("3", "x_ref", "3 m is no x_ref of this rig. You may mean 0.003 (3 mm)."),
-        ("-1500", "u_c", "-1500 V is no u_c of this rig. You may mean -1.5 (-1500 mV)."),
-        ("2", "t", "2 s is no t of this rig. You may mean 0.002 (2 ms)."),
+        ("3", "x_ref", "3 m is more than any such rig has. You may mean 0.003 (3 mm)."),
+        ("-1500", "u_c", "-1500 V is more than any such rig has. You may mean -1.5 (-1500 mV)."),
+        ("2", "t", "2 s is more than any such rig has. You may mean 0.002 (2 ms)."),
         ("3m", "x", "You may mean 0.003 (3 mm)"),
         ("nan", "x", "'nan' is not a finite number"),
         ("1e999", "x", "'1e999' is not a finite number"),

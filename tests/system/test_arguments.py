@@ -65,7 +65,7 @@ def test_the_walk_reaches_sub_commands_and_all_kinds_of_refusals() -> None:
         ("send rig1 referense 3", "(did you mean reference?)"),
         ("send rig1 excite step --ampltude=1", "there is no option --ampltude (did you mean --amplitude?)"),
         ("validate runs --modle m --out d", "there is no option --modle (did you mean --model?)"),
-        ("send rig1 reference 3", "3 m is no x_ref of this rig. You may mean 0.003 (3 mm)."),
+        ("send rig1 reference 3", "3 m is more than any such rig has. You may mean 0.003 (3 mm)."),
         ("design ce152 --operating-point 3", "You may mean 0.003 (3 mm)"),
         ("watch --qqq", "there is no option --qqq. "),
         ("watch rig1", "'rig1' is one argument too many"),

@@ -34,7 +34,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--figures", choices=("png", "pdf", "svg"), help="also write each figure of the report into --out"
     )
     add_show(parser)
-    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
     parser.add_argument("--json", action="store_true", help="print validation.json instead of the answer")
 
 
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
     campaign, model = Campaign.load(args.campaign), Model.load(args.model)
     make_folder(args.out)  # before the work, which takes a minute
-    result = validate(campaign, model, data=args.data, progress=progress_printer(quiet=args.quiet))
+    result = validate(campaign, model, data=args.data, progress=progress_printer(quiet=not sys.stderr.isatty()))
     result.save(args.out, title=f"Validation of {args.model.name} on {campaign.plant.name}")
     if args.figures is not None:
         save_figures(result.figures(), args.out / "figures", args.figures)
