@@ -159,7 +159,7 @@ def _play(
 ) -> None:
     """Replay under the orders of standard input, and print each change of state as a line of JSON."""
     from gateway.record.player import Player
-    from gateway.record.replay import SESSIONS_PER_PASS
+    from gateway.record.replay import SESSIONS_PER_PASS, from_time
 
     def sought() -> None:
         replay.session_offset += SESSIONS_PER_PASS  # nothing is continuous across a seek
@@ -176,7 +176,7 @@ def _play(
         return None
 
     player = Player(
-        lambda start_s: reader.raw(topics_=topics_, boards=args.board, start_s=start_s, end_s=args.end),
+        lambda start_s: from_time(reader, start_s, topics_=topics_, boards=args.board, end_s=args.end),
         replay.send,
         next_order=next_order,
         sought=sought,

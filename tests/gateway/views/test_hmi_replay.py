@@ -31,6 +31,9 @@ def write(path: Path, rig: str) -> None:
         state = pb.State(tick=tick, session=1, host_time_ns=at_ns, t_s=t_s, x_m=t_s * 5e-5, x_ref_m=1e-3, i_c_a=0.6)
         state.u_c_v, state.mode = 2.1, pb.MODE_CLOSED_LOOP
         writer.write(f"board51/{rig}/state", state.SerializeToString(), at_ns)
+        if tick % 250 == 0:
+            parameters = pb.Parameters(session=1, sample_time_s=0.02, x_ref_max_m=4e-3, host_time_ns=at_ns)
+            writer.write(f"board51/{rig}/parameters", parameters.SerializeToString(), at_ns)
         if tick in (1000, 2000):
             severity = "fault" if tick == 1000 else "info"
             event = pb.Event(name="over-current", severity=severity, source="board", host_time_ns=at_ns)
@@ -93,6 +96,7 @@ def test_a_replay_pauses_goes_where_it_is_told_and_says_when_it_ends(page: Page)
     expect(page.locator('[data-live="x"]').first).to_have_text(re.compile(r"1\.50\d"))
     expect(page.locator('[data-live="link"]')).to_have_text("❚❚ paused")  # not lost: it stands still
     assert page.locator("body").get_attribute("data-live") == "yes"
+    expect(page.locator(".ball-drawing .ball")).to_be_visible()  # its travel was said before
 
     page.locator(".mark").first.click()  # half a second before it
     expect(page.locator(AT)).to_have_text("0:19 of 0:59")
