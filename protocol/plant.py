@@ -132,6 +132,11 @@ def steel_ball_kg(diameter_m: float) -> float:
     return STEEL_KG_M3 * math.pi / 6.0 * diameter_m**3
 
 
+def steel_ball_m(mass_kg: float) -> float:
+    """Return the diameter of a steel ball, m."""
+    return float((6.0 * mass_kg / (math.pi * STEEL_KG_M3)) ** (1.0 / 3.0))
+
+
 def _out_of_range(name: str, value: float) -> Objection | None:
     low, high = bounds(keys_of(Plant)[name])
     if low is None or high is None or low <= value <= high:

@@ -1,6 +1,7 @@
 """Runs one `board51` command as a child of another: `python -m gateway.processes.child opcua --listen ...`.
 
-It ends when its standard input closes, which happens when its parent ends for any reason.  It runs at a lower priority
+It ends when its standard input closes, which happens when its parent ends for any reason.  What the parent writes there
+reaches the command's own standard input (`replay --control`).  It runs at a lower priority
 than its parent (NICER), unless the first word is SAME_PRIORITY, and never in real time, as a gateway may.  It is a
 new interpreter and not a fork of a multi-threaded parent.
 
@@ -27,10 +28,19 @@ BEAT_VARIABLE = "BOARD51_BEAT_FD"
 HAS_BEATS = hasattr(signal, "setitimer")
 
 
-def _end_with_parent() -> None:
-    while os.read(sys.stdin.fileno(), 1024):
-        pass
+def _end_with_parent(source: int, sink: int) -> None:
+    while data := os.read(source, 1024):
+        os.write(sink, data)  # a command that does not read has room for 64 kB, and no parent writes to one
     order_end()
+
+
+def _hand_on_input() -> None:
+    """Put a pipe in the place of standard input, so that its end is seen whatever the command reads."""
+    number = sys.stdin.fileno()
+    source, (read, write) = os.dup(number), os.pipe()
+    os.dup2(read, number)
+    os.close(read)
+    threading.Thread(target=_end_with_parent, args=(source, write), daemon=True).start()
 
 
 def _beat() -> None:
@@ -60,7 +70,7 @@ def main() -> int:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         if hasattr(os, "nice"):  # not on Windows, where `command.start` gives the priority
             os.nice(NICER)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _hand_on_input()
     _beat()
     try:
         return board51.main(words)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 
 import zenoh
@@ -24,6 +24,7 @@ from protocol.errors import ServiceError, UsageError
 from protocol.log.reader import LogReader, RawLogRecord
 
 SESSIONS_PER_PASS = 100_000  # --loop: passes are not continuous, so each pass has its own session numbers
+_REPEATED, _REPEATED_S = "every 5 s", 6.0  # `rate` in the table of topics; a little more than that
 DEFAULT_TOPICS = tuple(
     topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.source == "gateway"
 )
@@ -159,6 +160,18 @@ def contents(reader: LogReader, *, topics_: Sequence[str], boards: Sequence[str]
         for record in reader.raw(topics_=topics_, boards=boards):
             unique_keys.setdefault((record.site, record.board, record.topic))
     return list(unique_keys)
+
+
+def from_time(
+    reader: LogReader, start_s: float, *, topics_: Sequence[str], boards: Sequence[str] | None, end_s: float | None
+) -> Iterator[RawLogRecord]:
+    """Yield the records from a time on; before them the newest of what is repeated, such as parameters and plant."""
+    at_ns = reader.start_ns + round(start_s * 1e9)
+    repeated = [topic.name for topic in topics.TOPICS if topic.name in topics_ and _REPEATED in topic.rate]
+    before = reader.raw(topics_=repeated, boards=boards, start_s=max(0.0, start_s - _REPEATED_S), end_s=start_s)
+    newest = {record.key: record._replace(time_ns=at_ns) for record in before} if start_s > 0.0 else {}
+    yield from newest.values()
+    yield from reader.raw(topics_=topics_, boards=boards, start_s=start_s, end_s=end_s)
 
 
 def _with_session(topic: str, data: bytes, offset: int) -> bytes:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -156,19 +156,20 @@ class LogWriter:
         except OSError:
             return "elsewhere"
 
-    def write(self, key: str, data: bytes, time_ns: int) -> None:
+    def write(self, key: str, data: bytes, time_ns: int, *, schema: Callable[[], Schema] | None = None) -> None:
         """Add one message.
 
         Args:
-            key: `<site>/<board>/<topic>` with a topic of `protocol.bus.topics`.
+            key: `<site>/<board>/<topic>` with a topic of `protocol.bus.topics`, or any other one with a `schema`.
             data: The serialised protobuf message of that topic.
             time_ns: MCAP log time, Unix time.
+            schema: Of a topic that is foreign to the bus.
 
         Raises:
             ValueError: the key is not a Board51 key.
             LogError: data could not be written to disk.
         """
-        channel = self._channels.get(key) or self._open_channel(key)
+        channel = self._channels.get(key) or self._open_channel(key, schema)
         channel.base.log(data, time_ns)
         self.messages += 1
         self._in_chunk += len(data)
@@ -214,15 +215,18 @@ class LogWriter:
             os.close(self._fd)
             self._fd = -1
 
-    def _open_channel(self, key: str) -> Channel:
-        parts = topics.split(key)
-        if parts is None:
-            raise ValueError(f"{key!r} is not a key of the bus table")
-        message = topics.TOPIC_OF_NAME[parts[2]].message
-        schema = Schema(name=encoding.schema_name(message), encoding=encoding.SCHEMA_ENCODING, data=self._descriptors)
+    def _open_channel(self, key: str, foreign: Callable[[], Schema] | None) -> Channel:
+        schema = self._schema(key) if foreign is None else foreign()
         channel = Channel(key, message_encoding=encoding.MESSAGE_ENCODING, schema=schema, context=self._context)
         self._channels[key] = channel
         return channel
+
+    def _schema(self, key: str) -> Schema:
+        parts = topics.split(key)
+        if parts is None:
+            raise ValueError(f"{key!r} is not a key of the bus table")
+        name = encoding.schema_name(topics.TOPIC_OF_NAME[parts[2]].message)
+        return Schema(name=name, encoding=encoding.SCHEMA_ENCODING, data=self._descriptors)
 
     def _end_chunk(self) -> None:
         memory = self._memory

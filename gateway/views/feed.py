@@ -95,8 +95,9 @@ class Tap(Protocol):
 class BoardFeed:
     """Messages of one board on the bus."""
 
-    def __init__(self, name: str, lock: threading.Lock, now_s: Callable[[], float]) -> None:
+    def __init__(self, name: str, lock: threading.Lock, now_s: Callable[[], float], *, replayed: bool = False) -> None:
         self.name = name
+        self._replayed = replayed  # silence is then a pause, and no alarm
         self._lock, self._now_s = lock, now_s
         self._latest: dict[str, Message] = {}
         self._at_s: dict[str, float] = {}
@@ -236,6 +237,8 @@ class BoardFeed:
             )
 
     def _judge(self) -> None:
+        if self._replayed:
+            return
         link = self.link()
         twin_s = min(self.age_s(pb.TwinAlarms), self._now_s() - self._back_s)
         if TWIN_TIMEOUT_S < twin_s and self.latest(pb.TwinAlarms) is not None and link.state != "no-gateway":
@@ -292,6 +295,11 @@ class Feed:
         with self._lock:
             board = self._boards.get(name)
             return board is not None and board.is_unseen() and self._boards.pop(name) is board
+
+    def forget(self) -> None:
+        """Forget all boards until their next messages: a replay begins, or goes on elsewhere."""
+        with self._lock:
+            self._boards.clear()
 
     def stopped_s(self, name: str) -> float:
         """Return when the last STOP of a board was seen, monotonic; -inf if none was."""
@@ -354,7 +362,9 @@ class Feed:
                 if len(self._boards) >= MAX_BOARDS:
                     self.refused += 1
                     return
-                board = self._boards[address[1]] = BoardFeed(address[1], self._lock, self._now_s)
+                board = self._boards[address[1]] = BoardFeed(
+                    address[1], self._lock, self._now_s, replayed=self._replays
+                )
             now_ns = time.time_ns()
             for part in message.states if isinstance(message, pb.StateBatch) else (message,):
                 board.take(part, now_ns)

@@ -9,11 +9,14 @@ command is refused with NOT_AVAILABLE: a recording cannot be influenced.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import queue
 import sys
 import threading
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gateway.access.listeners import check_bus_listeners
 from protocol.bus import board51_pb2 as pb
@@ -24,6 +27,9 @@ from protocol.bus.identity import HELP, find_identity
 from protocol.ending import on_end_signal
 from protocol.errors import DataError, ServiceError, UsageError
 from protocol.log.reader import LogReader, RawLogRecord
+
+if TYPE_CHECKING:
+    from gateway.record.replay import BusReplay
 
 SETTLE_S = 0.1  # a subscription that has just appeared takes up to 60 ms until data flows to it (measured)
 
@@ -48,6 +54,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     bus.add_argument("--as-site", metavar="SITE", help="publish under this site, so that a replay cannot pass for live")
     bus.add_argument("--loop", action="store_true", help="repeat without end; each pass has its own session numbers")
     bus.add_argument(
+        "--control",
+        action="store_true",
+        help="take orders from standard input, one a line: pause, play, seek S, speed N; stay at the end",
+    )
+    bus.add_argument(
         "--wait", type=float, default=2.0, metavar="S", help="wait so long for a subscriber, then begin (default 2)"
     )
     raw = parser.add_argument_group("as a board")
@@ -65,6 +76,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay until the end, SIGTERM or SIGINT."""
+    if args.control and (args.loop or args.bytes or not args.speed > 0.0):
+        raise UsageError("--control excludes --loop, --bytes and --speed 0", remedy="Leave those out")
     if args.speed < 0.0 or not args.speed < float("inf"):
         raise UsageError(f"--speed {args.speed} is not a speed", remedy="Give 0 or a positive number")
     stop = threading.Event()
@@ -121,6 +134,9 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
             replay.send(record)
             progress.at(record.time_ns, reader.start_ns)
 
+        if args.control:
+            _play(reader, replay, args, topics_, stop)
+            return 0
         while not stop.is_set():
             records = reader.raw(topics_=topics_, boards=args.board, start_s=args.start, end_s=args.end)
             count, span_s = pace(records, speed=args.speed, stop=stop, send=send)
@@ -136,6 +152,40 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         print(f"{sent} messages, {log_s:.3f} s of the log, in {lasted_s:.3f} s")
     reader.check(last_ns=None)
     return 0 if sent else 1
+
+
+def _play(
+    reader: LogReader, replay: BusReplay, args: argparse.Namespace, topics_: tuple[str, ...], stop: threading.Event
+) -> None:
+    """Replay under the orders of standard input, and print each change of state as a line of JSON."""
+    from gateway.record.player import Player
+    from gateway.record.replay import SESSIONS_PER_PASS, from_time
+
+    def sought() -> None:
+        replay.session_offset += SESSIONS_PER_PASS  # nothing is continuous across a seek
+
+    orders: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            orders.put(line)
+
+    def next_order(limit_s: float) -> str | None:
+        with contextlib.suppress(queue.Empty):
+            return orders.get(timeout=limit_s) if limit_s > 0.0 else orders.get_nowait()
+        return None
+
+    player = Player(
+        lambda start_s: from_time(reader, start_s, topics_=topics_, boards=args.board, end_s=args.end),
+        replay.send,
+        next_order=next_order,
+        sought=sought,
+        report=lambda state: print(json.dumps(state), flush=True),
+        stop=stop,
+    )
+
+    threading.Thread(target=listen, name="orders", daemon=True).start()
+    player.run(args.start, args.speed)
 
 
 def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:

@@ -1,7 +1,8 @@
 """The rigs live in Foxglove: a WebSocket server with the topics and schemas of the logs, and ready-made layouts.
 
 In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; then Layouts, Import from file.  The same layout
-opens the MCAP logs.  It shows and never commands.
+opens the MCAP logs.  Events, alarms and refused commands are in its Log panel, the rig is in its 3D panel; with LOG -o
+a log becomes one that has both, too.  It shows and never commands.
 """
 
 from __future__ import annotations
@@ -9,22 +10,27 @@ from __future__ import annotations
 import argparse
 import threading
 from importlib.resources import files
+from pathlib import Path
 
 from gateway.client.connection import open_bus
 from gateway.views.listen import add_view_arguments, listener
 from protocol.bus import topics
 from protocol.ending import on_end_signal
+from protocol.errors import UsageError
 
 LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments: address and layouts."""
+    """Add the arguments: address, layouts and logs."""
     parser.epilog = (
         "examples:\n  board51 foxglove                                        ws://127.0.0.1:8765\n"
         "  board51 foxglove --print-layout > board51.json          for rig1; --board NAME for another\n"
-        "  board51 foxglove --print-layout plotjuggler > board51.xml"
+        "  board51 foxglove --print-layout plotjuggler > board51.xml\n"
+        "  board51 foxglove logs/*.mcap -o shown.mcap              a log with the topics of the Log and 3D panels"
     )
+    parser.add_argument("logs", type=Path, nargs="*", metavar="LOG", help="an MCAP file, or the parts of one log")
+    parser.add_argument("-o", "--out", type=Path, metavar="OUT", help="MCAP file to create of LOG")
     add_view_arguments(parser, "foxglove", insecure="serve other machines: there is no login")
     parser.add_argument(
         "--print-layout", nargs="?", const="foxglove", choices=tuple(LAYOUTS), help="print a layout and end"
@@ -35,7 +41,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def layout(kind: str, site: str, board: str) -> str:
     """The shipped layout for one board."""
     text = (files("gateway.views") / "layouts" / LAYOUTS[kind]).read_text(encoding="utf-8")
-    return text.replace("board51/rig1/", f"{site}/{board}/")
+    return text.replace("board51/rig1/", f"{site}/{board}/").replace(
+        '"rig1"', f'"{board}"'
+    )  # a key; the 3D panel's frame
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,7 +53,14 @@ def run(args: argparse.Namespace) -> int:
     if args.print_layout:
         print(layout(args.print_layout, args.site, args.board), end="")
         return 0
-    from gateway.views.foxglove import serve
+    if (args.out is None) != (not args.logs):
+        raise UsageError("LOG and -o go together", remedy="Give both, or neither to serve the rigs live")
+    if args.out is not None:
+        from gateway.views.foxglove.panel_log import write_with_panels
+
+        print(f"{args.out}: the log and {write_with_panels(args.logs, args.out)} messages for the Log and 3D panels")
+        return 0
+    from gateway.views.foxglove.server import serve
     from protocol.bus.identity import find_identity
 
     remedy = "It has no login: reach it through an ssh tunnel (ssh -L 8765:127.0.0.1:8765 HOST)"

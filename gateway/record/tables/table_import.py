@@ -6,7 +6,8 @@ Rule 2: T_s is the median step of t; `tick` counts in T_s from the first row.  A
         the tick jumps, `lost_before` says by how much.  `t_s` stays the table's own time, to the bit.
 Rule 3: log time is the table's time from the epoch 0: an imported log has no date.
 Rule 4: the log's metadata contain its source (file, SHA-256, columns, campaign).
-Rule 5: a table that `export` wrote is read back as it was (`exported_states`), unless its columns are mapped.
+Rule 5: a table that `export` wrote is read back as it was (`exported_states`), unless its columns are mapped.  Of other
+        topics (twin/state, capture) the columns are found by the names that `export` gives them: t_s, u_c_v ...
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from protocol.units import MAX_PLAUSIBLE, NOT_MEASURED, UNITS, scale_of_size
 GAP_STEPS = 1.5  # a step longer than this lost at least one sample
 LARGEST_GAP = 1 << 31  # samples: `lost_before` counts in 32 bits
 JITTER_SHARE = 0.1  # a step off a whole number of T_s by more than this share is irregular
-_FIELDS: Mapping[Channel, str] = {"u_c": "u_c_v", "i_c": "i_c_a", "x": "x_m", "x_ref": "x_ref_m"}
+_FIELDS: dict[Channel, str] = {"u_c": "u_c_v", "i_c": "i_c_a", "x": "x_m", "x_ref": "x_ref_m"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,6 +97,7 @@ def import_recording(
         report = _report_of(source, log, board, states)
         _write(f"{site}/{board}", report, recording, campaign, states)
         return report
+    recording = _with_field_names(table, recording)
     values, extrapolated = _channels(table, recording)
     in_time = recording.kind != "equilibria"
     time_s = values.pop("t") if in_time else np.arange(table.rows, dtype=float)
@@ -149,6 +151,16 @@ def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) 
         gaps=sum(state.lost_before > 0 for state in states),
         samples_missing=sum(state.lost_before for state in states),
     )
+
+
+def _with_field_names(table: Table, recording: Recording) -> Recording:
+    """Return the recording with the columns of an export for channels that have none of their own name."""
+    found: dict[Channel, Column] = {
+        channel: Column(column=name)
+        for channel, name in {"t": "t_s", **_FIELDS}.items()
+        if name in table.names and recording.column(channel).column not in table.names
+    }
+    return replace(recording, columns={**found, **recording.columns})
 
 
 def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatArray], dict[str, int]]:

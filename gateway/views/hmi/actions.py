@@ -39,6 +39,7 @@ _ENDED_AS = {  # the act that whoever ends a job of this kind must be allowed
     "identify": "diagnose", "diagnose": "diagnose", "bode": "diagnose", "hand-over": "use_model",
     "compare": "diagnose", "design": "diagnose", "forecast": "diagnose",
 }  # fmt: skip
+_ORDER = re.compile(r"pause|play|(seek|speed) \d{1,9}(\.\d{1,6})?")
 _logger = logging.getLogger("gateway.hmi")
 
 
@@ -76,6 +77,7 @@ class Actions:
         logs: files that may be replayed.
         reports: pages of diagnosis.
         routes: how jobs reach the bus, and where they write.
+        replayed: feed of the replay site.
     """
 
     def __init__(
@@ -88,10 +90,11 @@ class Actions:
         logs: Library,
         reports: Library,
         routes: Routes,
+        replayed: Feed,
     ) -> None:
         self.feed, self.sessions, self.users = feed, sessions, users
         self.jobs, self.logs, self.reports = jobs, logs, reports
-        self._routes = routes
+        self._routes, self._replayed = routes, replayed
 
     def role(self, session: LoginSession) -> Role:
         """Return the current role: a change of the users file takes effect at once."""
@@ -179,8 +182,25 @@ class Actions:
         entry = self.logs.find(log)
         if entry is None:
             return refusal("no-log", text_of("refusal.no_log"))
-        words = ["replay", str(entry.path), "--speed", f"{speed:g}", *self._routes.replayed(), *_EVERYTHING]
-        return self.start_job(session, "read", "replay", "*", words, title=entry.name)
+        words = ["replay", str(entry.path), "--control", "--json", "--speed", f"{speed:g}"]
+        words += [*self._routes.replayed(), *_EVERYTHING]
+        reply = self.start_job(session, "read", "replay", "*", words, title=entry.name)
+        if reply.accepted:
+            self._replayed.forget()  # what the last replay left
+        return reply
+
+    def order_replay(self, session: LoginSession, order: str) -> pb.CommandReply:
+        """Give an order to the replay that runs: pause, play, seek S, speed N."""
+        refused = self.refused(session, "read")
+        if refused is not None:
+            return refused
+        if not _ORDER.fullmatch(order):
+            return refusal("malformed", text_of("replay.no_order"))
+        if order.startswith("seek"):
+            self._replayed.forget()  # events and alarms of another time
+        if self.jobs.tell("replay", "*", order):
+            return pb.CommandReply(accepted=True)
+        return refusal("not-running", text_of("job.not_running"))
 
     def delete_log(self, session: LoginSession, log: str) -> pb.CommandReply:
         """Delete a log or recording for good; never one of a campaign, or one that is being written."""

@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 import socket
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -32,7 +32,7 @@ from gateway.views.hmi.acts import Acts
 from gateway.views.hmi.api.routes import Api, not_there, release
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
-from gateway.views.hmi.jobs import Jobs
+from gateway.views.hmi.jobs import Job, Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
 from gateway.views.hmi.model.work import ModelWork
@@ -118,6 +118,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         logs=Library({"logs": settings.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, *REPORTS),
         routes=settings.routes,
+        replayed=replayed,
     )
     live, replay = Snapshots(feed), Snapshots(replayed)
 
@@ -135,7 +136,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     requests, api = Requests(actions, acts, work, users), Api(actions, acts, work)
     static = Mount("/static", StaticFiles(directory=STATIC))
     pages = Pages(actions, work, api.document)
-    sockets = [*_frames("/live", live, sessions, jobs), *_frames(REPLAY, replay, sessions, None)]
+    sockets = [*_frames("/live", live, sessions, jobs.of), *_frames(REPLAY, replay, sessions, lambda _: jobs.of("*"))]
     routes = [static, metrics.route(feed, release()), *sockets, *api.routes(), *requests.routes(), *pages.routes()]
     guard = Guard(
         Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there}),
@@ -149,7 +150,9 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     return guard
 
 
-def _frames(prefix: str, snapshots: Snapshots, sessions: LoginSessions, jobs: Jobs | None) -> list[BaseRoute]:
+def _frames(
+    prefix: str, snapshots: Snapshots, sessions: LoginSessions, jobs: Callable[[str], Sequence[Job]]
+) -> list[BaseRoute]:
     readers = Live(snapshots, sessions, jobs)
     return [
         WebSocketRoute(prefix, readers.overview),

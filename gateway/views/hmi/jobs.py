@@ -96,6 +96,18 @@ class Jobs:
         order(job.process, signal.SIGINT)
         return True
 
+    def tell(self, kind: str, board: str, line: str) -> bool:
+        """Write a line to its standard input; False where nothing runs."""
+        job = self._jobs.get((kind, board))
+        if job is None or not job.running or job.process.stdin is None:
+            return False
+        try:
+            job.process.stdin.write(f"{line}\n".encode())
+            job.process.stdin.flush()
+        except (OSError, ValueError):  # it has just ended
+            return False
+        return True
+
     def close(self) -> None:
         """End them all."""
         end([job.process for job in self._jobs.values()], signal.SIGINT, END_S)

@@ -10,8 +10,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
+
+from gateway.record.timeline import Extent, extent
 
 MAX_FILES = 500  # the newest are listed
 
@@ -29,6 +32,16 @@ class LibraryFile:
     def changed(self) -> str:
         """Return the time of the last change, for people."""
         return time.strftime("%Y-%m-%d %H:%M", time.localtime(self.changed_s))
+
+    @property
+    def extent(self) -> Extent | None:
+        """Return rigs and duration of a log; None where its index does not say so."""
+        return _extent(self.path, self.bytes, self.changed_s)
+
+
+@lru_cache(maxsize=2 * MAX_FILES)
+def _extent(path: Path, _bytes: int, _changed_s: float) -> Extent | None:
+    return extent(path)  # read anew when the file has changed
 
 
 class Library:

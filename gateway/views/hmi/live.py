@@ -14,7 +14,7 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -23,7 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from gateway.views.feed import BoardFeed, Feed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
-from gateway.views.hmi.jobs import Jobs
+from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.traces import Traces
 from gateway.views.hmi.watch import Watch
@@ -99,10 +99,10 @@ class Live:
     Args:
         snapshots: what to show.
         sessions: who may look.
-        jobs: of the rigs; None on pages of a recording, whose rig may have the name of a live one.
+        jobs: of a rig; on pages of a recording, whose rig may have the name of a live one, those of the replay.
     """
 
-    def __init__(self, snapshots: Snapshots, sessions: LoginSessions, jobs: Jobs | None) -> None:
+    def __init__(self, snapshots: Snapshots, sessions: LoginSessions, jobs: Callable[[str], Sequence[Job]]) -> None:
         self._snapshots, self._sessions, self._jobs = snapshots, sessions, jobs
         self._readers = 0
 
@@ -120,7 +120,7 @@ class Live:
                 board, cursor, looked_s = known, 0, -math.inf
                 sent.clear()
             if board is None:
-                return {}
+                return {"jobs": self._job_words(name)}
             traces, first = self._snapshots.traces(board), cursor == 0
             rows, cursor = traces.since(cursor)
             made: dict[str, Any] = {"now": snapshot.now(board), "rows": rows}
@@ -128,9 +128,7 @@ class Live:
                 made["past"] = traces.past()
             if now_s - looked_s >= REST_S:
                 looked_s = now_s
-                running = self._jobs.of(name) if self._jobs is not None else []
-                jobs = {job.kind: snapshot.job(job) for job in running}
-                for part, content in (("rest", self._snapshots.rest(board)), ("jobs", jobs)):
+                for part, content in (("rest", self._snapshots.rest(board)), ("jobs", self._job_words(name))):
                     text = json.dumps(content)
                     if text != sent.get(part):
                         sent[part], made[part] = text, content
@@ -165,9 +163,12 @@ class Live:
 
         def frame(_: float) -> dict[str, Any]:
             boards = [board for board in map(feed.board, feed.boards()) if board is not None]
-            return {"boards": [snapshot.summary(board) for board in boards]}
+            return {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
 
         await self._serve(socket, frame, OVERVIEW_S)
+
+    def _job_words(self, board: str) -> dict[str, Any]:
+        return {job.kind: snapshot.job(job) for job in self._jobs(board)}
 
     async def _serve(self, socket: WebSocket, frame: Callable[[float], dict[str, Any]], period_s: float) -> None:
         session: LoginSession = socket.scope["board51_session"]

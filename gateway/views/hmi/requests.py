@@ -4,10 +4,12 @@ POST /api/<board>/stop              no body; of <board> "*": every board; {"boar
 POST /api/<board>/command           a Command as protobuf's JSON: {"set_reference": {"x_ref_m": 0.003}}
 POST /api/<board>/acknowledge       {"name": "divergence-x"}
 POST /api/<board>/gains             a file; returns its command and table, sends nothing to the board
-POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ...}, see starts.py
+POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ..}, see starts.py,
+                                    {"kind": "replay", "act": "order", "order": "pause"}, see record/player.py
 POST /api/*/delete                  {"log": "logs/NAME.mcap"}
 GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
+GET  /api/timeline/<name>           start, duration and marks of a log, see record/timeline.py
 GET  /api/<board>/plant?mass_g=8.28&...  what is wrong about the data of a plant, see model/plant.py; changes nothing
 GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see model/exports.py
 GET  /log/<name>, /report-file/<name>    a file that the lists name
@@ -43,7 +45,7 @@ from gateway.views.hmi.model.plant import judged
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.starts import starts
-from gateway.views.hmi.summaries import summary
+from gateway.views.hmi.summaries import summary, timeline
 from gateway.views.hmi.texts import text_of
 from gateway.views.hmi.turns import Turns, departure
 from protocol.bus import board51_pb2 as pb
@@ -54,6 +56,7 @@ _REPORT_POLICY = (
     "sandbox allow-same-origin; default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:;"
     " frame-ancestors 'self'"
 )
+_JOB_ACTS = ("start", "stop", "order")
 
 
 class Requests:
@@ -93,6 +96,7 @@ class Requests:
             "/log/{name:path}": self.log,
             "/report-file/{name:path}": self.report,
             "/api/summary/{name:path}": self.summary,
+            "/api/timeline/{name:path}": self.timeline,
             "/api/{board}/export/{name:path}": self.export,
             "/api/{board}/plant": self.plant,
         }
@@ -144,11 +148,15 @@ class Requests:
         """Start or stop a job."""
         table = await _json(request) or {}
         kind, act, board = str(table.get("kind")), table.get("act"), request.path_params["board"]
-        if kind not in self._starts or act not in ("start", "stop"):
+        if kind not in self._starts or act not in _JOB_ACTS:
             kinds = " | ".join(f'"{kind}"' for kind in self._starts)
-            return refusal(400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.')
+            return refusal(
+                400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.'
+            )  # "order": of a replay
 
         def do(session: LoginSession, _wish: Wish) -> pb.CommandReply:
+            if act == "order":
+                return self._actions.order_replay(session, str(table.get("order")))
             if act == "stop":
                 return self._actions.stop_job(session, kind, "*" if kind == "replay" else board)
             return self._starts[kind](session, board, table)
@@ -212,6 +220,16 @@ class Requests:
         if text is None:
             return refusal(503, "busy", text_of("library.busy"))
         return JSONResponse({"accepted": True, "text": text})
+
+    async def timeline(self, request: Request) -> Response:
+        """Return start, duration and marks of a log."""
+        entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
+        if entry is None:
+            return refusal(404, "no-log", text_of("refusal.no_log"))
+        text = await timeline(self._turns, entry, departure(request))
+        if text is None:
+            return refusal(503, "busy", text_of("replay.no_marks"))
+        return Response(text, media_type="application/json")
 
     async def plant(self, request: Request) -> Response:
         """Return what is wrong or unusual about the data of a plant."""

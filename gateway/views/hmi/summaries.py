@@ -1,4 +1,4 @@
-"""Summaries of logs, as `board51 info` prints them."""
+"""Summaries and timelines of logs, as `board51 info` prints them."""
 
 from __future__ import annotations
 
@@ -24,3 +24,12 @@ async def summary(turns: Turns, entry: LibraryFile, leaving: Coroutine[Any, Any,
     if output.code is None:
         return text_of("library.too_long_to_read", path=entry.path)
     return output.text.replace(str(entry.path), entry.name)
+
+
+async def timeline(turns: Turns, entry: LibraryFile, leaving: Coroutine[Any, Any, None]) -> str | None:
+    """Return the timeline of a log as JSON; None if too many wait, or it cannot be read in time."""
+    if entry.bytes > MAX_BYTES:
+        leaving.close()
+        return None
+    output = await turns.run("info", str(entry.path), "--marks", memory=MEMORY, leaving=leaving)
+    return output.text if output is not None and output.code == 0 else None

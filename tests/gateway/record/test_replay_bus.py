@@ -18,7 +18,7 @@ import pytest
 import zenoh
 
 import board51
-from gateway.record.replay import SESSIONS_PER_PASS, pace
+from gateway.record.replay import SESSIONS_PER_PASS, from_time, pace
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
@@ -226,3 +226,15 @@ def _quiet(logs: Path) -> Callable[[], bool]:
         return time.monotonic() - seen[1] > 0.3
 
     return check
+
+
+def test_from_a_time_on_what_is_repeated_comes_first(log: Path) -> None:
+    reader = LogReader(log)
+
+    records = list(from_time(reader, 1.0, topics_=("state", "parameters"), boards=None, end_s=1.01))
+
+    assert [(record.topic, record.time_ns - START_NS) for record in records[:2]] == [
+        ("parameters", 1_000_000_000),
+        ("state", 1_000_000_000),
+    ]
+    assert all(record.topic == "state" for record in records[1:])

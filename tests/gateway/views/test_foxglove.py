@@ -1,23 +1,21 @@
-"""The live Foxglove WebSocket, read by a client of its protocol; the shipped layouts name topics that exist."""
+"""The live Foxglove WebSocket, read by a client of its protocol."""
 
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
-import re
 import struct
 from collections.abc import Iterator
 from typing import Any
-from xml.etree import ElementTree
 
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
-from gateway.commands.views.foxglove import layout
-from gateway.views.foxglove import FoxgloveView
-from protocol.bus import topics
+from gateway.views.foxglove.server import FoxgloveView
+from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
 from tests.harness.gateway.gateway_peers import client
@@ -31,7 +29,7 @@ def gateway() -> Iterator[PlayedGateway]:
         yield played
 
 
-async def listen(port: int, wanted: str) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
+async def listen(port: int, wanted: str, count: int = 20) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
     """The advertisement of a topic, and its first messages: (log time, payload)."""
     async with connect(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")]) as socket:
         channel: dict[str, Any] = {}
@@ -49,15 +47,13 @@ async def listen(port: int, wanted: str) -> tuple[dict[str, Any], list[tuple[int
             elif frame[0] == 1:
                 _, time_ns = struct.unpack_from("<IQ", frame, 1)
                 messages.append((time_ns, frame[13:]))
-                if len(messages) == 20:
+                if len(messages) == count:
                     return channel, messages
     raise AssertionError("the server hung up")
 
 
 def decode(channel: dict[str, Any], payload: bytes) -> Any:
     """As a client does that knows nothing but what the server said."""
-    import base64
-
     files = descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"]))
     pool = descriptor_pool.DescriptorPool()
     for file in files.file:
@@ -101,42 +97,23 @@ def test_a_port_in_use_is_an_error_that_says_so(gateway: PlayedGateway) -> None:
     assert "--listen" in str(said.value)
 
 
-def has_field(descriptor: Any, path: list[str]) -> bool:
-    field = descriptor.fields_by_name.get(path[0])
-    if field is None:
-        return False
-    if field.message_type is None:
-        return len(path) == 1
-    return len(path) == 1 or has_field(field.message_type, path[1:])
+@pytest.mark.parametrize(("topic", "schema"), [("log", "foxglove.Log"), ("scene", "foxglove.SceneUpdate")])
+def test_the_log_and_3d_panels_have_topics_of_their_own(gateway: PlayedGateway, topic: str, schema: str) -> None:
+    def event(n: int) -> dict[str, Any]:
+        if n % 50 == 0:
+            gateway.send(
+                "event", pb.Event(source="board", severity="fault", name="over-current", host_time_ns=n), "rig1"
+            )
+        return {}
 
+    with client(gateway.endpoint) as bus, ticking(gateway, "rig1", values=event):
+        view = FoxgloveView(bus.session, "board51", "127.0.0.1", 0)
+        channel, messages = asyncio.run(asyncio.wait_for(listen(view.port, f"board51/rig1/{topic}", 1), HANG_S))
+        view.close()
 
-def expect_field(topic: str, path: list[str]) -> None:
-    place = topics.split(topic)
-    assert place is not None, topic
-    assert place[:2] == ("lab", "rig7")
-    assert not path or has_field(topics.TOPIC_OF_NAME[place[2]].message.DESCRIPTOR, path), (topic, path)
-
-
-def test_every_path_of_the_foxglove_layout_exists() -> None:
-    text = layout("foxglove", "lab", "rig7")
-
-    made = json.loads(text)
-    paths = re.findall(r'\\"([^"\\]+)\\"((?:\.\w+)*)', text)
-
-    assert len(paths) > 12
-    for topic, fields in paths:
-        expect_field(topic, fields.split(".")[1:])
-    panels = re.findall(r'"([A-Za-z]+!\w+)"', json.dumps(made["layout"]))
-    assert set(panels) == set(made["configById"])
-
-
-def test_every_curve_of_the_plotjuggler_layout_exists() -> None:
-    curves = [c.attrib["name"] for c in ElementTree.fromstring(layout("plotjuggler", "lab", "rig7")).iter("curve")]
-
-    assert len(curves) > 12
-    for curve in curves:
-        words = curve.split("/")
-        topic = next(
-            "/".join(words[:n]) for n in range(len(words) - 1, 2, -1) if topics.split("/".join(words[:n])) is not None
-        )
-        expect_field(topic, words[len(topic.split("/")) :])
+    shown = decode(channel, messages[0][1])
+    assert channel["schemaName"] == schema
+    if topic == "log":
+        assert (shown.name, shown.message, shown.level) == ("board", "over-current", 4)  # 4: ERROR
+    else:
+        assert [entity.id for entity in shown.entities] == ["coil", "ball"]

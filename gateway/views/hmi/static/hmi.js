@@ -9,6 +9,7 @@ import { $, $$, cell, put } from "./dom.js";
 import { Line } from "./line.js";
 import { History } from "./history.js";
 import { Plots } from "./plots.js";
+import { standAt, standing, still } from "./replay.js";
 import { may, page } from "./server.js";
 import { IN_DOUBT, Stop } from "./stop.js";
 import { textOf, textsOf } from "./texts.js";
@@ -61,7 +62,9 @@ for (const kind of ["pointerdown", "keydown"]) {
 // --- values and words out -----------------------------------------------------------------------------------------
 
 const MODES = textsOf("mode"), COILS = textsOf("coil"), FLAGS = textsOf("flag"), TWIN = textsOf("twin"), LINK = textsOf("link");
-const linkWords = (link) => (link === "live" && page.replay ? LINK.replaying : LINK[link]) ?? link;
+// A replay that stands still shows the moment where it stands: no samples come, and nothing is lost.
+const stands = () => page.replay && still();
+const linkWords = (link) => (stands() ? standing() : link === "live" && page.replay ? LINK.replaying : LINK[link]) ?? link;
 const modeWords = (mode) => MODES[mode] ?? mode;
 
 // "" where what is shown is true now; else why not, in words.
@@ -69,7 +72,7 @@ function lost() {
   const gap = line.gap();
   if (gap > FRAME_LIMIT_S) return textOf("line.no_server", { seconds: gap.toFixed(0) });
   if (!now) return textOf("line.waiting");
-  if (now.link === "live") return "";
+  if (now.link === "live" || stands()) return "";
   const reason = now.reason || linkWords(now.link);
   return now.age_s === null ? textOf("line.no_data", { reason }) : textOf("line.no_data_for", { seconds: Math.max(1, now.age_s).toFixed(0), reason });
 }
@@ -98,7 +101,7 @@ function values() {
   put("i_c", shown(now.i_c_a, 1, 3));
   put("u_c", shown(now.u_c_v, 1, 3));
   put("twin_x", shown(now.twin_x_m, 1e3, 3));
-  put("runs", gone ? "" : running().join(" \u00b7 "), "on");
+  put("runs", gone || page.replay ? "" : running().join(" \u00b7 "), "on");
   const calm = now.mode === "idle" ? "idle" : "on";
   chip("mode", now.mode ? textOf("rig.mode", { mode: modeWords(now.mode), coil: COILS[now.coil] }) : "\u2013", now.coil === IN_DOUBT ? "bad" : calm, gone);
   const flags = now.flags ?? [];
@@ -262,7 +265,7 @@ function overview() {
   if (!cards.size) place.replaceChildren();
   for (const board of boards) {
     if (!cards.has(board.name)) cards.set(board.name, card(board.name));
-    const { box, parts } = cards.get(board.name), live = board.link === "live" && !gone;
+    const { box, parts } = cards.get(board.name), live = (board.link === "live" || stands()) && !gone;
     if (box.parentElement !== place) place.append(box);
     if (parts.remove) parts.remove.hidden = !board.unseen || gone;
     box.dataset.state = !live || board.fault ? "bad" : board.alarms + board.gone ? "warn" : "good";
@@ -316,6 +319,7 @@ function draw() {
   overview();
   if (page.board) values();
   stopping.show();
+  if (page.replay) standAt((now ?? boards?.[0])?.host_s);
   if (!plots) return;
   const missing = lost(), at = missing ? history.newest ?? 0 : boardNow();
   plots.draw(at, now, missing, marks());

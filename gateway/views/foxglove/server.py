@@ -2,7 +2,7 @@
 
 Rule 1: it is read-only: no parameters, no services, no messages from clients.
 Rule 2: messages are passed on unchanged, with the time stamps of the gateway, as in its log.  Those of `states` are
-        passed on one by one, as `state`.
+        passed on one by one, as `state`.  What is `derived` from them for the Log and 3D panels follows them.
 Rule 3: the protocol has no login, so the server listens on loopback only, unless `--insecure` is given.
 Rule 4: a client that does not read loses only its own messages (`BACKLOG`).
 """
@@ -20,6 +20,7 @@ from foxglove import Channel, Context, Schema
 from google.protobuf.message import Message
 
 from gateway.client.connection import Subscription
+from gateway.views.foxglove.derived import Derived
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
@@ -50,6 +51,7 @@ class FoxgloveView:
         self._lock = threading.Lock()  # zenoh calls from several threads
         self._channels: dict[str, Channel] = {}
         self._newest_ns: dict[str, int] = {}
+        self._derived = Derived()
         self._descriptors = descriptor_set()
         try:
             self._server = foxglove.start_server(
@@ -79,31 +81,34 @@ class FoxgloveView:
         elif isinstance(message, pb.StateBatch):
             key = topics.key(address[0], address[1], "state")
             for state in message.states:
-                self._show(key, "state", address[1], state, state.SerializeToString())
+                self._show(key, address, state, state.SerializeToString())
         else:
-            self._show(key, address[2], address[1], message, data)
+            self._show(key, address, message, data)
 
-    def _show(self, key: str, topic: str, board: str, message: Message, data: bytes) -> None:
+    def _show(self, key: str, address: tuple[str, str, str], message: Message, data: bytes) -> None:
+        site, board, _ = address
         with self._lock:
-            channel = self._channels.get(key) or self._open(key, topic)
-            if channel is None:
-                self.refused += 1
-                return
             # What bears no time of its own (twin/*) gets that of its board's newest message, as in `board51 record`.
             stamp_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
             if stamp_ns is not None:
                 self._newest_ns[board] = max(stamp_ns, self._newest_ns.get(board, 0))
-            channel.log(data, log_time=stamp_ns or self._newest_ns.get(board, time.time_ns()))
+            time_ns = stamp_ns or self._newest_ns.get(board, time.time_ns())
+            self._log(key, data, time_ns, lambda: self._schema(type(message)))
+            for name, panel in self._derived.take(site, board, message, time_ns):
+                self._log(name, panel.encode(), time_ns, panel.get_schema)
 
-    def _open(self, key: str, topic: str) -> Channel | None:
-        if len(self._channels) >= MAX_CHANNELS:
-            return None
-        schema = Schema(
-            name=schema_name(topics.TOPIC_OF_NAME[topic].message), encoding=SCHEMA_ENCODING, data=self._descriptors
-        )
-        channel = Channel(key, schema=schema, message_encoding=MESSAGE_ENCODING, context=self._context)
-        self._channels[key] = channel
-        return channel
+    def _log(self, key: str, data: bytes, time_ns: int, schema: Callable[[], Schema]) -> None:
+        channel = self._channels.get(key)
+        if channel is None:
+            if len(self._channels) >= MAX_CHANNELS:
+                self.refused += 1
+                return
+            channel = Channel(key, schema=schema(), message_encoding=MESSAGE_ENCODING, context=self._context)
+            self._channels[key] = channel
+        channel.log(data, log_time=time_ns)
+
+    def _schema(self, message: type[Message]) -> Schema:
+        return Schema(name=schema_name(message), encoding=SCHEMA_ENCODING, data=self._descriptors)
 
 
 def serve(
