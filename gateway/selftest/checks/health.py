@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from gateway.selftest.bench import Bench, NotReadyError
@@ -26,8 +27,8 @@ def health(bench: Bench) -> Iterator[Verdict]:
             "stack that was never used",
             free,
             "bytes",
-            good=(_SPARE_BYTES, float(NOT_KNOWN)),
-            possible=(_CANARY_BYTES, float(NOT_KNOWN)),
+            good=(_SPARE_BYTES, math.inf),
+            possible=(_CANARY_BYTES, math.inf),
             remedy="the firmware needs more stack than it has: report what the board was doing",
         )
     if u_power_on == NOT_KNOWN:
