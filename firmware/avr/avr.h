@@ -15,6 +15,7 @@ uint16_t b51_between(const __flash uint16_t *table, uint16_t at, uint8_t bits);
 
 void b51_dac_start(void);
 bool b51_dac_write(uint16_t u);
+uint16_t b51_dac_store_zero(void);
 void b51_store_load(void);
 
 #endif

@@ -17,6 +17,7 @@ static struct {
 } kept __attribute__((section(".noinit")));
 
 static uint8_t cause;
+static uint16_t input_at_power_on;
 static volatile uint8_t ticks_due;
 static volatile bool woken; /* since the main loop began its turn */
 static volatile uint8_t capture_waits; /* interrupts of timer 2 before the next one that counts */
@@ -33,6 +34,19 @@ const __flash uint16_t B51_VIEW[] __attribute__((used)) = {
     offsetof(struct b51_board, receiver.bad_frames), offsetof(struct b51_board, loop.mode),
     offsetof(struct b51_board, law.sum)};
 
+/* The room of the stack: from the end of the variables to the top of RAM.  Its first bytes are the last that the stack
+ * reaches. */
+extern uint8_t _end[];
+
+static void paint_stack(void) {
+    uint8_t *at = _end;
+
+    while (at < (uint8_t *)SP) {
+        *at = B51_STACK_PATTERN;
+        at++;
+    }
+}
+
 /* Before RAM is initialised: the converter of u_c keeps its output through a reset, and the watchdog stays on. */
 static void first(void) __attribute__((naked, used, section(".init3")));
 static void first(void) {
@@ -41,6 +55,7 @@ static void first(void) {
     wdt_disable();
     b51_dac_start();
     (void)b51_dac_write(0); /* the core writes again, and tells */
+    paint_stack();
 }
 
 /* A boot loader may have cleared the flags: then what RAM kept decides. */
@@ -91,6 +106,7 @@ static void rest(void) {
 int main(void) {
     find_cause();
     b51_store_load();
+    input_at_power_on = b51_dac_store_zero();
     wdt_enable(WDTO_30MS);
     b51_board_boot();
     start();
@@ -288,6 +304,28 @@ uint8_t b51_hal_reset_cause(void) {
 
 uint16_t b51_hal_resets(void) {
     return kept.resets;
+}
+
+bool b51_hal_stack_is_intact(void) {
+    uint8_t n = 0;
+
+    while (n < B51_STACK_CANARY && _end[n] == B51_STACK_PATTERN) {
+        n++;
+    }
+    return n == B51_STACK_CANARY;
+}
+
+uint16_t b51_hal_stack_free(void) {
+    const uint8_t *at = _end;
+
+    while (at < (const uint8_t *)SP && *at == B51_STACK_PATTERN) {
+        at++;
+    }
+    return (uint16_t)(at - _end);
+}
+
+uint16_t b51_hal_input_at_power_on(void) {
+    return input_at_power_on;
 }
 
 /* The chip has no instruction for it: the watchdog does it, 16 ms later.  The ACK leaves meanwhile. */

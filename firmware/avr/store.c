@@ -23,7 +23,7 @@ static const __flash struct b51_settings SETTINGS_OF_PROGRAM = {{B51_PROFILE_GAI
 static const __flash struct b51_identity IDENTITY_OF_PROGRAM = {
     0,
     1,
-    2,
+    3,
     10,
     12,
     {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A,  /* f32: i_c: 0 A, 2/4096 A a count */

@@ -1,8 +1,7 @@
 /* ATmega328P at 16 MHz on an Arduino Uno with a MagnetoShield: every register that is used, clock, baud and wiring.
  *
  * In quotes: sections of the data sheet "ATmega48A/PA/88A/PA/168A/PA/328/P" (Microchip DS40002061); their numbers
- * differ between its editions.  The converter's are those of "MCP4725" (Microchip DS22039), "Write Commands": fast
- * mode.  The wiring is that of the MagnetoShield R3 and R4
+ * differ between its editions.  The converter's are those of "MCP4725" (Microchip DS22039).  The wiring is that of the MagnetoShield R3 and R4
  * (github.com/gergelytakacs/AutomationShield/wiki/MagnetoShield).
  *
  *     tick, T_s              timer 1     "16-bit Timer/Counter1", CTC mode     TCCR1A/B, OCR1A, TIMSK1
@@ -53,6 +52,16 @@
 #define B51_TWI_SCL (1U << 5)
 #define B51_TWI_HALF_CYCLES 32U /* 2 us: a clock made by hand, slower than the 400 kHz */
 #define B51_DAC_ADDRESS 0x60U
+
+/* "Write Commands", "Read Command": the converter's own EEPROM. */
+#define B51_DAC_STORE 0x60U       /* of a message: into register and EEPROM */
+#define B51_DAC_READY 0x80U       /* of the status: 0 while it stores, 50 ms at most */
+#define B51_DAC_STORED 0x6FFFU    /* of the word: power-down bits and code */
+#define B51_DAC_LOOKS 250U        /* at the status, 0.4 ms each */
+#define B51_DAC_LOOK_CYCLES 4000U /* 0.25 ms between two of them */
+
+#define B51_STACK_PATTERN 0xC5U
+#define B51_STACK_CANARY 4U /* bytes: what a call and an interrupt push at once does not leap over it */
 
 /* Bytes, powers of two: what a tick of 2 ms brings at 250000, and what leaves within 1 ms at 115200. */
 #define B51_RX_RING 64U

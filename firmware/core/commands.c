@@ -88,6 +88,11 @@ void b51_answer_parameters(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
     (void)b51_put_u32(b51_put_u16(at, b51_board.host.timeout_ms), b51_board.loop.gains_tick);
 }
 
+/* In a frame of its own, as a message never changes its length: a host that does not know it does not ask for it. */
+static void answer_health(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    (void)b51_put_u16(b51_put_u16(begin(B51_HEALTH, body), b51_hal_stack_free()), b51_hal_input_at_power_on());
+}
+
 static uint8_t set_mode(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
     if (b51_board.capture.running && body[2] != B51_MODE_IDLE) {
         return B51_BUSY;
@@ -227,6 +232,9 @@ uint8_t b51_command_execute(const B51_STATE_MEMORY uint8_t *body, uint16_t *deta
             return B51_ACCEPTED;
         case B51_GET_PARAMETERS:
             b51_answer_parameters(body);
+            return B51_ACCEPTED;
+        case B51_GET_HEALTH:
+            answer_health(body);
             return B51_ACCEPTED;
         case B51_READ_CAPTURE:
             return read_capture(body);

@@ -56,6 +56,7 @@ enum {
     B51_SET_HOST_LOSS,
     B51_GET_PARAMETERS,
     B51_RESET,
+    B51_GET_HEALTH,
     B51_STATE = 0x40,
     B51_IDENTITY,
     B51_PONG,
@@ -63,7 +64,8 @@ enum {
     B51_NACK,
     B51_PARAMETERS,
     B51_EVENT,
-    B51_CAPTURE_BLOCK
+    B51_CAPTURE_BLOCK,
+    B51_HEALTH
 };
 
 enum {
@@ -96,7 +98,8 @@ enum {
     B51_OUTPUT_FAULT,
     B51_UNCOMMANDED_CURRENT,
     B51_SETTINGS_REJECTED,
-    B51_OVERLOAD
+    B51_OVERLOAD,
+    B51_STACK_FAULT
 };
 
 /* What the main loop does in the time that the control law leaves it.  A target knows how long each takes. */

@@ -55,9 +55,10 @@ static const B51_TABLE_MEMORY struct row ROWS[] = {
     /* SET_HOST_LOSS */ ROW(5, SET_HOST_LOSS_FIELDS),
     /* GET_PARAMETERS */ ID_ONLY,
     /* RESET */ ID_ONLY,
+    /* GET_HEALTH */ ID_ONLY,
 };
 
-B51_STATIC_ASSERT(b51_each_command_has_its_row, sizeof ROWS / sizeof ROWS[0] == B51_RESET - B51_HELLO + 1);
+B51_STATIC_ASSERT(b51_each_command_has_its_row, sizeof ROWS / sizeof ROWS[0] == B51_GET_HEALTH - B51_HELLO + 1);
 
 /* Of a bound of a field. */
 static uint16_t magnitude(uint8_t type, uint16_t bound) B51_ON_STACK {
@@ -102,7 +103,7 @@ uint8_t b51_fields_check(const B51_STATE_MEMORY uint8_t *body, uint8_t size, uin
     const B51_TABLE_MEMORY struct row *row;
 
     *detail = 0;
-    if (body[0] < B51_HELLO || body[0] > B51_RESET) {
+    if (body[0] < B51_HELLO || body[0] > B51_GET_HEALTH) {
         return B51_UNKNOWN_TYPE;
     }
     row = &ROWS[body[0] - B51_HELLO];
@@ -114,13 +115,13 @@ uint8_t b51_fields_check(const B51_STATE_MEMORY uint8_t *body, uint8_t size, uin
 
 /* A line with an echo must not make the board talk to itself. */
 bool b51_is_sent_by_board(uint8_t type) {
-    return type >= B51_STATE && type <= B51_CAPTURE_BLOCK;
+    return type >= B51_STATE && type <= B51_HEALTH;
 }
 
 /* From STATE on. */
 static const B51_TABLE_MEMORY uint8_t SIZES[] = {B51_STATE_BODY, B51_ANSWER_BODY, 10, 7, 6, 40, B51_EVENT_BODY,
-                                                 B51_BLOCK_BODY};
-B51_STATIC_ASSERT(b51_each_message_has_its_size, sizeof SIZES == B51_CAPTURE_BLOCK - B51_STATE + 1);
+                                                 B51_BLOCK_BODY, 6};
+B51_STATIC_ASSERT(b51_each_message_has_its_size, sizeof SIZES == B51_HEALTH - B51_STATE + 1);
 
 /* Of a message to the host. */
 uint8_t b51_body_size(uint8_t type) {

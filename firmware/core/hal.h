@@ -37,6 +37,15 @@ uint8_t b51_hal_reset_cause(void);  /* RESET_POWER_ON, RESET_WATCHDOG or RESET_C
 uint16_t b51_hal_resets(void);      /* since power-on, saturating: kept in RAM that start-up does not clear; 5 us */
 void b51_hal_restart(void);         /* resets the chip; on a chip it does not return */
 
+/* The stack's room: start-up fills it with a pattern, and the last bytes of it are the canary. */
+bool b51_hal_stack_is_intact(void);  /* the canary is what it was; 2 us */
+uint16_t b51_hal_stack_free(void);   /* bytes from the end of the room on that nothing has used since the reset; 100 us;
+                                      * UINT16_MAX: there is no room that is watched */
+
+/* The count that the input converter wakes up with: its own memory's, as it was read after the reset.  5 us; UINT16_MAX:
+ * it has no such memory, or does not answer. */
+uint16_t b51_hal_input_at_power_on(void);
+
 /* Of this board and not of the program: serial number, scalings; gains, operating point, limits.  A target that keeps
  * them in memory that can fail (EEPROM) checks its CRC, and gives those of its program memory where that is wrong.  The
  * core checks each field of the settings, and asks for those of the program where one is out of its range. */

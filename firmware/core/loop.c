@@ -67,7 +67,7 @@ static void fail(uint8_t code, uint16_t count) {
     b51_loop_switch_off();
 }
 
-static void watch_converters(uint16_t i, uint16_t x) {
+static void watch(uint16_t i, uint16_t x) {
     bool clipped = b51_board.loop.mode == B51_MODE_CLOSED_LOOP && (x == 0U || x == B51_COUNTS_MAX);
 
     if (i != B51_COUNTS_MAX) {
@@ -83,7 +83,9 @@ static void watch_converters(uint16_t i, uint16_t x) {
     if (b51_board.loop.fault) {
         return;
     }
-    if (b51_board.loop.over_current_ticks >= OVER_CURRENT_TICKS) {
+    if (!b51_hal_stack_is_intact()) { /* no command mends it: again after each SET_MODE, until a reset */
+        fail(B51_STACK_FAULT, 0);
+    } else if (b51_board.loop.over_current_ticks >= OVER_CURRENT_TICKS) {
         fail(B51_OVER_CURRENT, i);
     } else if (b51_board.loop.sensor_ticks >= SENSOR_FAULT_TICKS) {
         fail(B51_SENSOR_FAULT, x);
@@ -137,7 +139,7 @@ static uint8_t flags(uint16_t i, uint16_t x) {
 uint8_t b51_loop_run(uint16_t i, uint16_t x) {
     bool limited = false;
 
-    watch_converters(i, x);
+    watch(i, x);
     play();
     if (!b51_board.capture.running) { /* in each mode, so that u_c is out at the same time after the readings */
         b51_board.loop.u = b51_law_run(i, x, b51_board.reference.x_ref, &limited);

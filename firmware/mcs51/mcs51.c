@@ -43,7 +43,7 @@ B51_STATIC_ASSERT(b51_the_settings_are_not_padded, sizeof(struct b51_settings) =
 
 /* Where nothing valid was programmed: the emulated rig's scalings, gains and limits (gateway/emulator/firmware_model). */
 static const __code struct b51_identity IDENTITY_OF_PROGRAM = {
-    0, 1, 2, 12, 12,
+    0, 1, 3, 12, 12,
     {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A, 0x7C, 0x1C, 0x64, 0xB8, 0x30, 0xA0, 0xBF, 0x35,
      0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0xA0, 0x3A},
     {B51_FIRMWARE_BUILD}};
@@ -193,6 +193,40 @@ const struct b51_settings *b51_hal_program_settings(void) {
     return &memory.is.settings;
 }
 
+/* The stack grows up, from behind the variables to the end of internal RAM.  sdcc has no name for its pointer but SP. */
+static void paint_stack(void) {
+    __idata uint8_t *at = (__idata uint8_t *)(uint8_t)(SP + 1U);
+
+    do {
+        *at = B51_STACK_PATTERN;
+    } while (at++ != (__idata uint8_t *)B51_STACK_END);
+}
+
+bool b51_hal_stack_is_intact(void) {
+    __idata uint8_t *at = (__idata uint8_t *)B51_STACK_END;
+
+    while (*at == B51_STACK_PATTERN) {
+        if (at == (__idata uint8_t *)(B51_STACK_END + 1U - B51_STACK_CANARY)) {
+            return true;
+        }
+        at--;
+    }
+    return false;
+}
+
+uint16_t b51_hal_stack_free(void) {
+    __idata uint8_t *at = (__idata uint8_t *)B51_STACK_END;
+
+    while ((uint8_t)at > SP && *at == B51_STACK_PATTERN) {
+        at--;
+    }
+    return (uint8_t)(B51_STACK_END - (uint8_t)at);
+}
+
+uint16_t b51_hal_input_at_power_on(void) {
+    return UINT16_MAX;
+}
+
 static void read_memory(void) {
     uint8_t page;
     uint8_t *to = memory.bytes;
@@ -292,6 +326,7 @@ void main(void) {
     RCAP2H = (uint8_t)(B51_TIMER_RELOAD >> 8);
     PT2 = 1; /* a capture's sample comes before everything else */
     until_tick = B51_TICK_PARTS;
+    paint_stack();
     read_memory();
     b51_board_boot();
     ES = 1;

@@ -64,6 +64,11 @@
 /* 'Using the Flash/EE data memory': pages of 4 bytes. */
 #define B51_ECON_READ_PAGE 1U
 
+/* 'Memory organization': the stack may go to the end of the 256 bytes.  Behind it begin the registers again. */
+#define B51_STACK_END 0xFFU
+#define B51_STACK_PATTERN 0xC5U
+#define B51_STACK_CANARY 4U
+
 /* 'Internal XRAM': 2 kB once XRAMEN is set.  Its last bytes are not cleared by start-up. */
 #define B51_XRAM_KEPT 0x07F8
 

@@ -102,6 +102,19 @@ void b51_hal_restart(void) {
     here->restart = true;
 }
 
+/* Its stack is the computer's, and its converter has no memory. */
+bool b51_hal_stack_is_intact(void) {
+    return true;
+}
+
+uint16_t b51_hal_stack_free(void) {
+    return UINT16_MAX;
+}
+
+uint16_t b51_hal_input_at_power_on(void) {
+    return UINT16_MAX;
+}
+
 const struct b51_identity *b51_hal_identity(void) {
     return &here->identity;
 }

@@ -90,9 +90,21 @@ void b51_hal_restart(void) {
     b51_board_boot();
 }
 
+bool b51_hal_stack_is_intact(void) {
+    return any(2000) != 0U;
+}
+
+uint16_t b51_hal_stack_free(void) {
+    return (uint16_t)any(65536);
+}
+
+uint16_t b51_hal_input_at_power_on(void) {
+    return (uint16_t)any(65536);
+}
+
 static const struct b51_settings OF_PROGRAM = {
     {B51_LAW_LQI, {17, 14, 11, 19}, {25690, 32576, 21199, -21585}, 1304, 2034, 1756}, {248, 3680, 1751, 14008, 4095}};
-static const struct b51_identity IDENTITY_OF_DRIVE = {1, 1, 2, 12, 12, {0}, {B51_FIRMWARE_BUILD}};
+static const struct b51_identity IDENTITY_OF_DRIVE = {1, 1, 3, 12, 12, {0}, {B51_FIRMWARE_BUILD}};
 
 const struct b51_identity *b51_hal_identity(void) {
     return &IDENTITY_OF_DRIVE;
@@ -122,10 +134,10 @@ static void put_line(const uint8_t *bytes, uint32_t size) {
 
 /* A body of the right size most of the time; small numbers and counts are in range most of the time. */
 static void put_command(void) {
-    static const uint8_t SIZES[] = {6, 2, 3, 4, 21, 18, 2, 10, 4, 4, 5, 2, 2};
+    static const uint8_t SIZES[] = {6, 2, 3, 4, 21, 18, 2, 10, 4, 4, 5, 2, 2, 2};
     uint8_t body[B51_MAX_BODY];
     uint8_t frame[B51_MAX_BODY + 5U];
-    uint8_t type = (uint8_t)any(13);
+    uint8_t type = (uint8_t)any(sizeof SIZES);
     uint8_t size = any(20) == 0U ? (uint8_t)(1 + any(B51_MAX_BODY)) : SIZES[type];
     uint8_t n;
 

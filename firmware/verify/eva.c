@@ -95,6 +95,18 @@ uint16_t b51_hal_resets(void) {
 void b51_hal_restart(void) {
 }
 
+bool b51_hal_stack_is_intact(void) {
+    return any_bool();
+}
+
+uint16_t b51_hal_stack_free(void) {
+    return any16(0, UINT16_MAX);
+}
+
+uint16_t b51_hal_input_at_power_on(void) {
+    return any16(0, UINT16_MAX);
+}
+
 static struct b51_identity identity;
 static struct b51_settings settings;
 static const struct b51_settings OF_PROGRAM = {
@@ -259,7 +271,7 @@ void eva_queues(void) {
 
     for (;;) {
         //@ loop unroll 8;
-        for (type = B51_STATE; type <= B51_CAPTURE_BLOCK; type++) {
+        for (type = B51_STATE; type <= B51_HEALTH; type++) {
             fill(body, sizeof body);
             body[0] = type;
             b51_queue_put(body);

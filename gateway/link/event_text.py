@@ -26,6 +26,10 @@ _TEXT = {
         "The settings in the board's memory are not usable: {field} is out of range."
         " The gains and limits of its program are in force: check them before you fly, and store the settings again."
     ),
+    EventCode.STACK_FAULT: (
+        "The end of the board's stack was overwritten: coil off. Its memory is not to be trusted: reset the board,"
+        " and report it with what it was doing."
+    ),
     EventCode.OVERLOAD: "Commands come faster than the board can answer; without an answer since its reset: {detail}.",
 }
 

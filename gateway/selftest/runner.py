@@ -39,6 +39,7 @@ _REMEDIES = {
     EventCode.OUTPUT_FAULT: "CUT THE SUPPLY OF THE COIL: the input converter confirms no write",
     EventCode.UNCOMMANDED_CURRENT: "CUT THE SUPPLY OF THE COIL: current flows at u_c = 0, the driver is shorted",
     EventCode.OVER_CURRENT: "i_c is at the top of its converter: look at its amplifier, and for a short circuit",
+    EventCode.STACK_FAULT: "the firmware has used more stack than it has: report it; a reset ends the fault",
     EventCode.SENSOR_FAULT: "x is at an end of its converter: look at the sensor and its plug",
 }
 

@@ -12,6 +12,7 @@ from gateway.selftest.bench import Bench
 from gateway.selftest.checks.calibration import calibration
 from gateway.selftest.checks.codes import codes
 from gateway.selftest.checks.converters import converters
+from gateway.selftest.checks.health import health
 from gateway.selftest.checks.identity import identity
 from gateway.selftest.checks.latency import latency
 from gateway.selftest.checks.link import link
@@ -43,4 +44,5 @@ CHECKS = (
     Check("calibration", "x at both stops, and the line to flash", calibration, current=True),
     Check("codes", "bits of the converters that are stuck", codes, current=True),
     Check("load", "a full line: counters, states, STOP", load, current=True),
+    Check("health", "the stack's least room, the input at power-on", health, current=False),
 )

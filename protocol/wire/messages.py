@@ -95,11 +95,17 @@ class EventCode(IntEnum):
     UNCOMMANDED_CURRENT = 14
     SETTINGS_REJECTED = 15
     OVERLOAD = 16
+    STACK_FAULT = 17
 
 
 # Faults that the board cannot end: the coil may be on whatever it orders.
 COIL_FAULTS = frozenset({EventCode.OUTPUT_FAULT, EventCode.UNCOMMANDED_CURRENT})
-FAULT_EVENTS = frozenset({EventCode.RESET_WATCHDOG, EventCode.OVER_CURRENT, EventCode.SENSOR_FAULT}) | COIL_FAULTS
+FAULT_EVENTS = COIL_FAULTS | {
+    EventCode.RESET_WATCHDOG,
+    EventCode.OVER_CURRENT,
+    EventCode.SENSOR_FAULT,
+    EventCode.STACK_FAULT,
+}
 RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
 
 
@@ -213,6 +219,7 @@ ROWS: tuple[Row, ...] = (
     ), "what to do when the host is lost"),
     Row(0x0C, "GET_PARAMETERS", True, (_ID,), "answered by PARAMETERS"),
     Row(0x0D, "RESET", True, (_ID,), "restart the firmware; the ACK goes out before"),
+    Row(0x0E, "GET_HEALTH", True, (_ID,), "answered by HEALTH; firmware 1.3"),
     Row(0x40, "STATE", False, (
         _u16("sequence", "tick", "number of the control tick, modulo 65536"),
         _counts("i_c", "coil current"),
@@ -277,7 +284,7 @@ ROWS: tuple[Row, ...] = (
     Row(0x46, "EVENT", False, (
         _u8("number", "", "counts events, modulo 256: a gap is a lost event"),
         _u32("tick", "tick", "when"),
-        _u8("code", "", "see Events", 1, 16),
+        _u8("code", "", "see Events", 1, 17),
         _u16("detail", "", "see Events"),
     ), "something happened; not acknowledged"),
     Row(0x47, "CAPTURE_BLOCK", False, (
@@ -287,11 +294,17 @@ ROWS: tuple[Row, ...] = (
         _u32("tick", "tick", "at which the capture began"),
         Field("samples", "bytes48", None, None, "up to 32 samples of i_c, 12 bits, packed in pairs; rest 0", "count"),
     ), "answer to READ_CAPTURE"),
+    Row(0x48, "HEALTH", False, (
+        _ID,
+        _u16("stack_free", "byte", "of the stack, never used since the reset; 0 overwritten, 65535 not watched"),
+        _u16("u_power_on", "count", "u_c that the input converter wakes up with; 65535 not known"),
+    ), "answer to GET_HEALTH"),
 )  # fmt: skip
 
 ROW_OF_TYPE = {row.type: row for row in ROWS}
 ROW_OF_NAME = {row.name: row for row in ROWS}
 CAPTURE_BLOCK_SAMPLES = 32
+NOT_KNOWN = 0xFFFF  # in HEALTH
 
 Value = int | float | bytes
 

@@ -19,6 +19,7 @@ ANSWERS = {
     "PING": "PONG",
     "GET_PARAMETERS": "PARAMETERS",
     "READ_CAPTURE": "CAPTURE_BLOCK",
+    "GET_HEALTH": "HEALTH",
 }  # all others: ACK
 
 

@@ -12,7 +12,7 @@ import pytest
 from firmware.sim.avr.board import CYCLES_PER_TICK, CYCLES_PER_US, AvrBoard, stored
 from gateway.emulator.firmware_model.flash import CE152_BOARD, GAINS, LIMITS
 from gateway.emulator.firmware_model.output import OutputFault
-from protocol.wire.messages import EventCode, Flag, Mode
+from protocol.wire.messages import NOT_KNOWN, EventCode, Flag, Mode
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr
 from tests.harness.gateway.board_host import Bench
 
@@ -53,6 +53,36 @@ def test_after_a_dip_of_the_supply_the_first_thing_is_a_write_of_0(host: AvrHost
     assert kept > 1000  # the converter has a supply of its own
     assert ticks == 1
     assert (reset.int("detail"), host.board.mode) == (0, Mode.IDLE)
+
+
+@pytest.mark.parametrize("stored_code", [2048, 0, 0x2000])  # half of the range, as from the factory; 0; power-down
+def test_a_converter_that_wakes_up_with_a_current_is_taught_to_wake_up_with_0(stored_code: int) -> None:
+    host = AvrHost(AvrBoard(Bench()))
+    host.board.store_input(stored_code)
+    host.board.reset(EventCode.RESET_POWER_ON)
+    before = host.board.u
+
+    off = host.ticks_until_off(at_most=1)
+    host.until(EventCode.RESET_POWER_ON)
+    host.hello()
+
+    assert before == stored_code & 0xFFF
+    assert off == 1
+    assert host.board.stored_input == 0
+    assert host.ask("GET_HEALTH").int("u_power_on") == 0
+    assert host.ask("SET_MODE", mode=int(Mode.OPEN_LOOP)).name == "ACK"
+    assert EventCode.OUTPUT_FAULT not in host.codes()
+
+
+@pytest.mark.parametrize("fault", [OutputFault.DEAF, OutputFault.STUCK])
+def test_a_converter_that_does_not_store_is_not_said_to_wake_up_with_0(host: AvrHost, fault: OutputFault) -> None:
+    host.board.store_input(2048)
+    host.board.fail_output(fault)
+    host.board.reset(EventCode.RESET_POWER_ON)
+    host.until(EventCode.RESET_POWER_ON)
+    host.hello()
+
+    assert host.ask("GET_HEALTH").int("u_power_on") == {OutputFault.DEAF: NOT_KNOWN, OutputFault.STUCK: 2048}[fault]
 
 
 def test_without_power_the_board_shows_nothing_of_its_memory(host: AvrHost) -> None:

@@ -145,6 +145,28 @@ def test_a_position_converter_that_is_stuck_at_its_end_switches_off(chip: Chip, 
     assert host.the_event(EventCode.SENSOR_FAULT).int("detail") == 0
 
 
+def test_a_stack_that_is_too_deep_switches_off_until_a_reset(host: ChipHost[Any]) -> None:
+    free = host.ask("GET_HEALTH").int("stack_free")
+    host.board.break_stack()
+
+    assert host.ticks_until_off(at_most=2) > 0
+    host.run(20)
+    host.the_event(EventCode.STACK_FAULT)
+    assert host.ask("GET_HEALTH").int("stack_free") == 0
+    assert host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
+    host.run(5)
+    assert (host.board.u, host.board.mode) == (0, Mode.IDLE)
+    host.run(20)
+    assert host.codes().count(EventCode.STACK_FAULT) == 2
+    host.ask("RESET")
+    host.until(EventCode.RESET_COMMANDED)
+    host.hello()
+    assert 20 < free <= host.ask("GET_HEALTH").int("stack_free") < 200  # painted anew
+    assert host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
+    host.run(5)
+    assert host.board.u > 0
+
+
 def test_a_late_tick_is_reported(host: ChipHost[Any]) -> None:
     host.board.overrun()
 

@@ -4,33 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import NamedTuple
 
 import pytest
 
 from gateway.emulator.firmware_model.output import OutputFault
-from gateway.emulator.native.flags import SOURCES
 from protocol.wire.messages import EventCode, Flag, Mode
+from tests.harness.firmware.modes import MODES, Row, drawings, rows
 from tests.harness.gateway.board_host import FIRMWARES, Bench, Host, skip_without_compiler
 
-MODES = {"idle": Mode.IDLE, "open loop": Mode.OPEN_LOOP, "closed loop": Mode.CLOSED_LOOP}
 Action = Callable[[Host, Bench], object]
 FULL_A, TOP_M = 5.0, 1.0
-
-
-class Row(NamedTuple):
-    """One of the table."""
-
-    event: str
-    after: dict[Mode, Mode]
-    fault: str
-
-
-def rows() -> list[Row]:
-    text = (SOURCES / "README.md").read_text(encoding="utf-8")
-    table = text.partition("| what happens | in idle ")[2].partition("\n\n")[0]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
-    return [Row(row[0], dict(zip(Mode, (MODES[name] for name in row[1:4]), strict=True)), row[4]) for row in cells]
 
 
 def lose_host(policy: int) -> Action:
@@ -116,3 +99,10 @@ def test_a_fault_ends_or_stays_as_the_row_says(row: Row, kind: str) -> None:
     ACTIONS[row.event](host, bench)
 
     assert state(host)[1] == (row.fault == "stays")
+
+
+def test_the_drawings_are_those_of_the_table() -> None:
+    """Else: python -m tests.harness.firmware.modes."""
+    assert {file.name: file.read_text(encoding="utf-8") for file in drawings()} == {
+        file.name: drawing for file, drawing in drawings().items()
+    }

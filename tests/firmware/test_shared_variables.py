@@ -29,10 +29,11 @@ AVR_ALLOWED = {
     ("b51_hal_capture_timer", "capturing"),
     ("b51_hal_capture_timer", "register 0x70"),  # TIMSK2: a byte is set, whatever it was
     ("b51_hal_send", "register 0xc1"),  # UCSR0B: the interrupt clears only what is set here, when it has sent all
-    ("b51_dac_write", "register 0xbc"),  # TWCR: a capture that is running has the bus to itself
+    ("stop_message", "register 0xbc"),  # TWCR: a capture that is running has the bus to itself
     ("step", "register 0xbc"),
     ("free_bus", "register 0xbc"),
     ("put", "register 0xbb"),  # TWDR, likewise
+    ("read_stored", "register 0xbb"),  # before interrupts are admitted
     ("b51_hal_capture_timer", "register 0xb2"),  # TCNT2, its interrupt off
     ("start", "register 0x7a"),  # ADCSRA and UCSR0B, before interrupts are admitted
     ("start", "register 0xc1"),

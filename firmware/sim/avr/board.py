@@ -56,6 +56,7 @@ class _Chip(ctypes.Structure):
         ("broken", c_uint16),
         ("watched_byte", c_uint8),
         ("dead_converter", c_uint8),
+        ("stored", c_uint16),
         ("sent", c_uint8 * _OUTPUT_SIZE),
     )
 
@@ -192,6 +193,19 @@ class AvrBoard:
         """Let a bit on the converter's bus take this long from now on."""
         self._view.bit_cycles = bit_us * CYCLES_PER_US
 
+    def store_input(self, count: int) -> None:
+        """Write the EEPROM of the converter of u_c: what it gives after power-on."""
+        self._view.stored = count
+
+    @property
+    def stored_input(self) -> int:
+        """What the converter of u_c gives after power-on."""
+        return int(self._view.stored)
+
+    def break_stack(self) -> None:
+        """Overwrite the end of the stack's room, as a stack that is too deep would."""
+        self._view.memory[self.image.ram("_end")] ^= 0xFF
+
     @property
     def broken_writes(self) -> int:
         """The number of messages on the converter's bus within which another one began."""
@@ -261,7 +275,7 @@ class AvrBoard:
 
     @property
     def stack_free(self) -> int:
-        """The bytes of RAM that neither variables nor the stack have used since power-on."""
+        """The bytes of RAM that neither variables nor the stack have used since the reset."""
         return int(self._library.chip_untouched(self._chip, self.image.ram("_end")))
 
     def _restart(self, *, power: bool, brown_out: bool) -> None:

@@ -15,6 +15,9 @@ enum { TIME_IS_OVER, CONVERSION, INPUT_CHANGED, CRASHED };
 
 #define F_CPU 16000000U
 #define DAC_ADDRESS 0x60
+#define DAC_STORES 0x60U /* of a message: into the EEPROM, too */
+#define DAC_READY 0xC0U /* and powered */
+#define DAC_STORING_CYCLES (F_CPU / 40U) /* 25 ms, in which it takes no write */
 #define BYTE_BITS 9U
 #define ADDRESS_BITS 11U /* with the start condition and the stop before it */
 #define SIMAVR_BYTE_CYCLES 144U
@@ -44,9 +47,11 @@ struct chip {
     uint16_t broken;       /* messages within which another one began */
     uint8_t watched_byte;  /* of a message, 1: its address; 0 once it is acknowledged */
     uint8_t dead_converter; /* a conversion never ends */
+    uint16_t stored;        /* what the converter wakes up with */
     uint8_t sent[OUTPUT_SIZE];
     uint8_t event, selected, received_count;
-    uint8_t received[2]; /* by the converter, of the message on its bus */
+    uint8_t received[3]; /* by the converter, of the message on its bus */
+    uint64_t stored_at;  /* cycle until which it stores */
     avr_t *avr;
     avr_irq_t *adc, *twi, *uart;
     avr_uart_t *line;
@@ -84,6 +89,38 @@ static void on_conversion(avr_irq_t *irq, uint32_t value, void *to) {
     happen(chip, CONVERSION);
 }
 
+/* By the converter, of the message on its bus: fast mode in two bytes, or three for register and EEPROM. */
+static void take(struct chip *chip, uint8_t byte) {
+    uint8_t size, stores;
+
+    chip->received[chip->received_count++] = byte;
+    stores = (chip->received[0] & 0xE0U) == DAC_STORES;
+    size = stores ? 3U : 2U;
+    if (chip->received_count < size) {
+        return;
+    }
+    chip->received_count = 0;
+    if (chip->output_fault != 0U || chip->avr->cycle < chip->stored_at) {
+        return;
+    }
+    if (stores) {
+        chip->u = chip->stored = (uint16_t)(chip->received[1] << 4 | chip->received[2] >> 4);
+        chip->stored_at = chip->avr->cycle + DAC_STORING_CYCLES;
+        happen(chip, INPUT_CHANGED);
+    } else if ((chip->received[0] & 0xC0U) == 0U) {
+        chip->u = (uint16_t)((chip->received[0] & 0x0FU) << 8 | chip->received[1]);
+        happen(chip, INPUT_CHANGED);
+    }
+}
+
+/* Status, register, EEPROM: the bytes of a read. */
+static uint8_t told(const struct chip *chip, uint8_t n) {
+    const uint8_t bytes[] = {chip->avr->cycle < chip->stored_at ? DAC_READY & 0x7FU : DAC_READY, (uint8_t)(chip->u >> 4),
+                             (uint8_t)(chip->u << 4), (uint8_t)(chip->stored >> 8), (uint8_t)chip->stored};
+
+    return bytes[n % sizeof bytes];
+}
+
 static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
     struct chip *chip = to;
     avr_twi_msg_irq_t message = {.u.v = value};
@@ -98,7 +135,7 @@ static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
                                                          : BYTE_BITS * chip->bit_cycles - SIMAVR_BYTE_CYCLES;
     }
     if ((what & TWI_COND_START) != 0) {
-        chip->selected = chip->output_fault != DEAF && message.u.twi.addr == DAC_ADDRESS << 1;
+        chip->selected = chip->output_fault != DEAF && message.u.twi.addr >> 1 == DAC_ADDRESS;
         chip->received_count = 0;
         chip->broken += chip->bytes != 0U;
         chip->bytes = 0;
@@ -114,12 +151,10 @@ static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
         chip->watched_byte = 0;
     }
     if ((what & TWI_COND_WRITE) != 0) {
-        chip->received[chip->received_count] = message.u.twi.data;
-        chip->received_count ^= 1U;
-        if (chip->received_count == 0U && (chip->received[0] & 0xC0U) == 0U && chip->output_fault == 0U) { /* fast mode */
-            chip->u = (uint16_t)((chip->received[0] & 0x0FU) << 8 | chip->received[1]);
-            happen(chip, INPUT_CHANGED);
-        }
+        take(chip, message.u.twi.data);
+    } else if ((what & TWI_COND_READ) != 0) {
+        avr_raise_irq(chip->twi + TWI_IRQ_INPUT,
+                      avr_twi_irq_msg(TWI_COND_READ, DAC_ADDRESS << 1, told(chip, chip->received_count++)));
     }
 }
 
@@ -260,7 +295,7 @@ void chip_close(struct chip *chip) {
     free(chip);
 }
 
-/* A reset by power (RAM is lost, the converter is at 0), by a dip of it (the converter kept its output), or by the
+/* A reset by power (RAM is lost, the converter is at what it has stored), by a dip of it (the converter kept its output), or by the
  * watchdog.  Cycles go on. */
 void chip_reset(struct chip *chip, uint8_t power, uint8_t brown_out) {
     avr_t *avr = chip->avr;
@@ -274,7 +309,8 @@ void chip_reset(struct chip *chip, uint8_t power, uint8_t brown_out) {
     avr_regbit_setto(avr, avr->reset_flags.wdrf, !power && !brown_out);
     chip->sent_count = 0;
     if (power) {
-        chip->u = 0;
+        chip->u = chip->stored & 0x0FFFU;
+        chip->stored_at = 0;
         chip->held = 0;
     }
 }

@@ -112,6 +112,10 @@ class Mcs51Board:
         """Hang the main loop: no ticks, no answers, u_c unchanged, until the watchdog resets the board."""
         self.chip.held_until = 2**64 - 1
 
+    def break_stack(self) -> None:
+        """Overwrite the end of the stack's room, as a stack that is too deep would."""
+        self.chip.cpu.ram[0xFF] ^= 0xFF
+
     def overrun(self, ticks: int = 2) -> None:
         """Hold the main loop until some ticks are due, of which it can then run one, late."""
         self.chip.held_until = self.chip.cpu.cycles + ticks * TICK_CYCLES - TICK_CYCLES // 2

@@ -37,7 +37,18 @@ from gateway.emulator.firmware_model.output import InputConverter, OutputFault
 from gateway.emulator.firmware_model.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import ROW_OF_NAME, ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Value
+from protocol.wire.messages import (
+    NOT_KNOWN,
+    ROW_OF_NAME,
+    ROW_OF_TYPE,
+    VERSION,
+    EventCode,
+    HostLoss,
+    Message,
+    Mode,
+    Reason,
+    Value,
+)
 
 RETAINED_IDS = 8
 PENDING_COMMANDS = 8
@@ -295,6 +306,8 @@ class Firmware:
                 self._host.policy, self._host.timeout_ms = HostLoss(message.int("policy")), message.int("timeout")
             case "GET_PARAMETERS":
                 return parameters(self.loop, self._divider, self._host.policy, self._host.timeout_ms)
+            case "GET_HEALTH":  # a model has no stack, and its converter no memory
+                return Acceptance("HEALTH", {"stack_free": NOT_KNOWN, "u_power_on": NOT_KNOWN})
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:

@@ -24,6 +24,14 @@ def test_an_image_passes(chip: str, rig: str) -> None:
     assert names_of(verdicts, Result.FAULT, Result.WARNING) == []
 
 
+def test_an_image_says_how_much_stack_is_left_and_what_its_converter_wakes_up_with() -> None:
+    skip_without_avr()
+
+    verdicts = selftest(firmware=partial(CHIPS["avr"], baud=115200), only=["health"])
+
+    assert [(v.name, v.result) for v in verdicts[:2]] == [("stack", Result.OK), ("input-at-power-on", Result.OK)]
+
+
 @pytest.mark.parametrize(
     ("fault", "name"),
     [("x-inverted", "position-polarity"), ("coil-open", "no-current"), ("deaf=1000@1", "reported-output-fault")],

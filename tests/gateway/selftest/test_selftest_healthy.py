@@ -11,7 +11,7 @@ from gateway.selftest.verdict import Result
 from tests.harness.gateway.board_host import FIRMWARES, skip_without_compiler
 from tests.harness.gateway.selftest_bench import names_of, selftest
 
-NOT_PROVOKED = ["over-current", "watchdog", "sensor-fault"]
+NOT_PROVOKED = ["over-current", "watchdog", "sensor-fault", "stack", "input-at-power-on"]
 
 
 @pytest.mark.parametrize("rig", sorted(RIGS))
