@@ -56,6 +56,7 @@ class Wishes:
     lift_off: Experiment = EXPERIMENT_OF_NAME[LIFT_OFF]  # recorded first if its result is needed and unknown
     seed: int = 1
     quick: bool = False
+    park: bool = False  # a board that is in use is stopped first
     u_max_v: float | None = None
     x_min_m: float | None = None
     x_max_m: float | None = None

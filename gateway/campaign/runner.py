@@ -75,11 +75,11 @@ class Runner:
             ServiceError: the board is missing or in use; the ball has not moved.
         """
         state, self._parameters = self._rig.await_board()
-        if state.mode != pb.MODE_IDLE:
+        if state.mode != pb.MODE_IDLE and not self._wishes.park:
             raise ServiceError(
                 f"{self._board} is in {pb.Mode.Name(state.mode).removeprefix('MODE_').lower().replace('_', ' ')}:"
                 " somebody uses it",
-                remedy=f"When it is free: `board51 send {self._board} stop`",
+                remedy=f"When it is free: `board51 send {self._board} stop`, or --park",
             )
         w = self._wishes
         self._limits = limits_of(self._parameters, u_max_v=w.u_max_v, x_min_m=w.x_min_m, x_max_m=w.x_max_m)

@@ -51,6 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="record only this experiment and add it to FOLDER; repeatable",
     )
     run_.add_argument("--list", action="store_true", help="print the menu of experiments and end")
+    run_.add_argument("--park", action="store_true", help="where the ball flies, land it first instead of giving up")
     run_.add_argument("--yes", action="store_true", help="the preparation by hand (blocked-ball) is done")
     run_.add_argument("--json", action="store_true", help="print the summary as JSON")
 
@@ -97,7 +98,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         control = RigControl(rig, subscriber, stop)
         wishes = Wishes(
             experiments=experiments, plant=plant or ASSUMED, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
-            seed=args.seed, quick=args.quick, u_max_v=args.u_max,
+            seed=args.seed, quick=args.quick, park=args.park, u_max_v=args.u_max,
             x_min_m=None if args.x_min is None else args.x_min * 1e-3,
             x_max_m=None if args.x_max is None else args.x_max * 1e-3,
             prepare=lambda experiment: "" if args.yes else _request_preparation(experiment, stop),

@@ -37,7 +37,7 @@ _EVERYTHING = tuple(
 _ENDED_AS = {  # the act that whoever ends a job of this kind must be allowed
     "record": "recording", "campaign": "stop", "replay": "read",
     "identify": "diagnose", "diagnose": "diagnose", "bode": "diagnose", "hand-over": "use_model",
-    "compare": "diagnose", "design": "diagnose", "forecast": "diagnose",
+    "compare": "diagnose", "validate": "diagnose", "design": "diagnose", "forecast": "diagnose",
 }  # fmt: skip
 _ORDER = re.compile(r"pause|play|(seek|speed) \d{1,9}(\.\d{1,6})?")
 _logger = logging.getLogger("gateway.hmi")

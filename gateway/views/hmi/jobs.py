@@ -9,6 +9,7 @@ Rule 3: arguments are a list, never a shell's line.
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import threading
@@ -23,7 +24,7 @@ from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
 from protocol.errors import UsageError
 
 LINES, WIDTH = 200, 400
-_ANSWERED = {"bode": (0, 1)}  # exit codes: 1 says that the model does not explain the responses
+_STEP = re.compile(r"\[(\d+)/(\d+)\]")  # of a line: the step that has begun, and their number
 END_S = 15.0  # a campaign parks the ball in this time
 
 
@@ -51,7 +52,22 @@ class Job:
         code = self.process.poll()
         if code is None:
             return text_of("job.running", seconds=f"{time.monotonic() - self.began_s:.0f}")
-        return text_of("job.done") if code in _ANSWERED.get(self.kind, (0,)) else text_of("job.failed", code=code)
+        if code in (0, 1):  # 1: the work was done, and its answer is no
+            return text_of("job.done") if code == 0 else text_of("job.incomplete")
+        # The last line of a command that cannot go on is its error: what, where, what to do.
+        return text_of("job.failed", problem=self.lines[-1] if self.lines else f"exit code {code}")
+
+    @property
+    def failed(self) -> bool:
+        """Return whether the job ended without an answer."""
+        return self.process.poll() not in (None, 0, 1)
+
+    @property
+    def progress(self) -> float | None:
+        """Return the share of its steps that are done; None if it does not count steps."""
+        steps = (_STEP.search(line) for line in reversed(list(self.lines)))
+        step = next(filter(None, steps), None)
+        return (int(step[1]) - 1) / max(int(step[2]), 1) if step is not None else None
 
 
 class Jobs:

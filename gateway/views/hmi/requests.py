@@ -41,6 +41,7 @@ from gateway.views.hmi.downloads import download
 from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal, session_of
 from gateway.views.hmi.html.render import render
 from gateway.views.hmi.model.exports import FORMATS, exported
+from gateway.views.hmi.model.naming import delete, rename
 from gateway.views.hmi.model.plant import judged
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
@@ -89,6 +90,7 @@ class Requests:
             "/api/{board}/job": self.job,
             "/api/{board}/delete": self.delete,
             "/api/{board}/remove": self.remove,
+            "/api/{board}/campaign": self.campaign,
         }
         reads = {
             "/login": self.login_form,
@@ -169,6 +171,19 @@ class Requests:
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"log": "..."}.')
         return await self._act(request, "", lambda session, _: self._actions.delete_log(session, name))
+
+    async def campaign(self, request: Request) -> Response:
+        """Rename or delete a campaign."""
+        table, board = await _json(request) or {}, request.path_params["board"]
+        name, title = str(table.get("name") or ""), str(table.get("title") or "")
+        changes: dict[object, Callable[[LoginSession, Wish], pb.CommandReply]] = {
+            "rename": lambda session, _: rename(self._actions, self._work, session, board, name, title),
+            "delete": lambda session, _: delete(self._actions, self._work, session, board, name),
+        }
+        change = changes.get(table.get("act"))
+        if change is None:
+            return refusal(400, "malformed", 'Give {"name": "...", "act": "rename" | "delete", "title": "..."}.')
+        return await self._act(request, "", change)
 
     async def remove(self, request: Request) -> Response:
         """Take a rig off the pages that has not been seen for minutes."""

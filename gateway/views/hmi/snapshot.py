@@ -149,7 +149,7 @@ def _named(board: BoardFeed) -> str:
 def job(running: Job) -> dict[str, Any]:
     """Return the lines that a page shows of a job; columns of a table do not fit into a card, so dots separate them."""
     lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-MAX_LINES:]]
-    return {**_fields(running, "title", "who", "running", "standing"), "lines": lines}
+    return {**_fields(running, "title", "who", "running", "standing", "failed", "progress"), "lines": lines}
 
 
 def summary(board: BoardFeed) -> dict[str, Any]:

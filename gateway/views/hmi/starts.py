@@ -30,7 +30,7 @@ def starts(actions: Actions, work: ModelWork) -> dict[str, Start]:
             return work.add_experiment(
                 session, board, word(table, "campaign"), word(table, "experiment"), prepared=prepared
             )
-        wishes = {name: table.get(name) is True for name in ("quick", "investigate")}
+        wishes = {name: table.get(name) is True for name in ("quick", "investigate", "park")}
         return work.start_campaign(session, board, **wishes)
 
     def diagnose(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
@@ -42,6 +42,7 @@ def starts(actions: Actions, work: ModelWork) -> dict[str, Start]:
         "record": lambda session, board, table: actions.start_recording(session, board, word(table, "title")),
         "campaign": campaign,
         "identify": lambda session, board, table: work.identify(session, board, word(table, "campaign")),
+        "validate": lambda session, board, table: work.validate(session, board, word(table, "campaign")),
         "diagnose": diagnose,
         "compare": lambda session, board, table: compare(
             work, session, board, word(table, "campaign"), (word(table, "first"), word(table, "second"))

@@ -128,6 +128,9 @@ def test_a_board_that_somebody_flies_is_left_alone(tmp_path: Path, capsys: pytes
         assert "rig is in closed loop: somebody uses it" in capsys.readouterr().err
         assert line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP
 
+        assert line.run(tmp_path / "c", "--quick", "--experiment", "rest", "--park") == 0
+        line.assert_parked()
+
 
 @pytest.mark.slow
 def test_a_tighter_gateway_is_obeyed_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

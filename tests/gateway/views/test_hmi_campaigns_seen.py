@@ -22,7 +22,8 @@ pytestmark = [
 ]
 OLD, INTERRUPTED, FAILED = (f"rig-2026010{day}-030405" for day in (2, 3, 4))
 OF_TWO = "two-20260101-030405"
-MODEL = {"name": "m", "plant": {"assumed": True}, "parameters": {"K_A": 0.297, "K_c": 1.46e-6, "b": 0.02}}
+T_A = {"value": 3.5e-4, "unit": "s", "ci95": [3e-4, 4e-4], "verdict": "identified"}
+MODEL = {"name": "m", "plant": {"assumed": True}, "parameters": {"K_A": 0.297, "K_c": 1.46e-6, "b": 0.02, "T_A": T_A}}
 PLANT = "[plant]\nmass_kg = 8.28e-3\ntravel_m = 5.7e-3\nassumed = true\n"
 
 
@@ -83,7 +84,36 @@ def test_a_campaign_that_failed_is_not_shown_in_place_of_a_result_and_an_interru
 
     page.goto(f"/model/rig?campaign={FAILED}")
     expect(page.get_by_text("It has no recordings.").first).to_be_visible()
-    expect(page.get_by_role("button", name="Identify")).to_have_count(0)
+    expect(page.get_by_role("button", name="Identify")).to_be_disabled()
+
+
+def test_results_come_before_consoles_and_a_campaign_gets_a_name(page: Page) -> None:
+    page.goto("/model/rig")
+    card = page.locator(".card", has_text="Identified parameters")
+
+    expect(card.locator("tr", has_text="T_A")).to_contain_text("0.000300 to 0.000400")
+    expect(page.get_by_role("button", name="Validate")).to_be_enabled()
+    expect(page.locator("button", has_text="Investigate")).to_have_class("filled")
+    expect(page.locator(".job-lines").first).to_be_hidden()
+
+    row = page.locator(".file", has=page.locator(f"a[href$='{INTERRUPTED}']"))
+    row.get_by_text("Rename or delete").click()
+    row.get_by_label("name").fill("before the new ball")
+    row.get_by_role("button", name="Rename").click()
+    expect(row.get_by_role("link", name="before the new ball")).to_be_visible()
+    expect(row).to_contain_text("Campaign of 2026-01-03 03:04")
+
+    page.goto(f"/model/rig?campaign={FAILED}")
+    expect(page.get_by_role("button", name="Validate")).to_be_disabled()
+    expect(page.get_by_role("button", name="Diagnose", exact=True)).to_be_disabled()
+
+
+def test_while_the_ball_flies_a_campaign_is_offered_with_its_landing(page: Page) -> None:
+    page.goto("/model/rig")
+
+    expect(page.get_by_role("button", name="Park and run quick")).to_be_visible()
+    expect(page.get_by_role("button", name="Run quick", exact=False)).to_have_count(1)
+    expect(page.get_by_role("button", name="Investigate")).to_be_hidden()
 
 
 def test_an_assumed_plant_stands_beside_k_c_and_b(page: Page, served: tuple[PlayedGateway, str]) -> None:

@@ -18,7 +18,7 @@ from gateway.views.hmi.model.campaigns import (
     find_campaign,
     write_act,
 )
-from gateway.views.hmi.model.models import keep, models_of, summary
+from gateway.views.hmi.model.models import keep, models_of, parameter_rows, summary
 from gateway.views.hmi.model.numbers import in_numbers
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import load_diagnosis
@@ -225,6 +225,50 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
     assert unclamped["reason"] == "person-needed"
     assert (finished["reason"], unnamed["reason"], forbidden.status_code) == ("no-campaign", "no-campaign", 403)
     assert unknown["reason"] == "no-model"
+
+
+def test_a_campaign_is_renamed_and_deleted_by_an_engineer_alone(tmp_path: Path) -> None:
+    made = campaign(tmp_path / "data" / "campaigns")
+    beside = campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")
+    with served(tmp_path, MODEL) as (_, port):
+        viewer, engineer = Page(port), Page(port)
+        viewer.log_in("vic")
+        engineer.log_in("ana")
+        rename = {"act": "rename", "name": CAMPAIGN, "title": "  a heavy <b>ball</b> "}
+        refused = viewer.post("/api/rig/campaign", rename), viewer.post("/api/rig/campaign", rename | {"act": "delete"})
+        named = engineer.post("/api/rig/campaign", rename).json()
+        long = engineer.post("/api/rig/campaign", rename | {"title": "x" * 61}).json()
+        shown = viewer.open("/model/rig")
+        wrong = [
+            engineer.post("/api/rig/campaign", {"act": "delete", "name": name}).json()["reason"]
+            for name in ("", "other-20260102-030405", f"../campaigns/{CAMPAIGN}")
+        ]
+        stood = made.is_dir()
+        deleted = engineer.post("/api/rig/campaign", {"act": "delete", "name": CAMPAIGN}).json()
+        again = engineer.post("/api/rig/campaign", {"act": "delete", "name": CAMPAIGN}).json()
+
+    assert [answer.status_code for answer in refused] == [403, 403]
+    assert named["text"] == "The campaign is called a heavy <b>ball</b>."
+    assert "a heavy &lt;b&gt;ball&lt;/b&gt;" in shown
+    assert (long["accepted"], long["reason"]) == (False, "bad-name")
+    assert wrong == ["no-campaign"] * 3
+    assert stood
+    assert (deleted["accepted"], again["reason"]) == (True, "no-campaign")
+    assert not made.exists()
+    assert beside.is_dir()
+
+
+def test_parameters_have_the_digits_that_their_interval_bears() -> None:
+    def entry(value: float, low: float, high: float, verdict: str = "identified") -> dict[str, object]:
+        return {"value": value, "unit": "A/V", "ci95": [low, high], "verdict": verdict}
+
+    table = {"K_A": entry(0.297011, 0.296996, 0.297025), "b": entry(0.114, 0.029, 0.199, "weak"), "T_A": 3e-4}
+    first, second = parameter_rows({"parameters": table})
+
+    assert first == ("K_A", "0.2970110 A/V", "0.2969960 to 0.2970250", "identified")
+    assert second[:3] == ("b", "0.114 A/V", "0.0290 to 0.199")
+    assert second[3].startswith("weak: ")
+    assert parameter_rows({"parameters": {"K_A": entry(1.0, 1.0, 1.0), "b": "x"}}) == []
 
 
 def test_a_model_file_of_another_shape_has_an_empty_summary_and_costs_no_page() -> None:

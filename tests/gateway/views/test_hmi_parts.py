@@ -204,6 +204,23 @@ def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> N
     assert not jobs.stop("record", "rig")
 
 
+def test_a_job_that_cannot_go_on_says_its_error_and_one_that_counts_steps_its_progress(tmp_path: Path) -> None:
+    jobs = Jobs()
+    try:
+        job = jobs.start("identify", "rig", ["identify", str(tmp_path / "none.toml")], title="t", who="ben")
+        wait_for(lambda: not job.running, "its end")
+        job.listener.join()
+    finally:
+        jobs.close()
+
+    assert job.failed
+    assert job.standing.startswith("failed. board51 identify: ")
+    assert "none.toml" in job.standing
+    assert job.progress is None
+    job.lines.extend(["[2/4] steps, 12 s", "    the ball is at rest"])
+    assert job.progress == 0.25
+
+
 def test_a_job_is_on_the_bus_as_the_person_who_started_it(tmp_path: Path) -> None:
     open_bus = Routes(data=tmp_path, connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=None)
     guarded = Routes(data=tmp_path, connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=tmp_path)

@@ -144,7 +144,7 @@ def fly_and_identify(page: Page, number: int, *, ends: str) -> None:
 def test_another_ball_is_identified_by_buttons_alone_once_its_plant_is_stated(live_page: Page, rig: Rig) -> None:
     page = live_page
     expect(page.get_by_text(NOBODY)).to_be_visible()
-    fly_and_identify(page, 1, ends="ended with exit code 2")
+    fly_and_identify(page, 1, ends="failed.")
     expect(page.locator("[data-live=identify-lines]")).to_contain_text("assumed: nobody stated the plant of this rig")
     expect(page.locator(".file", has_text="recordings")).to_contain_text("plant assumed")
     expect(page.get_by_text("When this campaign was flown, nobody had stated the plant")).to_be_visible()

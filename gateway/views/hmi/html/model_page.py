@@ -10,10 +10,10 @@ from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.html.bode import bode_card
 from gateway.views.hmi.html.figure import errors_figure
 from gateway.views.hmi.library import Library
-from gateway.views.hmi.model.campaigns import BODE, CampaignFolder, choose, parse_table, read_table
+from gateway.views.hmi.model.campaigns import BODE, VALIDATION, CampaignFolder, choose, parse_table, read_table
 from gateway.views.hmi.model.designs import newest_design
 from gateway.views.hmi.model.exports import FORMATS
-from gateway.views.hmi.model.models import summary
+from gateway.views.hmi.model.models import parameter_rows, summary
 from gateway.views.hmi.model.plant import plant_card
 from gateway.views.hmi.model.work import LIVE_MIN, ModelWork
 from gateway.views.hmi.texts import text_of
@@ -48,9 +48,20 @@ def shown(work: ModelWork, reports: Library, board: str, name: str) -> dict[str,
         "live_min": f"{LIVE_MIN:g}",
         "bode": bode_card(chosen.bode) if chosen is not None else None,
         "bode_report": _report(reports, chosen.path / BODE / "bode.html") if chosen is not None else "",
+        **_identified(chosen, reports),
         **_diagnosed(chosen, reports),
         **_compared(chosen, reports),
         **_designed(chosen, work.parameters(board), reports),
+    }
+
+
+def _identified(chosen: CampaignFolder | None, reports: Library) -> dict[str, object]:
+    if chosen is None or chosen.model is None:
+        return {"parameters": [], "validation": {}, "validation_report": ""}
+    return {
+        "parameters": parameter_rows(read_table(chosen.model)),
+        "validation": chosen.validation,
+        "validation_report": _report(reports, chosen.path / VALIDATION / "report.html"),
     }
 
 

@@ -3,8 +3,10 @@
     DATA/campaigns/<board>-<date>-<time>/    recordings, campaign.toml, model.json of `identify`, acts.jsonl
                              .../diagnosis/  diagnosis.json, report.html, extended_model.json; of a diagnosis of live
                                              data its recordings, too
+                             .../validation/ validation.json, report.html: the identified model on the judge recordings
                              .../bode/       bode.json, bode.html: frequency responses
                              .../comparison/ compare.json, compare.html of the latest two models
+                             .../name.txt    what people call it
 
 Rule 1: a name from a browser is looked up among those found, never joined to a path.
 Rule 2: a campaign that failed or was interrupted is never shown in place of a finished one, unless it is asked for.
@@ -28,7 +30,8 @@ ACTS = "acts.jsonl"  # in the folder of a campaign: who did what, one line for e
 MAX_ACTS = 20
 _TAIL_BYTES = 65_536  # of the end of the file that is read
 MAX_CAMPAIGNS = 50  # the newest
-MODEL, DIAGNOSIS, BODE, COMPARISON = "model.json", "diagnosis", "bode", "comparison"
+MODEL, DIAGNOSIS, VALIDATION, BODE, COMPARISON = "model.json", "diagnosis", "validation", "bode", "comparison"
+TITLE, TITLE_LENGTH = "name.txt", 60
 _NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
 
 
@@ -49,6 +52,7 @@ class CampaignFolder:
     path: Path
     board: str
     made: str  # for people
+    title: str  # what people call it
     recordings: int
     left: tuple[str, ...]  # experiments that an interrupted run has not made
     quick: bool  # of its latest run
@@ -69,6 +73,11 @@ class CampaignFolder:
     def diagnosis(self) -> Path | None:
         """Return the diagnosis.json."""
         return _file(self.path / DIAGNOSIS / "diagnosis.json")
+
+    @property
+    def validation(self) -> dict[str, Any]:
+        """Return the content of validation.json; empty if it is missing or damaged."""
+        return read_table(self.path / VALIDATION / "validation.json")
 
     @property
     def bode(self) -> dict[str, Any]:
@@ -151,6 +160,7 @@ def _campaign(path: Path, board: str) -> CampaignFolder:
         path=path,
         board=board,
         made=f"{date[:4]}-{date[4:6]}-{date[6:]} {match['hour']}:{match['minute']}",
+        title=_title(path),
         recordings=sum(1 for _ in path.glob("*.mcap")) + sum(1 for _ in path.glob(f"{DIAGNOSIS}/live-*/*.mcap")),
         left=tuple(map(str, left)) if isinstance(left, list) else (),
         quick=run.get("quick") is True,
@@ -174,6 +184,14 @@ def parse_table(text: str, *, where: str) -> dict[str, Any]:
     except DataError:
         return {}
     return table if isinstance(table, dict) else {}
+
+
+def _title(path: Path) -> str:
+    try:
+        with (path / TITLE).open(encoding="utf-8", errors="replace") as stream:
+            return stream.read(TITLE_LENGTH).strip()
+    except OSError:
+        return ""
 
 
 def _file(path: Path) -> Path | None:

@@ -9,6 +9,7 @@ Rule: the model that a hand-over replaces is kept, so that every hand-over can b
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.views.hmi.model.campaigns import CampaignFolder, parse_table, read_table
-from gateway.views.hmi.texts import text_of
+from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus import board51_pb2 as pb
 
 MAX_REPLACED = 10  # the newest
@@ -49,6 +50,21 @@ class ModelFile:
     def summary(self) -> str:
         """Return parameters and causes in one line."""
         return summary(self.content)
+
+
+def parameter_rows(content: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return name, value with unit, 95 % interval and verdict in words of each parameter of a model file."""
+    table, rows = content.get("parameters"), []
+    for name, entry in table.items() if isinstance(table, dict) else ():
+        try:
+            value, (low, high) = float(entry["value"]), map(float, entry["ci95"])
+            digits = min(max(3, 2 + math.ceil(math.log10(abs(value) / (high - low)))), 7)  # as the interval knows it
+            between = text_of("parameters.between", low=f"{low:#.{digits}g}", high=f"{high:#.{digits}g}")
+            words = texts_of("parameter_verdict").get(entry["verdict"], str(entry["verdict"]))
+            rows.append((str(name), f"{value:#.{digits}g} {entry['unit']}", between, words))
+        except (KeyError, TypeError, ValueError, ZeroDivisionError):  # a model of another program: its line is enough
+            continue
+    return rows
 
 
 def summary(content: dict[str, Any]) -> str:

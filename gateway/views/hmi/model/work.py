@@ -14,6 +14,7 @@ from gateway.views.hmi.model.campaigns import (
     BODE,
     DIAGNOSIS,
     MODEL,
+    VALIDATION,
     CampaignFolder,
     campaigns_of,
     find_campaign,
@@ -77,11 +78,17 @@ class ModelWork:
         return models_of(self._routes.data, board, self.campaigns(board), self.running(board))
 
     def start_campaign(
-        self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False
+        self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False, park: bool = False
     ) -> pb.CommandReply:
-        """Start a campaign of the paper's experiments, or an investigation, in a new folder."""
+        """Start a campaign of the paper's experiments, or an investigation, in a new folder.
+
+        `park`: the person has seen that the ball flies, and that it is landed first.
+        """
         folder = self._new(board)
-        what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
+        if investigate:
+            what = ["investigate", board, "--out", str(folder)]
+        else:
+            what = [*self._run(folder, board), *["--park"] * park]
         words = [*what, *["--quick"] * quick, *self._as_person(session)]
         if investigate:
             entry = text_of("campaigns.started_investigation")
@@ -137,6 +144,17 @@ class ModelWork:
         return self.start(
             session, "diagnose", "identify", board, words, chosen.path, text_of("campaigns.was_identified")
         )
+
+    def validate(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
+        """Compare the identified model of a campaign with its judge recordings."""
+        chosen = find_campaign(self._root, board, campaign)
+        if chosen is None or chosen.toml is None:
+            return refusal("no-campaign", text_of("refusal.campaign_empty"))
+        if chosen.model is None:
+            return refusal("no-model", text_of("refusal.not_identified"))
+        words = ["validate", str(chosen.toml), "--model", str(chosen.model), "--out", str(chosen.path / VALIDATION)]
+        entry = text_of("campaigns.was_validated")
+        return self.start(session, "diagnose", "validate", board, words, chosen.path, entry)
 
     def diagnose(self, session: LoginSession, board: str, campaign: str, *, quick: bool) -> pb.CommandReply:
         """Diagnose the causes of the model's errors in a campaign."""

@@ -25,8 +25,16 @@ const FORMS = {
   recording: (f) => ({ name: textOf("recording.act"), send: (name) => job(name, { kind: "record", act: "start", title: f.title }) }),
   design: (f) => ({ name: textOf("work.design_act"), send: (name) => job(name, { kind: "design", act: "start", ...f }) }),
   compare: (f) => ({ name: textOf("compare.act"), send: (name) => job(name, { kind: "compare", act: "start", ...f }) }),
+  rename: (f) => ({ name: textOf("campaigns.rename_act"), send: (name) => changed(act(name, `/api/${page.board}/campaign`, { act: "rename", ...f })) }),
   mark: (f) => ({ name: textOf("recording.mark_act", { text: f.text }), send: (name) => command(name, { mark: { text: f.text } }) }),
 };
+
+// What a page shows of a campaign is fetched again.
+async function changed(request) {
+  const answer = await request;
+  if (answer?.accepted) document.dispatchEvent(new Event("board51-changed"));
+  return answer;
+}
 
 async function submit(form) {
   const { name, send } = FORMS[form.dataset.form](Object.fromEntries(new FormData(form)));
@@ -45,7 +53,7 @@ const ACTS = {
     await fetch("/logout", { method: "POST", headers: { "x-board51-token": page.token } }).catch(() => null);
     location.href = "/login";
   },
-  delete: deleteLog,
+  delete: deleteForGood,
   remove: (b) => act(textOf("library.remove_act", { rig: b.dataset.board }), `/api/${b.dataset.board}/remove`, {}),
   close: (b) => b.closest("dialog").close(),
   summary,
@@ -134,14 +142,20 @@ export function limits(rest) {
 // --- jobs, gains, summaries ---------------------------------------------------------------------------------------------
 
 const IDLE_WORDS = { record: textOf("recording.idle") };
-const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over", "compare", "design", "forecast", "bode"];
+const KINDS = ["record", "campaign", "identify", "validate", "diagnose", "hand-over", "compare", "design", "forecast", "bode"];
 
 export function showJobs(jobs) {
   for (const kind of KINDS) {
     const job = jobs[kind], running = Boolean(job?.running);
     for (const element of document.querySelectorAll(`[data-idle=${kind}]`)) element.hidden = running;
     for (const element of document.querySelectorAll(`[data-running=${kind}]`)) element.hidden = !running;
-    put(`${kind}-said`, job ? progress(kind, job) : IDLE_WORDS[kind] ?? "");
+    for (const element of document.querySelectorAll(`[data-details=${kind}]`)) element.hidden = !job;
+    for (const bar of document.querySelectorAll(`[data-progress=${kind}]`)) {
+      bar.hidden = !running;
+      if (job?.progress === null || !job) bar.removeAttribute("value"); // it moves, and says nothing of how long
+      else bar.value = job.progress;
+    }
+    put(`${kind}-said`, job ? progress(kind, job) : IDLE_WORDS[kind] ?? "", job?.failed ? "bad" : "none");
     put(`${kind}-lines`, (job?.lines ?? []).join("\n"));
   }
   document.dispatchEvent(new CustomEvent("board51-jobs", { detail: jobs }));
@@ -176,7 +190,7 @@ async function gains(input) {
 }
 
 // Asks by a second press, and forgets the first one after a while.
-async function deleteLog(button) {
+async function deleteForGood(button) {
   if (button.dataset.sure !== "yes") {
     button.dataset.sure = "yes";
     button.textContent = textOf("library.delete_sure");
@@ -186,8 +200,11 @@ async function deleteLog(button) {
     }, SURE_MS);
     return;
   }
-  const answer = await act(textOf("library.delete_act", { log: button.dataset.log }), "/api/*/delete", { log: button.dataset.log });
-  if (answer?.accepted) button.closest(".log").remove();
+  const { log, campaign } = button.dataset, name = textOf("library.delete_act", { log: log ?? campaign });
+  const answer = log ? await act(name, "/api/*/delete", { log }) : await act(name, `/api/${page.board}/campaign`, { name: campaign, act: "delete" });
+  if (!answer?.accepted) return;
+  if (campaign) location.href = `/model/${page.board}`; // the page may be that of this campaign
+  else button.closest(".file").remove();
 }
 
 document.querySelector("[data-filter=log]")?.addEventListener("input", (event) => {

@@ -114,6 +114,8 @@ function values() {
   put("error_x", shown(now.error_x_m, 1e6, 0));
   put("error_i", shown(now.error_i_a, 1e3, 0));
   put("nis", shown(now.nis_mean, 1, 2));
+  const flies = now.mode !== null && now.mode !== "idle" ? "flies" : "idle";
+  for (const element of document.querySelectorAll("[data-while]")) element.hidden = element.dataset.while !== flies;
   for (const button of document.querySelectorAll("[data-mode]")) {
     const its = button.dataset.mode === now.mode, pressed = String(its && !gone), last = its && gone ? "yes" : "no";
     if (button.getAttribute("aria-pressed") !== pressed) button.setAttribute("aria-pressed", pressed);

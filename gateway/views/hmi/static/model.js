@@ -11,6 +11,8 @@ document.addEventListener("board51-jobs", (event) => {
   if (ended) renew();
 });
 
+document.addEventListener("board51-changed", () => renew());
+
 let model = null; // of the twin, when last heard
 let gains = null; // of the board, when last heard
 
@@ -25,7 +27,7 @@ document.addEventListener("board51-rest", (event) => {
 });
 
 // A part that says the same stays, so that no button is replaced under a finger and no form loses what was typed.
-const said = (part) => part.innerHTML.replace(/ data-refused="\w*"/g, ""); // whether a form was refused is no news
+const said = (part) => part.innerHTML.replace(/ (data-refused="\w*"|hidden="")/g, ""); // of what hmi.js changes: no news
 async function renew() {
   const answer = await fetch(location.href).catch(() => null);
   if (!answer?.ok || answer.redirected) return;
