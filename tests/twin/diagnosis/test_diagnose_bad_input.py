@@ -197,7 +197,7 @@ def test_a_recording_of_another_rig_is_named_and_left_out(
     assert data["causes"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_an_effect_that_begins_in_the_middle_is_named_with_its_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
