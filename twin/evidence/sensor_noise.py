@@ -31,8 +31,8 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
     return result[0], result[1]
 
 
-def noise_error(evidence: Evidence) -> float:
-    """Return the standard error of ln sigma of both channels: sqrt(1 / 2n) each, and that of the noise ratios."""
+def noise_errors(evidence: Evidence) -> tuple[float, float]:
+    """Return the standard errors of ln sigma of i_c and x: sqrt(1 / 2n), and that of the noise ratios."""
     squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
     if evidence.noise is not None:
         coloured = zip(squares, evidence.noise.colours[:2], strict=True)
@@ -41,7 +41,7 @@ def noise_error(evidence: Evidence) -> float:
             square + evidence.noise.error(evidence.records, evidence.series, column) ** 2
             for column, square in enumerate(squares)
         ]
-    return 0.5 * float(np.sqrt(sum(squares)))
+    return math.sqrt(squares[0]), math.sqrt(squares[1])
 
 
 def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.estimation.innovations import USE_X, whitened
 from twin.estimation.record import FloatArray
-from twin.evidence.sensor_noise import noise_error, sensor_noise
+from twin.evidence.sensor_noise import noise_errors, sensor_noise
 from twin.inference.initial_guess import coloured
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import FLOORS, Theta
@@ -33,7 +33,7 @@ class Floor:
     logliks: tuple[float, float] = (0.0, 0.0)  # of a right model: of i_c, and of x given i_c
     colours: tuple[tuple[str, float], ...] = ()  # of the noise at rest, as `NoiseLevels` has them
     counts: tuple[int, int] = (0, 0)  # readings of i_c and x
-    error: float = 0.0  # standard error of `loglik` per reading: that of the noise level
+    errors: tuple[float, float] = (0.0, 0.0)  # standard errors of ln sigma of i_c and x
     misplaced_m: float = 0.0  # larger distance of the two stops in the model from their positions
 
     @property
@@ -48,8 +48,17 @@ class Floor:
 
     @property
     def tolerance(self) -> float:
-        """Return the log-likelihood per reading by which the noise level may be off."""
-        return max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error)
+        """Return the log-likelihood by which both noise levels together may be off: (S 6)."""
+        # Weighed by the readings: a channel with most of them makes most of the error, the better known helps little.
+        together = float(np.hypot(*(np.array(self.errors) * self.counts)))
+        return max(settings.NOISE_TOLERANCE * self.readings, settings.NOISE_ERRORS * together)
+
+    @property
+    def tolerances(self) -> FloatArray:
+        """The log-likelihoods by which the noise levels of i_c and x may be off, shape (2,)."""
+        return np.array(self.counts) * np.maximum(
+            settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * np.array(self.errors)
+        )
 
     def excess(self, loglik: float) -> float:
         """Return the log-likelihood that a model lacks compared with the floor."""
@@ -80,7 +89,7 @@ class Floor:
 
     def above_noise(self, loglik: float) -> bool:
         """Tell whether the excess is more than the uncertainty of the noise level."""
-        return self.excess(loglik) > self.tolerance * self.readings
+        return self.excess(loglik) > self.tolerance
 
     def lacking(self, logliks: FloatArray, points: int) -> FloatArray:
         """The excess of each part of `part_logliks`, shape (3,); inf where it is within the uncertainty of the noise.
@@ -92,7 +101,7 @@ class Floor:
         # Each part apart, not in sum: a noisy current would hide that a law of the force explains nearly all that its
         # own part lacks.
         excess = np.array([*self.logliks, -0.5 * points]) - logliks
-        return np.where(excess > [*(self.tolerance * np.array(self.counts)), settings.MIN_GAIN], excess, np.inf)
+        return np.where(excess > [*self.tolerances, settings.MIN_GAIN], excess, np.inf)
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
@@ -106,7 +115,7 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
         sigma_x_m=sigma_x or theta.sigma_x_m,
         measured=measured,
         colours=coloured(noise) if (noise := criterion.evidence.noise) is not None else (),
-        error=noise_error(criterion.evidence) if measured else 0.0,
+        errors=noise_errors(criterion.evidence) if measured else (0.0, 0.0),
     )
     return floor.under(criterion, theta)
 

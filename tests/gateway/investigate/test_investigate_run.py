@@ -107,7 +107,7 @@ def test_a_killed_investigation_leaves_the_ball_parked(tmp_path: Path) -> None:
         line.assert_parked()
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_a_class_that_the_logged_flight_cannot_tell_apart_is_split(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -235,7 +235,7 @@ def test_the_nodeset_is_loaded_on_top_of_the_official_companion_specifications(n
     }  # fmt: skip
 
 
-def test_20_variables_at_50_hz_for_a_minute_without_loss(plant: Plant, tmp_path: Path) -> None:
-    found = judge(plant, tmp_path, "otto", seconds=60.0)
+def test_20_variables_at_50_hz_come_without_loss(plant: Plant, tmp_path: Path) -> None:
+    found = judge(plant, tmp_path, "otto", seconds=20.0)
 
     expect_no_loss(found)

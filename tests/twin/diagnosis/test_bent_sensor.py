@@ -65,7 +65,7 @@ def test_the_derivative_by_the_place_of_a_stop_is_the_difference(campaign: Campa
         criterion.close()
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_half_a_sine_is_found_as_a_bow_of_that_height_and_nothing_else(campaign: Campaign) -> None:
     found = diagnose(campaign)
 

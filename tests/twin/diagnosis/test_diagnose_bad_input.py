@@ -24,7 +24,7 @@ from twin.diagnosis.report.sentences import contradiction_sentence
 from twin.estimation.record import FloatArray, Record
 from twin.evidence.gather import gather
 from twin.evidence.sample_loss import lost_samples
-from twin.evidence.sensor_noise import noise_error, sensor_noise
+from twin.evidence.sensor_noise import noise_errors, sensor_noise
 from twin.inference.fisher_scoring import climb
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor, floor_of
@@ -197,7 +197,7 @@ def test_a_recording_of_another_rig_is_named_and_left_out(
     assert data["causes"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_an_effect_that_begins_in_the_middle_is_named_with_its_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -400,7 +400,7 @@ def test_the_sensor_noise_is_found_at_rest_and_makes_the_floor(null: Path) -> No
     evidence = gather(read_campaign(campaign), campaign.plant)
 
     sigma_i, sigma_x = sensor_noise(evidence)
-    error = noise_error(evidence)
+    errors = np.array(noise_errors(evidence))
     criterion = Criterion(evidence, campaign.plant, 2e-3, workers=1)
     try:
         floor = floor_of(criterion, TRUE)
@@ -411,10 +411,22 @@ def test_the_sensor_noise_is_found_at_rest_and_makes_the_floor(null: Path) -> No
     assert (floor.sigma_i_c_a, floor.sigma_x_m) == (sigma_i, sigma_x)
     assert 0.7e-3 < floor.sigma_i_c_a < 4.2e-3  # the rigs are drawn from 0.8 to 4 mA, 2.5 to 12 um
     assert 2.3e-6 < floor.sigma_x_m < 12.5e-6
-    assert 0.0 < error < 0.05
-    assert not floor.material(floor.loglik - error * floor.readings)
-    assert floor.material(floor.loglik - 4.0 * max(error, settings.NOISE_TOLERANCE) * floor.readings)
+    assert np.all((0.0 < errors) & (errors < 0.1))
+    assert not floor.material(floor.loglik - float(errors @ floor.counts))
+    assert floor.material(floor.loglik - 4.0 * float(np.maximum(errors, settings.NOISE_TOLERANCE) @ floor.counts))
     assert Floor(sigma_i_c_a=1.0, sigma_x_m=1.0, measured=True, counts=(50, 50)).material(-3.0)
+
+
+def test_a_noise_level_counts_by_its_readings() -> None:
+    """The error of the floor's log-likelihood is that of its definition, drawn: 9 of 10 readings are of i_c."""
+    counts, errors = (9000, 1000), (0.02, 0.05)
+    floor = Floor(sigma_i_c_a=1.0, sigma_x_m=1.0, measured=True, counts=counts, errors=errors)
+    logs = np.random.default_rng(3).normal(0.0, errors, (4000, 2))  # of sigma at rest over that in flight
+
+    floors = -(logs @ counts)  # a Gaussian of which sigma is misjudged, its log-likelihood beside that of the right one
+
+    assert floor.tolerance == pytest.approx(settings.NOISE_ERRORS * np.std(floors), rel=0.03)
+    assert floor.tolerances == pytest.approx([settings.NOISE_ERRORS * 180.0, settings.NOISE_ERRORS * 50.0])
 
 
 def test_the_stops_are_where_the_sensor_shows_them(null: Path) -> None:

@@ -13,7 +13,7 @@ from twin.diagnosis.pipeline import diagnose
 LINE, HUM_M, HUM_HZ = "position-sensor-line", 20e-6, 50.0
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 @pytest.mark.parametrize("octave_m", [0.0, 8e-6], ids=["pure", "with an octave"])
 def test_mains_in_x_are_named_and_predicted(tmp_path: Path, octave_m: float) -> None:
     make_campaign(
@@ -41,7 +41,7 @@ def test_mains_in_x_are_named_and_predicted(tmp_path: Path, octave_m: float) -> 
     assert found.gain.removed > 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_a_cause_beside_mains_is_named_with_its_size(tmp_path: Path) -> None:
     lag_s = 2e-3
     effects, mains = {"position-sensor-lag": lag_s}, {"sensor-hum": HUM_M}

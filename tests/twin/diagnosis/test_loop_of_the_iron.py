@@ -12,7 +12,7 @@ from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 @pytest.mark.parametrize(
     ("kind", "seed"), [("force-hysteresis", 51), ("force-loop", 52)], ids=["play", "Bouc-Wen, n = 2"]
 )

@@ -42,7 +42,7 @@ def test_the_table_shows_the_settings_that_change_an_answer() -> None:
     assert "VISIBLE" in shown[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_a_remembered_answer_is_the_one_that_would_be_computed(tmp_path: Path) -> None:
     make_campaign(tmp_path, effects={"air-gap-offset": 3e-4}, seed=7, plant="emulator", quick=True)
     campaign = load(tmp_path)

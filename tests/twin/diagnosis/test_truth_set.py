@@ -98,7 +98,7 @@ def test_a_full_folder_and_an_unknown_part_are_refused(drawn: Path, tmp_path: Pa
         draw_set(tmp_path, seed=1, count=1, part="knock-out")
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_a_set_is_answered_and_scored_from_end_to_end(drawn: Path, tmp_path: Path) -> None:
     program = tmp_path / "echo.py"
     program.write_text(ECHO, encoding="utf-8")

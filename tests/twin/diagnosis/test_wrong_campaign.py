@@ -16,7 +16,7 @@ from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.result import Diagnosis, Member
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.sample
 SEED = 5
 
 

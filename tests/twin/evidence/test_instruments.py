@@ -75,7 +75,7 @@ def test_one_instrument_is_one_level_and_changes_nothing(campaign: Path) -> None
     assert without_outliers(evidence) is evidence
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_an_oscilloscope_beside_the_board_has_a_noise_of_its_own(campaign: Path, tmp_path: Path) -> None:
     folder = copy_of(campaign, tmp_path)
     worse(folder, "step_*", i_c=Instrument(noise=I_A * math.sqrt(SCOPE**2 - 1.0), lowest=NO_LESS))
@@ -89,7 +89,7 @@ def test_an_oscilloscope_beside_the_board_has_a_noise_of_its_own(campaign: Path,
     assert told["sigma"] == pytest.approx(I_A, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_judges_of_a_noisier_session_do_not_speak_against_the_cause(campaign: Path, tmp_path: Path) -> None:
     folder = copy_of(campaign, tmp_path)
     worse(folder, "closed_loop_[5-8]", i_c=Instrument(noise=I_A, lowest=NO_LESS), x=Instrument(noise=X_M))
@@ -127,7 +127,7 @@ def test_outliers_of_ten_times_the_noise_are_left_out(campaign: Path, tmp_path: 
     assert_found(found)
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_heavy_tails_bring_no_other_answer(campaign: Path, tmp_path: Path) -> None:
     folder = copy_of(campaign, tmp_path)
     tail = Instrument(noise=1.5 * I_A, tail=4.0, lowest=NO_LESS)
@@ -144,7 +144,7 @@ def higher(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_noise_that_grows_with_the_height_is_no_cause(higher: Path) -> None:
     assert_found(answer(higher))
 

@@ -11,7 +11,7 @@ from twin.identification.pipeline import identify_records
 CAMPAIGNS = 40
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_intervals_contain_the_truth_in_90_to_99_percent_and_bias_is_below_the_spread() -> None:
     inside: dict[str, list[bool]] = {name: [] for name in TRUTHS}
     z: dict[str, list[float]] = {name: [] for name in TRUTHS}

@@ -363,7 +363,7 @@ def test_a_stated_noise_that_is_wrong_is_seen(records: list[Record]) -> None:
     assert not result.channels[1].size_right
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_settling_interval_and_verdict_hold_over_many_flights() -> None:
     """20 flights under a right model: 95 % intervals miss 0 in more than 4 of them with a probability of 0.3 %."""
     missed, refused = 0, 0

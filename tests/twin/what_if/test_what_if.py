@@ -113,7 +113,7 @@ def test_another_law_gives_the_flight_that_is_then_flown() -> None:
     assert expected.answer().startswith("The ball stays in flight. Expected: ")
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
     """Ten pairs of flights, half of them of a rig with an effect; parameters off by their standard errors.
 

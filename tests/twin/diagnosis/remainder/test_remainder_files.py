@@ -1,4 +1,4 @@
-"""What is left, from the command to the model file that the other commands take: a wire that no catalogue has."""
+"""What is left, from the command to the model file that the other commands take: a spring that no catalogue has."""
 
 from __future__ import annotations
 
@@ -17,25 +17,31 @@ from twin.model.parameters import Model
 pytestmark = pytest.mark.slow
 
 
-def test_the_model_with_the_curve_runs_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_curve_takes_the_place_of_the_names_that_it_replaces_and_its_model_runs_everywhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, out = tmp_path / "runs", tmp_path / "diagnosis"
-    make_campaign(folder, effects={}, outside={"wire-spring": 1.6e6}, seed=11, plant="independent", quick=True)
+    make_campaign(folder, effects={}, outside={"spring-of-a-cable": 4.0}, seed=23, plant="independent", quick=True)
 
-    code = main(["diagnose", str(folder), "--quick", "--free-form", "--out", str(out), "--quiet"])
+    code = main(["diagnose", str(folder), "--quick", "--out", str(out), "--quiet"])
 
     found: dict[str, Any] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
-    assert code == (1 if found["verdict"] == "unknown-cause" else 0)
+    assert (code, found["verdict"]) == (1, "unknown-cause")
     assert not disagreements(found)
+    assert found["candidates"]
+    assert all(candidate["rival"] is not None for candidate in found["candidates"])
+    assert "a force that depends on the height alone" in found["sentence"]
     left = found["remainder"]
     assert left["judge"]["extended_rmse_m"] <= left["judge"]["causes_rmse_m"]
+    assert left["judge"]["extended_rmse_m"] < 1.05 * left["judge"]["floor_rmse_m"]
     (curve,) = left["curves"]
     assert curve["name"] == "force-over-height"
     assert np.shape(curve["at"]) == np.shape(curve["mean"]) == np.shape(curve["ci95"][0])
     text = (out / "report.html").read_text(encoding="utf-8")
     assert "What is left, as a curve" in text
     model = Model.load(out / "extended_model.json")
-    assert curve["name"] in {cause.name for cause in model.causes}
-    assert (not any(cause.name != curve["name"] for cause in model.causes)) == (left["beside"] == "paper")
+    assert [cause.name for cause in model.causes] == [curve["name"]]
+    assert left["beside"] == "paper"
     capsys.readouterr()
 
     assert (

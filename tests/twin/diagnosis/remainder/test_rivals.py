@@ -7,11 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.campaign import load
-from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
+from tests.harness.diagnose.hidden_campaign import PlantName
 from tests.twin.diagnosis.remainder.test_remainder import paper_model
-from twin.diagnosis.options import Options
-from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.remainder.rivals import Rival, rivals_of
 from twin.diagnosis.search.state import Selection
 from twin.inference.fisher_scoring import climb
@@ -56,18 +53,3 @@ def test_a_right_name_stays(tmp_path: Path) -> None:
 def test_a_right_effect_by_another_formula_stays(tmp_path: Path) -> None:
     """A polynomial of the gap below i^2: its free form explains a little more than an exponent."""
     assert rivals(tmp_path, "force-exponent", plant="textbook", effects={"gap-polynomial": 0.6}) == {}
-
-
-@pytest.mark.slow
-def test_a_curve_takes_the_place_of_the_names_that_it_replaces_also_in_the_model(tmp_path: Path) -> None:
-    make_campaign(tmp_path, effects={}, outside={"spring-of-a-cable": 4.0}, seed=SEED, plant="independent", quick=True)
-
-    result = diagnose(load(tmp_path), Options(quick=True, workers=1))
-
-    assert result.verdict == "unknown-cause"
-    assert result.causes
-    assert all(finding.rival is not None for finding in result.causes)
-    assert [cause.name for cause in result.extended.causes] == ["force-over-height"]
-    assert result.remainder is not None
-    assert result.remainder.improvement.extended_rmse_m < 1.05 * result.remainder.improvement.floor_m
-    assert "a force that depends on the height alone" in result.sentence

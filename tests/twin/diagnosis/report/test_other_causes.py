@@ -23,7 +23,7 @@ from twin.settings import diagnosis as settings
 INDUCTANCE = "position-dependent-inductance"
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_what_is_a_hundredth_of_another_cause_is_listed_with_its_size_and_not_ruled_out(tmp_path: Path) -> None:
     growth = 2.4  # of T_A at the upper stop; the catalogue counts it in the middle of the travel
     make_campaign(tmp_path / "two", effects={"slew-rate-limit": 70.0, INDUCTANCE: growth}, seed=41, plant="emulator")

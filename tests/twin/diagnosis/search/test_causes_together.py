@@ -121,7 +121,7 @@ def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() 
     assert back.value("amplifier-offset.offset_a") == pytest.approx(-0.0611)
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_what_was_refused_beside_a_confounder_is_asked_again_beside_the_right_cause(tmp_path: Path) -> None:
     """A lag of the sensor stands for one of the force, and beside it a drag explains a hundredth of what is left."""
     hidden = {"eddy-current-lag": 3.7e-3, "quadratic-drag": 1.0, "periodic-disturbance": 5e-3}

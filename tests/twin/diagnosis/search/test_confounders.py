@@ -109,7 +109,7 @@ def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it(
     assert min(gains) > 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_quick_gives_the_first_of_two_causes_the_place_of_one_that_explains_more_beside_the_second(
     tmp_path: Path,
 ) -> None:

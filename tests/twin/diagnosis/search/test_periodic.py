@@ -113,7 +113,7 @@ def test_each_recording_settles_at_the_phase_of_its_own() -> None:
     assert fit.theta.value(AMPLITUDE) == pytest.approx(FORCE_N, rel=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_a_confounder_has_the_phases_that_belong_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """What shakes the ball is read late by a lag of the sensor, and not by one of the field."""
     field, sensor = "eddy-current-lag", "position-sensor-lag"

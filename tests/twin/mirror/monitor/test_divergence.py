@@ -133,7 +133,7 @@ def test_the_saddlepoint_holds_for_unequal_weights() -> None:
     assert abs(exceeded - 0.01) < 4.0 * math.sqrt(0.01 / 200_000) + 0.02 * 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.sample
 def test_false_alarms_of_the_whole_mirror_come_at_the_stated_rate() -> None:
     """0.25 s windows, 5 % a window: a flight of 1200 windows, from the rig's own noise through the mirror."""
     stated, window_s, windows = 0.05, 0.25, 1200
