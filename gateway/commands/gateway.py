@@ -23,7 +23,7 @@ from protocol.errors import ConfigError
 if TYPE_CHECKING:  # pydantic takes its time: --help answers at once
     from gateway.config import BoardConfig, GatewayConfig, LogConfig
 
-KEPT = ("keep_days", "keep_gb")  # options, and keys of [log]
+RETENTION = ("keep_days", "keep_gb")  # options, and keys of [log]
 VIEWS = {"opcua": "OPC UA server", "hmi": "control room in a browser", "foxglove": "live Foxglove WebSocket"}
 
 
@@ -99,7 +99,7 @@ def log_options(log: LogConfig, args: argparse.Namespace) -> LogConfig:
 
     if args.lean:
         log = replace(log, raw=False)
-    for name in KEPT:
+    for name in RETENTION:
         if (bound := getattr(args, name)) is not None:
             log = changed(log, f"--{name.replace('_', '-')}", **{name: bound})
     return log

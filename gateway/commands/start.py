@@ -18,7 +18,7 @@ import threading
 from pathlib import Path
 
 from gateway.access.listeners import endpoint_host, is_loopback
-from gateway.commands.gateway import KEPT, add_log_options, log_options
+from gateway.commands.gateway import RETENTION, add_log_options, log_options
 from gateway.commands.gateway import VIEWS as GATEWAY_VIEWS
 from gateway.config import LogConfig
 from gateway.link.port import closed_problem
@@ -147,8 +147,8 @@ def _services(args: argparse.Namespace) -> list[Service]:
         boards = _named(args.board)
     options = ["--listen", args.listen, "--log-dir", str(args.log_dir), "--hmi", args.page]
     options += [f"--{name}" for name in ("lean", *VIEWS) if getattr(args, name)]
-    kept = {name: value for name in KEPT if (value := getattr(args, name)) is not None}
-    options += [f"--{name.replace('_', '-')}={value}" for name, value in kept.items()]
+    retention = {name: value for name in RETENTION if (value := getattr(args, name)) is not None}
+    options += [f"--{name.replace('_', '-')}={value}" for name, value in retention.items()]
     options += [*_limits_of(args), *_repeated("--plant", args.plant or [str(args.rig)] * (args.rig is not None))]
     commands.append(("gateway", [*_repeated("--board", boards), *options]))
     commands.append(("twin", ["--connect", args.listen, "--model", args.model]))

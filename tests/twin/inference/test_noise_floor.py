@@ -15,7 +15,7 @@ from twin.inference.theta import FLOORS
 
 def test_a_right_model_lacks_nothing_under_its_own_floor_alone() -> None:
     rig = strong("air-gap-offset", 2.4e-3, replace(QUIET, process_a_m_s2=FLOORS["process_a_m_s2"]))
-    measured = Floor(sigma_i_c_a=rig.sigma_i_c_a, sigma_x_m=rig.sigma_x_m, measured=True, error=0.0)
+    measured = Floor(sigma_i_c_a=rig.sigma_i_c_a, sigma_x_m=rig.sigma_x_m, measured=True)
     criterion = Criterion(gather([steps(rig, seed=3, seconds=40.0)], PLANT), PLANT, TICK_S, workers=1)
     try:
         loglik = criterion.value(rig)

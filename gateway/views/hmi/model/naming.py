@@ -29,7 +29,7 @@ def rename(
         return refusal("no-campaign", text_of("refusal.no_campaign"))
     title = " ".join(title.split())
     if len(title) > TITLE_LENGTH or not title.isprintable():
-        return refusal("bad-name", text_of("refusal.bad_name", most=TITLE_LENGTH))
+        return refusal("bad-name", text_of("refusal.bad_name", limit=TITLE_LENGTH))
     try:
         (chosen.path / TITLE).write_text(title, encoding="utf-8")
     except OSError as error:

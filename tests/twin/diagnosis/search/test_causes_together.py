@@ -60,7 +60,7 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     assert one.causes == ()  # the other is not among the candidates: nothing leaves noise
     assert set(both.causes) == set(HIDDEN)
     assert not right.material(both.fit.loglik)
-    assert abs(right.excess(both.fit.loglik)) < 3.0 * right.error * right.readings
+    assert abs(right.excess(both.fit.loglik)) < right.tolerance
     assert both.fit.theta.value("quadratic-drag.c_n_s2_m2") == pytest.approx(2.0, rel=0.05)
     assert both.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
 
