@@ -65,7 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     options = argparse.ArgumentParser(add_help=False)
     _add_options(options)
     parser.add_argument("board", help="name of the board")
-    what = parser.add_subparsers(dest="what", required=True, metavar="COMMAND")
+    what = parser.add_subparsers(dest="what", required=True, metavar="COMMAND", prog=f"{parser.prog} BOARD")
     what.add_parser("mode", parents=[options], help="idle, open-loop or closed-loop").add_argument(
         "mode", choices=list(map(str, commands.Mode))
     )

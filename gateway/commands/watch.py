@@ -38,7 +38,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="only this topic; repeat for more (default: those slower than the tick)",
     )
     parser.add_argument(
-        "--table", action="store_true", help="one line per rig, refreshed: mode, x, i_c, measured minus twin, alarms"
+        "--table",
+        action="store_true",
+        help="one line per rig, refreshed: mode, x, reference, i_c, x minus the twin's, alarms",
     )
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="at most one line per key in this time")
     parser.add_argument("--count", type=int, default=0, help="stop after so many lines, or tables")

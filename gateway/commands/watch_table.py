@@ -18,8 +18,9 @@ from protocol.bus import topics
 TABLE_TOPICS = ("states", "status", "alarms", "twin/divergence", "twin/alarm", "twin/alarms")
 FRESH_S = 2.5  # of what comes once a second or more often
 FRESH_ALARMS_S = 12.0  # they come every 5 s, and on change
-COLUMNS = "{:<14} {:<10} {:<11} {:>8} {:>8} {:>8} {:>11} {:>11}  {}"
-HEAD = COLUMNS.format("rig", "link", "mode", "x mm", "x_ref mm", "i_c A", "twin x mm", "twin i_c A", "alarms")
+# 80 columns have room for an alarm.
+COLUMNS = "{:<8} {:<10} {:<11} {:>6} {:>6} {:>6} {:>7}  {}"
+HEAD = COLUMNS.format("rig", "link", "mode", "x mm", "ref mm", "i_c A", "-twin", "alarms")
 
 
 class Table:
@@ -53,18 +54,18 @@ class Table:
             if now_s - at_s < (FRESH_ALARMS_S if topic == "alarms" else FRESH_S)
         }
         status, batch, divergence = latest.get("status"), latest.get("states"), latest.get("twin/divergence")
-        cells = ["-"] * 6
+        cells = ["-"] * 5
         if isinstance(batch, pb.StateBatch):
             state = batch.states[-1]
             cells[0] = pb.Mode.Name(state.mode).removeprefix("MODE_").lower().replace("_", "-")
             for n, (name, scale) in enumerate((("x_m", 1e3), ("x_ref_m", 1e3), ("i_c_a", 1.0)), 1):
                 cells[n] = f"{scale * getattr(state, name):.3f}" if state.HasField(name) else "-"
         if isinstance(divergence, pb.Divergence):
-            cells[4:] = f"{1e3 * divergence.x_m.error:+.3f}", f"{divergence.i_c_a.error:+.3f}"
+            cells[4] = f"{1e3 * divergence.x_m.error:+.3f}"  # mm, measured minus twin
         active = latest.get("alarms")
         names = [alarm.name for alarm in active.active] if isinstance(active, pb.Alarms) else []
         names += [name for name, at_s in self._twin_alarms[rig].items() if now_s - at_s < FRESH_ALARMS_S]
-        link = status.link if isinstance(status, pb.Status) else "no gateway"
+        link = status.link if isinstance(status, pb.Status) else "-" if batch else "no gateway"
         return COLUMNS.format(rig, link, *cells, ", ".join(names) or "-")
 
 

@@ -173,7 +173,7 @@ def test_the_image_can_be_had_for_another_programmer(flash: Flash) -> None:
         (["--port", "/dev/null"], "/dev/null"),
         (["--port", "socket://10.0.0.5:4001"], "not a device of this computer"),
         (["--dry-run", "--x-ground", "0"], "One of the two readings is missing"),
-        (["--dry-run", "--x-ground", "0", "--x-ceiling", "5"], "range of the converter"),
+        (["--dry-run", "--x-ground", "0", "--x-ceiling", "0.5"], "range of the converter"),
         (["--dry-run", "--baud", "230400"], "within 2.5 %"),
         (["--dry-run", "--baud", "7"], "out of range"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -19,6 +20,7 @@ import pytest
 import board51
 from gateway.commands import bench
 from gateway.emulator.serve import Emulator
+from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_endpoint
 from tests.patience import HANG_S
 
@@ -163,6 +165,24 @@ def test_the_version_is_that_of_the_installation_or_of_the_checkout(
     checkout = _answer(["--version"], capsys)
 
     assert checkout == (0, f"board51 {stated} (a checkout, not installed)\n", "")
+
+
+@pytest.mark.parametrize(
+    ("command", "terminal", "speaks"), [("plot", True, True), ("plot", False, False), ("identify", True, False)]
+)
+def test_a_silent_command_gives_signs_of_life_on_a_terminal(
+    command: str, terminal: bool, speaks: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, "isatty", lambda: terminal)
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(board51, "FIRST_SIGN_S", 0.0)
+
+    with board51._signs_of_life(command):
+        if speaks:
+            wait_for(stream.getvalue, "a sign of life")
+
+    assert (f"board51 {command} is working" in stream.getvalue()) == speaks
 
 
 @pytest.mark.parametrize("name", bench.names())

@@ -17,7 +17,7 @@ STATE = pb.State(x_m=3.1234e-3, x_ref_m=3e-3, i_c_a=0.6, mode=pb.MODE_CLOSED_LOO
 
 def table_at_zero() -> Table:
     table = Table()
-    divergence = pb.Divergence(x_m=pb.SignalDivergence(error=-12e-6), i_c_a=pb.SignalDivergence(error=0.025))
+    divergence = pb.Divergence(x_m=pb.SignalDivergence(error=-12e-6))
     for topic, message in (
         ("status", pb.Status(link="streaming")),
         ("states", pb.StateBatch(states=[STATE])),
@@ -33,7 +33,7 @@ def test_a_line_has_link_mode_values_divergence_and_alarms() -> None:
     _, line = table_at_zero().lines(1.0)
 
     assert line.split() == [
-        *("rig1", "streaming", "closed-loop", "3.123", "3.000", "0.600", "-0.012", "+0.025"),
+        *("rig1", "streaming", "closed-loop", "3.123", "3.000", "0.600", "-0.012"),
         *("link-down,", "divergence-x"),
     ]
 
