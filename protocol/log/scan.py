@@ -118,6 +118,7 @@ class Scan:
         # From where, and the next intact chunk: the size if there is none.
         self._searched: tuple[int, int] | None = None
         self.first_ns: int | None = None  # the first log time, by the index
+        self.last_ns: int | None = None  # the last one
         self.indexed = self._read_summary()  # if so, topics and times are known without a pass
 
     def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64) -> Iterator[McapMessage]:
@@ -271,8 +272,9 @@ class Scan:
             return False  # do not use a damaged index: the pass finds the same records in the data
         for kind, content in records(summary):
             if kind == _STATISTICS and len(content) >= 46:
-                count, first_ns = struct.unpack_from("<Q18xQ", content)
-                self.first_ns = first_ns if count else self.first_ns
+                count, first_ns, last_ns = struct.unpack_from("<Q18xQQ", content)
+                if count:
+                    self.first_ns, self.last_ns = first_ns, last_ns
             else:
                 self._take(kind, content)
         return True
