@@ -170,7 +170,7 @@ def from_time(
     repeated = [topic.name for topic in topics.TOPICS if topic.name in topics_ and _REPEATED in topic.rate]
     before = reader.raw(topics_=repeated, boards=boards, start_s=max(0.0, start_s - _REPEATED_S), end_s=start_s)
     newest = {record.key: record._replace(time_ns=at_ns) for record in before} if start_s > 0.0 else {}
-    yield from newest.values()
+    yield from sorted(newest.values(), key=lambda record: record.topic != "parameters")  # it says that a pass begins
     yield from reader.raw(topics_=topics_, boards=boards, start_s=start_s, end_s=end_s)
 
 

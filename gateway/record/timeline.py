@@ -22,6 +22,7 @@ class Extent:
     """The rigs and times of a log, as its index says."""
 
     boards: tuple[str, ...]
+    start_s: float  # Unix time
     duration_s: float
 
 
@@ -34,7 +35,8 @@ def extent(path: Path) -> Extent | None:
     if not scan.indexed or scan.first_ns is None or scan.last_ns is None:
         return None
     boards = {parts[1] for channel in scan.channels.values() if (parts := topics.split(channel.topic)) is not None}
-    return Extent(boards=tuple(sorted(boards)), duration_s=(scan.last_ns - scan.first_ns) / 1e9)
+    duration_s = (scan.last_ns - scan.first_ns) / 1e9
+    return Extent(boards=tuple(sorted(boards)), start_s=scan.first_ns / 1e9, duration_s=duration_s)
 
 
 def timeline(path: Path) -> dict[str, Any]:

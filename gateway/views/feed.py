@@ -37,6 +37,7 @@ from google.protobuf.message import Message
 
 from gateway.board.conditions import LINK
 from gateway.client.connection import BusBoard, Subscription, send
+from gateway.record.replay import SESSIONS_PER_PASS
 from gateway.views.alarms import Alarm, AlarmBook
 from gateway.views.decimate import TopicBins
 from protocol.bus import board51_pb2 as pb
@@ -95,9 +96,11 @@ class Tap(Protocol):
 class BoardFeed:
     """Messages of one board on the bus."""
 
-    def __init__(self, name: str, lock: threading.Lock, now_s: Callable[[], float], *, replayed: bool = False) -> None:
+    def __init__(
+        self, name: str, lock: threading.Lock, now_s: Callable[[], float], *, replay_pass: int | None = None
+    ) -> None:
         self.name = name
-        self._replayed = replayed  # silence is then a pause, and no alarm
+        self.replay_pass = replay_pass  # None: it is live.  The silence of a replay is a pause, and no alarm
         self._lock, self._now_s = lock, now_s
         self._latest: dict[str, Message] = {}
         self._at_s: dict[str, float] = {}
@@ -237,7 +240,7 @@ class BoardFeed:
             )
 
     def _judge(self) -> None:
-        if self._replayed:
+        if self.replay_pass is not None:
             return
         link = self.link()
         twin_s = min(self.age_s(pb.TwinAlarms), self._now_s() - self._back_s)
@@ -297,7 +300,7 @@ class Feed:
             return board is not None and board.is_unseen() and self._boards.pop(name) is board
 
     def forget(self) -> None:
-        """Forget all boards until their next messages: a replay begins, or goes on elsewhere."""
+        """Forget all boards until their next messages: a replay begins."""
         with self._lock:
             self._boards.clear()
 
@@ -356,14 +359,15 @@ class Feed:
             return
         with self._lock:
             board = self._boards.get(address[1])
-            if board is None:
+            replay_pass = _pass_of(message) if self._replays else None
+            if board is None or replay_pass not in (None, board.replay_pass):
                 if topics.TOPIC_OF_NAME[address[2]].source != "gateway" and not self._replays:
                     return
                 if len(self._boards) >= MAX_BOARDS:
                     self.refused += 1
                     return
                 board = self._boards[address[1]] = BoardFeed(
-                    address[1], self._lock, self._now_s, replayed=self._replays
+                    address[1], self._lock, self._now_s, replay_pass=(replay_pass or 0) if self._replays else None
                 )
             now_ns = time.time_ns()
             for part in message.states if isinstance(message, pb.StateBatch) else (message,):
@@ -374,3 +378,11 @@ class Feed:
         board = self._boards.get(rest.partition("/")[0])
         if board is not None:
             board.alive = sample.kind == zenoh.SampleKind.PUT
+
+
+def _pass_of(message: Message) -> int | None:
+    """Return the pass of a replay to which a message belongs: after a seek nothing of before is true."""
+    if isinstance(message, pb.StateBatch):
+        message = message.states[0] if message.states else message
+    session: int | None = getattr(message, "session", None)
+    return None if session is None else session // SESSIONS_PER_PASS

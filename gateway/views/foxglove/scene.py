@@ -32,7 +32,11 @@ from protocol.plant import steel_ball_m
 PERIOD_NS = 40_000_000  # 25 Hz: a picture is smooth, and a hundredth of the samples' bytes
 LIFETIME_S = 1
 TWIN_AGE_S = 0.5  # an older sample of the twin is no part of the picture
-_COIL, _CORE, _PLATE = Color(r=0.72, g=0.45, b=0.2, a=0.5), Color(r=0.35, g=0.35, b=0.4, a=1.0), Color(g=0.0, a=0.3)
+_COIL, _CORE, _PLATE = (
+    Color(r=0.72, g=0.45, b=0.2, a=0.5),
+    Color(r=0.35, g=0.35, b=0.4, a=1.0),
+    Color(r=0.5, g=0.5, b=0.5, a=0.6),
+)
 _BALL, _TWIN = Color(r=0.75, g=0.78, b=0.82, a=1.0), Color(r=1.0, g=0.5, b=0.05, a=0.4)
 
 

@@ -196,8 +196,6 @@ class Actions:
             return refused
         if not _ORDER.fullmatch(order):
             return refusal("malformed", text_of("replay.no_order"))
-        if order.startswith("seek"):
-            self._replayed.forget()  # events and alarms of another time
         if self.jobs.tell("replay", "*", order):
             return pb.CommandReply(accepted=True)
         return refusal("not-running", text_of("job.not_running"))

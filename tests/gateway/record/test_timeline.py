@@ -44,7 +44,7 @@ def test_a_finished_log_says_how_long_it_is_and_of_which_rigs(tmp_path: Path) ->
     known = extent(tmp_path / "a.mcap")
 
     assert known is not None
-    assert (known.boards, known.duration_s) == (("rig1", "rig2"), 10.0)
+    assert (known.boards, known.start_s, known.duration_s) == (("rig1", "rig2"), 1.7e9, 10.0)
     assert extent(tmp_path / "open.mcap") is None
     assert extent(tmp_path / "absent.mcap") is None
 

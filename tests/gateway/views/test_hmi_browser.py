@@ -198,8 +198,7 @@ def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(pag
     page.goto(f"{rig.url}/logs")
     row = page.locator(".file", has_text="recordings/").first
     row.get_by_role("button", name="Replay").click()
-    page.wait_for_url("**/replay/")
-    page.goto(f"{rig.url}/replay/rig")
+    page.wait_for_url("**/replay/rig")
 
     expect(page.locator(".replay-banner")).to_contain_text("NOT LIVE")
     page.wait_for_selector("body[data-live=yes]")

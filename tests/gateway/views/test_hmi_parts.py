@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import board51
 from gateway.access.roles import Role
+from gateway.record.writer import LogWriter
 from gateway.views.hmi.actions import Routes, slug
 from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.html.render import render
@@ -18,7 +21,9 @@ from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import travel_of
 from gateway.views.hmi.sessions import MAX_SESSIONS, LoginSessions
 from gateway.views.hmi.snapshot import describe, rest
+from gateway.views.hmi.summaries import MAX_BYTES, timeline
 from gateway.views.hmi.traces import MAX_ROWS, Traces
+from gateway.views.hmi.turns import Turns
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError
 from tests.harness.gateway.bus_peers import feed_of, played_gateway
@@ -320,3 +325,18 @@ def test_a_port_in_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
         assert board51.main(["hmi", "--listen", f"127.0.0.1:{port}"]) == 1
 
     assert f"Cannot listen on 127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
+
+
+def test_a_log_that_takes_too_long_to_read_has_a_timeline_without_marks(tmp_path: Path) -> None:
+    async def leave() -> None:
+        raise AssertionError("nobody waits")
+
+    writer = LogWriter(tmp_path / "flight.mcap")
+    for at_s in (0, 60):
+        writer.write("board51/rig/state", pb.State(tick=at_s).SerializeToString(), (1_700_000_000 + at_s) * 10**9)
+    writer.close()
+    (entry,) = Library({"logs": tmp_path}, "*.mcap").entries()
+
+    known = json.loads(asyncio.run(timeline(Turns(), replace(entry, bytes=MAX_BYTES + 1), leave())) or "")
+
+    assert known == {"start_s": 1.7e9, "duration_s": 60.0, "marks": []}

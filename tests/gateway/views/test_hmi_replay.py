@@ -14,7 +14,8 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway import hmi_peers
 from tests.harness.gateway.bus_peers import played_gateway
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM
-from tests.harness.gateway.hmi_peers import hmi
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.hmi_peers import frame, hmi
 
 pytestmark = [pytest.mark.xdist_group("hmi-replay"), pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)]
 START_NS = 1_700_000_000_000_000_000
@@ -62,6 +63,8 @@ def page(browser: Browser, port: int) -> Iterator[Page]:
     visitor = hmi_peers.Page(port)
     visitor.open()
     visitor.post("/api/*/job", {"kind": "replay", "act": "stop"})
+    with visitor.live("/live-replay") as live:
+        wait_for(lambda: not frame(live)["jobs"].get("replay", {}).get("running"), "its end")
     context.close()
     assert errors == []
 
