@@ -61,7 +61,6 @@
 #define B51_DAC_LOOK_CYCLES 4000U /* 0.25 ms between two of them */
 
 #define B51_STACK_PATTERN 0xC5U
-#define B51_STACK_CANARY 4U /* bytes: what a call and an interrupt push at once does not leap over it */
 
 /* Bytes, powers of two: what a tick of 2 ms brings at 250000, and what leaves within 1 ms at 115200. */
 #define B51_RX_RING 64U

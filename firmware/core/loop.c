@@ -36,7 +36,6 @@ void b51_loop_set_mode(uint8_t mode) {
 /* At once, not at the next tick. */
 void b51_loop_switch_off(void) {
     b51_loop_set_mode(B51_MODE_IDLE);
-    b51_board.loop.u = 0;
     b51_output_write(0);
 }
 

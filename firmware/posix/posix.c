@@ -102,13 +102,13 @@ void b51_hal_restart(void) {
     here->restart = true;
 }
 
-/* Its stack is the computer's, and its converter has no memory. */
+/* Its stack is the computer's: it breaks where the caller says so.  Its converter has no memory. */
 bool b51_hal_stack_is_intact(void) {
-    return true;
+    return !here->stack_broken;
 }
 
 uint16_t b51_hal_stack_free(void) {
-    return UINT16_MAX;
+    return here->stack_broken ? 0U : UINT16_MAX;
 }
 
 uint16_t b51_hal_input_at_power_on(void) {
@@ -138,6 +138,7 @@ static void boot(uint8_t cause) {
     here->dropped += b51_board.queues.dropped;
     here->cause = cause;
     here->hung_ticks = 0;
+    here->stack_broken = false;
     here->delimiters = 0;
     here->restart = false;
     b51_board_boot();
@@ -194,6 +195,11 @@ void b51_posix_late(struct b51_posix_board *to) {
     enter(to);
     b51_board_late();
     show();
+}
+
+/* The end of the stack is overwritten, until the next reset. */
+void b51_posix_break_stack(struct b51_posix_board *to) {
+    to->stack_broken = true;
 }
 
 /* What goes wrong with the converter of u_c from now on; 0: nothing. */

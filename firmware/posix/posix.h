@@ -38,7 +38,7 @@ struct b51_posix_board {
     uint16_t i, x, u;
     uint16_t resets;
     uint8_t cause, hung_ticks, dead_ticks, room, sent_count, delimiters;
-    bool tick_due, restart;
+    bool tick_due, restart, stack_broken;
     uint8_t output_fault; /* OUTPUT_DEAF, OUTPUT_STUCK, or 0 */
 };
 
@@ -49,6 +49,7 @@ void b51_posix_close(const struct b51_posix_board *to);
 void b51_posix_reset(struct b51_posix_board *to, uint8_t cause);
 void b51_posix_hang(struct b51_posix_board *to);
 void b51_posix_late(struct b51_posix_board *to);
+void b51_posix_break_stack(struct b51_posix_board *to);
 void b51_posix_fail_output(struct b51_posix_board *to, uint8_t fault);
 void b51_posix_store(struct b51_posix_board *to, const struct b51_settings *settings);
 void b51_posix_feed(struct b51_posix_board *to, const uint8_t *data, uint32_t count);

@@ -53,6 +53,7 @@ EVENTS = {
     "reset": "the board loses power for a moment",
     "watchdog": "the firmware hangs and the watchdog resets it 50 ms later",
     "overrun": "a control tick takes longer than T_s",
+    "stack": "the end of the board's stack is overwritten",
 }
 _NAMES = LASTING | SPANS | OUTPUTS | EVENTS
 HELP = "\n".join(

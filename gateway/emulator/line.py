@@ -56,6 +56,9 @@ class Board(Protocol):
     def overrun(self) -> None:
         """Let the board report the next tick as late."""
 
+    def break_stack(self) -> None:
+        """Overwrite the end of the stack, until the next reset."""
+
     def fail_output(self, fault: OutputFault) -> None:
         """Let the converter of u_c fail from now on, or work again."""
 
@@ -182,6 +185,8 @@ class BoardLine:
                 self.power_cycle()
             elif fault.name == "watchdog":
                 self.firmware.hang()
+            elif fault.name == "stack":
+                self.firmware.break_stack()
             else:
                 self.firmware.overrun()
         self._follow_output()

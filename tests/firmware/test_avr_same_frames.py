@@ -87,9 +87,12 @@ class Pair:
         self.core_events += self._decoders[1].feed(take_output(self.core))
 
 
+OF_THE_CHIP = {"adc_bits", "build", "stack_free", "u_power_on"}
+
+
 @dataclass
 class Kinds:
-    """Each kind of frame in its order; the resolution of the converters and the build may differ."""
+    """Each kind of frame in its order; resolution of the converters, build, stack and converter are the chip's."""
 
     states: list[State] = field(default_factory=list)
     events: list[Message] = field(default_factory=list)
@@ -105,7 +108,7 @@ class Kinds:
             elif event.name == "EVENT":
                 found.events.append(event)
             else:
-                values = {name: value for name, value in event.values.items() if name not in ("adc_bits", "build")}
+                values = {name: value for name, value in event.values.items() if name not in OF_THE_CHIP}
                 found.answers.append(replace(event, values=values))
         return found
 

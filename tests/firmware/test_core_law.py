@@ -9,8 +9,8 @@ import pytest
 
 from gateway.emulator.firmware_model.flash import GAINS, K_PID, OPERATING_POINT, gains_in_counts
 from gateway.emulator.firmware_model.law import ControlLaw, Gains
-from protocol.wire.messages import Law
-from tests.harness.firmware.core import Core
+from protocol.wire.messages import Law, Shape
+from tests.harness.firmware.core import Core, CSignal
 from twin.control import rounded
 
 FLOWN = (GAINS, gains_in_counts(Law.PID, K_PID, OPERATING_POINT))
@@ -123,3 +123,12 @@ def test_within_two_counts_of_its_ends_the_integral_is_that_of_python(core: Core
 
         assert core.run(0, 2000, 2000 + error) == python.run(0, 2000, 2000 + error)
         assert core.law.sum == python.sum, (total, error)
+
+
+def test_the_next_value_of_a_signal_is_computed_ahead(core: Core) -> None:
+    """Else the tick would compute it, and u_c would be out later with a signal than without."""
+    core.c.b51_excitation_start(CSignal(shape=Shape.STEP, amplitude=1, offset=10, period=1, duration=1))
+
+    assert not core.c.b51_excitation_done()
+    core.c.b51_loop_play_ahead()
+    assert core.c.b51_excitation_done()

@@ -41,6 +41,15 @@ def fail_writes(host: Host, bench: Bench) -> None:
     host.run(6)
 
 
+def break_stack(host: Host, bench: Bench) -> None:
+    host.firmware.break_stack()
+    host.run(1)
+    assert host.details(EventCode.STACK_FAULT) == [0]
+    host.ask("SET_MODE", mode=Mode.CLOSED_LOOP)  # no command ends it
+    host.run(1)
+    assert host.details(EventCode.STACK_FAULT) == [0, 0]
+
+
 def reset(host: Host, bench: Bench) -> None:
     host.firmware.reset(EventCode.RESET_WATCHDOG)
     host.run(20)
@@ -55,6 +64,7 @@ ACTIONS: dict[str, Action] = {
     "i_c at its top for 50 ticks": read(i_a=FULL_A, ticks=51),
     "x at an end for 500 ticks": read(x_m=TOP_M, ticks=501),
     "5 writes of u_c not confirmed": fail_writes,
+    "the end of the stack overwritten": break_stack,
     "a reset": reset,
 }
 

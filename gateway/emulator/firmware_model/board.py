@@ -140,6 +140,10 @@ class Firmware:
             self._ticks_since_overrun_event = 0
             self._emit(EventCode.OVERRUN, 0)
 
+    def break_stack(self) -> None:
+        """Overwrite the end of the board's stack, until its next reset."""
+        self.loop.stack_broken = True
+
     def fail_output(self, fault: OutputFault) -> None:
         """Let the converter of u_c fail from now on, or work again."""
         self._converter.fault = fault
@@ -306,8 +310,9 @@ class Firmware:
                 self._host.policy, self._host.timeout_ms = HostLoss(message.int("policy")), message.int("timeout")
             case "GET_PARAMETERS":
                 return parameters(self.loop, self._divider, self._host.policy, self._host.timeout_ms)
-            case "GET_HEALTH":  # a model has no stack, and its converter no memory
-                return Acceptance("HEALTH", {"stack_free": NOT_KNOWN, "u_power_on": NOT_KNOWN})
+            case "GET_HEALTH":  # a model has no stack of its own, and its converter no memory
+                free = 0 if self.loop.stack_broken else NOT_KNOWN
+                return Acceptance("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:

@@ -80,6 +80,7 @@ class ControlLoop:
         self.fault = False
         self.host_lost = False
         self.overrun = False
+        self.stack_broken = False
         self.gains_tick = 0
         self.excitation: Excitation | None = None
         self.capture: FirmwareCapture | None = None
@@ -205,7 +206,9 @@ class ControlLoop:
         self._sensor_ticks = self._sensor_ticks + 1 if clipped else 0
         if self.fault:
             return
-        if self._over_current_ticks >= OVER_CURRENT_TICKS:
+        if self.stack_broken:
+            self._fail(EventCode.STACK_FAULT, 0)
+        elif self._over_current_ticks >= OVER_CURRENT_TICKS:
             self._fail(EventCode.OVER_CURRENT, i)
         elif self._sensor_ticks >= SENSOR_FAULT_TICKS:
             self._fail(EventCode.SENSOR_FAULT, x)

@@ -77,6 +77,10 @@ class NativeFirmware:
         """Let the board report the next tick as late."""
         self._library.b51_posix_late(self._board)
 
+    def break_stack(self) -> None:
+        """Overwrite the end of the board's stack, until its next reset."""
+        self._library.b51_posix_break_stack(self._board)
+
     def fail_output(self, fault: OutputFault) -> None:
         """Let the converter of u_c fail from now on, or work again."""
         self._library.b51_posix_fail_output(self._board, int(fault))

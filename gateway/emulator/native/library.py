@@ -70,6 +70,7 @@ _FUNCTIONS = {  # name: result, arguments behind the board
     "b51_posix_reset": (None, (c_uint8,)),
     "b51_posix_hang": (None, ()),
     "b51_posix_late": (None, ()),
+    "b51_posix_break_stack": (None, ()),
     "b51_posix_fail_output": (None, (c_uint8,)),
     "b51_posix_store": (None, (POINTER(CSettings),)),
     "b51_posix_feed": (None, (c_char_p, c_uint32)),

@@ -109,6 +109,7 @@ MORE_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "slew rate": ({"effects": {"slew-rate-limit": 100.0}}, "time-constant"),
     "a tick late": ({"effects": {"actuation-delay": 0.002}}, "delay"),
     "late ticks": ({"faults": ["overrun@1/0.01"]}, "overruns"),
+    "a stack that is too deep": ({"faults": ["stack@1"]}, "reported-stack-fault"),
     "frames not counted": ({"firmware": CountsNothing}, "unaccounted"),
 }
 

@@ -45,6 +45,7 @@ _FUNCTIONS = {
     "b51_excitation_start": (None, (POINTER(CSignal),)),
     "b51_excitation_done": (c_bool, ()),
     "b51_excitation_next": (c_uint16, ()),
+    "b51_loop_play_ahead": (None, ()),
     "b51_crc_of": (c_uint16, (c_char_p, c_uint8)),
     "b51_frame_encode": (c_uint8, (c_char_p, c_uint8, c_char_p)),
     "b51_frame_decode": (c_uint8, (c_char_p, c_uint8)),

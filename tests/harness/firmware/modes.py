@@ -26,9 +26,9 @@ _BOX = (120, 44)
 # Where an arrow begins and ends, and its text: x, y of the first line.
 _ARROWS = {
     (Mode.IDLE, Mode.OPEN_LOOP): ("M130 256 516 54", (150, 140)),
-    (Mode.OPEN_LOOP, Mode.IDLE): ("M520 80 194 268", (380, 182)),
+    (Mode.OPEN_LOOP, Mode.IDLE): ("M520 80 194 268", (380, 176)),
     (Mode.IDLE, Mode.CLOSED_LOOP): ("M130 304 516 506", (130, 420)),
-    (Mode.CLOSED_LOOP, Mode.IDLE): ("M520 482 194 294", (380, 300)),
+    (Mode.CLOSED_LOOP, Mode.IDLE): ("M520 482 194 294", (380, 292)),
     (Mode.OPEN_LOOP, Mode.CLOSED_LOOP): ("M600 86V476", (612, 460)),
     (Mode.CLOSED_LOOP, Mode.OPEN_LOOP): ("M560 478V88", (612, 112)),
 }
