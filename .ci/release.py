@@ -1,4 +1,4 @@
-"""Build the release: sdist and wheel of the last commit, the firmware's images, and print their sizes and hashes.
+"""Build the release: sdist, wheel, firmware images and bill of materials of the last commit, with sizes and hashes.
 
 The wheel is built from the sdist, so the sdist is complete.  Two builds of a commit with the same lock are equal to
 the byte, wherever and by whomever they are made: files of git alone, fixed modes, and the time of the commit.  So are
@@ -23,6 +23,7 @@ import zipfile
 from pathlib import Path
 
 from packaging.metadata import Metadata
+from sbom import bill
 
 ROOT = Path(__file__).resolve().parents[1]
 BACKEND = "import sys, setuptools.build_meta as backend; getattr(backend, sys.argv[1])(sys.argv[2])"
@@ -41,7 +42,7 @@ def main() -> int:
     os.environ["SOURCE_DATE_EPOCH"] = git("log", "-1", "--format=%ct")
     args.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        built = [*build(Path(folder)), *build_images(Path(folder), dirty=bool(changed))]
+        built = [*build(Path(folder)), *build_images(Path(folder), dirty=bool(changed)), bill_of(Path(folder))]
         for path in built:
             shutil.copyfile(path, args.out / path.name)
     for path in built:
@@ -92,6 +93,14 @@ def build_images(folder: Path, *, dirty: bool) -> list[Path]:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     images = sorted((folder / "images").glob("*.hex"))
     return [image.rename(folder / f"board51-{version}-{image.name}") for image in images]
+
+
+def bill_of(folder: Path) -> Path:
+    """Return the bill of materials of what an installation with all parts brings."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    path = folder / f"{project['name']}-{project['version']}.cdx.json"
+    path.write_text(bill(ROOT / "requirements-run.lock", name=project["name"], version=project["version"]), "utf-8")
+    return path
 
 
 def normalise(sdist: Path) -> None:
