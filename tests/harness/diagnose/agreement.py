@@ -57,7 +57,8 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
         if beyond:
             yield f"{verdict}, and the judge recordings lie surely above the noise floor: {low:.3f} times at least"
     if verdict in ("partly-explained", "unknown-cause"):
-        if left == 0.0 and not beyond and not data["unexplained"]["where"]:
+        rivalled = any(cause.get("rival") for cause in _listed(data))  # what is not known is then where it belongs
+        if left == 0.0 and not beyond and not data["unexplained"]["where"] and not rivalled:
             yield f"{verdict}, and nothing is said to be left"
         if not data["unexplained"]["where"] and not data["warnings"]:
             yield f"{verdict} without a word on what is left"

@@ -33,7 +33,7 @@ def test_a_curve_takes_the_place_of_the_names_that_it_replaces_and_its_model_run
     assert "a force that depends on the height alone" in found["sentence"]
     left = found["remainder"]
     assert left["judge"]["extended_rmse_m"] <= left["judge"]["causes_rmse_m"]
-    assert left["judge"]["extended_rmse_m"] < 1.05 * left["judge"]["floor_rmse_m"]
+    assert left["judge"]["extended_rmse_m"] < 1.05 * left["judge"]["noise_floor_m"]
     (curve,) = left["curves"]
     assert curve["name"] == "force-over-height"
     assert np.shape(curve["at"]) == np.shape(curve["mean"]) == np.shape(curve["ci95"][0])
