@@ -4,8 +4,9 @@
 // was last known is marked as such wherever it stands.
 
 import { follow, limits, showJobs } from "./acts.js";
+import { alarmWords, counted, showAlarms, showJournal } from "./alarms.js";
 import { Ball } from "./ball.js";
-import { $, $$, cell, put } from "./dom.js";
+import { $, cell, fill, put } from "./dom.js";
 import { Line } from "./line.js";
 import { History } from "./history.js";
 import { Plots } from "./plots.js";
@@ -42,6 +43,7 @@ function take(frame) {
     limits(rest);
     document.dispatchEvent(new CustomEvent("board51-rest", { detail: rest }));
   }
+  if (frame.journal) showJournal(frame.journal);
   if (frame.jobs) showJobs((jobs = frame.jobs));
   if (frame.left_s !== undefined) sessionLeft(frame.left_s);
   for (const row of frame.past ?? []) history.fold(row);
@@ -139,26 +141,11 @@ function told(gone, serverGone) {
             writing ? "good" : status.log_state === "off" ? "warn" : "bad", old);
   if (status.to_board === "unanswered") chip("to-board", textOf("rig.no_answer"), "bad", old);
   else put("to-board", "", "none");
-  if (counted) chip("alarm-count", ...counted, serverGone);
+  if (alarmsNow) chip("alarm-count", ...alarmsNow, serverGone);
 }
 
 const HEALTH = textsOf("health");
-function toModel() {
-  const link = cell("a", textOf("alarm.to_model"), "to-model");
-  link.href = `/model/${page.board}`;
-  return link;
-}
-
-const filled = {};
-let counted = null; // of the alarms: words, state
-
-// Only what changed is made anew: a button that is replaced between press and release is never clicked.
-function fill(name, data, row, empty) {
-  const text = JSON.stringify(data);
-  if (filled[name] === text && $(name)?.childElementCount) return;
-  filled[name] = text;
-  for (const place of $$(name)) place.replaceChildren(...(data.length ? data.map(row) : [cell("div", empty, "empty")]));
-}
+let alarmsNow = null; // words, state
 
 function lists() {
   const status = rest.status;
@@ -179,25 +166,9 @@ function lists() {
       return row;
     }, textOf("rig.no_health"));
   }
-  fill("alarms", rest.alarms, (alarm) => {
-    const row = cell("div", "", "alarm");
-    row.dataset.state = alarm.active ? (alarm.severity === "fault" ? "fault" : "warning") : "gone";
-    const { since, times } = alarm;
-    row.append(cell("span", textsOf("alarm_state")[row.dataset.state], "standing"), cell("span", alarm.name, "name"),
-               cell("span", times > 1 ? textOf("alarm.times", { since, times }) : since, "at"));
-    if (alarm.acknowledged) row.append(cell("span", textOf("alarm.acknowledged", { name: alarm.by }), "seen"));
-    else if (may.has("acknowledge")) {
-      const button = cell("button", textOf("alarm.acknowledge"), "ack");
-      button.dataset.act = "acknowledge";
-      button.dataset.name = alarm.name;
-      row.append(button);
-    }
-    row.append(cell("div", alarm.text, "text"));
-    if (alarm.model && !page.replay) row.append(toModel()); // the model's page is that of the live rig
-    return row;
-  }, textOf("alarm.none"));
-  const active = rest.alarms.filter((a) => a.active), fault = active.some((a) => a.severity === "fault");
-  counted = [alarmWords(active.length, rest.alarms.length - active.length, fault), fault ? "bad" : rest.alarms.length ? "warn" : "good"];
+  showAlarms(rest.alarms);
+  alarmsNow = counted(rest.alarms);
+  put("alarm-tab", String(rest.alarms.filter((alarm) => alarm.active && alarm.group !== "shelved").length || ""), alarmsNow[1]);
   fill("events", rest.events, (event) => {
     const row = cell("div", "", "entry");
     row.dataset.state = event.severity;
@@ -213,14 +184,6 @@ function lists() {
     return row;
   }, textOf("rig.no_commands"));
   ball?.setTravel(rest.travel_m);
-}
-
-// How many alarms hold; those that are gone and wait to be acknowledged are not counted among them.
-function alarmWords(active, gone, fault) {
-  const ended = { gone: textOf("alarm.gone_count", { count: gone }) };
-  if (!active) return gone ? textOf("alarm.none_active", ended) : textOf("alarm.none");
-  const mark = fault ? "\u2716" : "\u25b2", words = active > 1 ? textOf("alarm.many", { mark, count: active }) : textOf("alarm.one", { mark });
-  return gone ? textOf("alarm.with_gone", { active: words, ...ended }) : words;
 }
 
 const cards = new Map();
@@ -276,7 +239,7 @@ function overview() {
     parts.x.textContent = live ? textOf("overview.position", { x: shown(board.x_m, 1e3, 3) }) : absent;
     const state = { x_ref: shown(board.x_ref_m, 1e3, 3), mode: modeWords(board.mode), coil: COILS[board.coil] };
     parts.text.textContent = live ? textOf("overview.state", state) : board.reason;
-    parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault);
+    parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault, board.shelved);
   }
 }
 
