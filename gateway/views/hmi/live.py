@@ -163,10 +163,16 @@ class Live:
     async def overview(self, socket: WebSocket) -> None:
         """A line of each board."""
         feed = self._snapshots.feed
+        known: set[str] = set()
 
         def frame(_: float) -> dict[str, Any]:
             boards = [board for board in map(feed.board, feed.boards()) if board is not None]
-            return {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
+            made = {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
+            new = [board for board in boards if board.name not in known]
+            if new:  # the page makes the rest of its lines from the frames
+                made["sparks"] = {board.name: self._snapshots.traces(board).spark() for board in new}
+                known.update(board.name for board in new)
+            return made
 
         await self._serve(socket, frame, OVERVIEW_S)
 

@@ -4,11 +4,12 @@
 // was last known is marked as such wherever it stands.
 
 import { follow, limits, showJobs } from "./acts.js";
-import { alarmWords, counted, showAlarms, showJournal } from "./alarms.js";
+import { counted, showAlarms, showJournal } from "./alarms.js";
 import { Ball } from "./ball.js";
 import { $, cell, fill, put } from "./dom.js";
 import { Line } from "./line.js";
 import { History } from "./history.js";
+import { remember, showBoards } from "./overview.js";
 import { Plots } from "./plots.js";
 import { standAt, standing, still } from "./replay.js";
 import { may, page } from "./server.js";
@@ -35,7 +36,7 @@ const liveLine = page.replay ? new Line("/live", (frame) => (liveRigs = frame.bo
 
 function take(frame) {
   drawSoon();
-  if (frame.boards) boards = frame.boards;
+  if (frame.boards) remember((boards = frame.boards), frame.sparks);
   if (frame.now) now = frame.now;
   if (frame.rest) {
     rest = frame.rest;
@@ -186,66 +187,34 @@ function lists() {
   ball?.setTravel(rest.travel_m);
 }
 
-const cards = new Map();
-
-function card(name) {
-  const box = cell("div", "", "board-card"), link = cell("a", "", "board-link-all");
-  link.href = `${page.prefix}/${name}`;
-  const head = cell("div", "", "board-head");
-  const parts = { link: cell("span", "", "board-link"), x: cell("div", "", "board-x"), text: cell("div", "", "board-text"), alarms: cell("div", "", "board-alarms") };
-  head.append(cell("span", name, "board-name"), parts.link);
-  link.append(head, parts.x, parts.text, parts.alarms);
-  box.append(link);
-  if (!page.replay) {
-    const stop = cell("button", textOf("stop.button_of", { rig: name }), "stop-one");
-    Object.assign(stop.dataset, { act: "stop", board: name });
-    stop.type = "button";
-    box.append(stop);
-  }
-  if (may.has("acknowledge")) {
-    parts.remove = cell("button", textOf("overview.remove", { rig: name }), "plain");
-    Object.assign(parts.remove.dataset, { act: "remove", board: name });
-    Object.assign(parts.remove, { type: "button", hidden: true });
-    box.append(parts.remove);
-  }
-  return { box, parts };
-}
-
 const NOBODY = page.replay ? textOf("overview.nothing_replayed") : textOf("overview.waiting");
 
 function overview() {
-  const place = $("boards");
   if (page.board) return;
   const gap = line.gap(), gone = gap > FRAME_LIMIT_S;
   put("lost", gone ? textOf("line.no_server", { seconds: gap.toFixed(0) }) : "", gone ? "bad" : "none");
-  if (!place) return;
-  for (const name of [...cards.keys()].filter((one) => !boards?.some((board) => board.name === one))) {
-    cards.get(name).box.remove();
-    cards.delete(name);
-  }
-  if (!boards?.length) {
-    if (!place.childElementCount) place.append(cell("div", NOBODY, "empty"));
-    return;
-  }
-  if (!cards.size) place.replaceChildren();
-  for (const board of boards) {
-    if (!cards.has(board.name)) cards.set(board.name, card(board.name));
-    const { box, parts } = cards.get(board.name), live = (board.link === "live" || stands()) && !gone;
-    if (box.parentElement !== place) place.append(box);
-    if (parts.remove) parts.remove.hidden = !board.unseen || gone;
-    box.dataset.state = !live || board.fault ? "bad" : board.alarms + board.gone ? "warn" : "good";
-    parts.link.textContent = gone ? LINK["no-server"] : linkWords(board.link);
-    const absent = board.age_s === null ? textOf("overview.no_data") : textOf("overview.no_data_for", { seconds: Math.round(board.age_s) });
-    parts.x.textContent = live ? textOf("overview.position", { x: shown(board.x_m, 1e3, 3) }) : absent;
-    const state = { x_ref: shown(board.x_ref_m, 1e3, 3), mode: modeWords(board.mode), coil: COILS[board.coil] };
-    parts.text.textContent = live ? textOf("overview.state", state) : board.reason;
-    parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault, board.shelved);
-  }
+  showBoards(boards, gone, NOBODY, (board) => {
+    const live = (board.link === "live" || stands()) && !gone, link = gone ? LINK["no-server"] : linkWords(board.link);
+    if (live) {
+      const state = { x_ref: shown(board.x_ref_m, 1e3, 3), mode: modeWords(board.mode), coil: COILS[board.coil] };
+      return { live, link, x: textOf("overview.position", { x: shown(board.x_m, 1e3, 3) }), text: textOf("overview.state", state) };
+    }
+    const x = board.age_s === null ? textOf("overview.no_data") : textOf("overview.no_data_for", { seconds: Math.round(board.age_s) });
+    return { live, link, x, text: board.reason };
+  });
 }
 
 // --- drawing ------------------------------------------------------------------------------------------------------
 
 let plots = null, ball = null;
+
+for (const button of document.querySelectorAll("[data-tab-of]")) {
+  button.onclick = () => {
+    document.querySelector("main").dataset.tab = button.dataset.tabOf;
+    for (const other of document.querySelectorAll("[data-tab-of]")) other.setAttribute("aria-pressed", String(other === button));
+    scrollTo(0, 0);
+  };
+}
 
 function setUp() {
   if (plots || !$("plot-x")) return;
