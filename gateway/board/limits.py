@@ -36,6 +36,7 @@ MAX_ID = 128
 MAX_WHO = 128
 MAX_TEXT = 200  # characters of a remark, of a comment
 MAX_ALARM = 64
+MAX_SHELVE_S = 86400.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +80,8 @@ def _form(command: pb.Command) -> Refusal | None:
     if command.WhichOneof("what") == "acknowledge" and not 0 < len(command.acknowledge.alarm) <= MAX_ALARM:
         text = f"An alarm's name has 1 to {MAX_ALARM} characters, not {len(command.acknowledge.alarm)}."
         return Refusal("malformed", text)
+    if not 0.0 <= command.acknowledge.shelve_s <= MAX_SHELVE_S:
+        return Refusal("out-of-range", f"An alarm can be shelved for 0 to {MAX_SHELVE_S:g} s.")
     if command.WhichOneof("what") is None:
         return Refusal("empty-command", "The command has no action, or one that this gateway does not know.")
     wrong = next((name for name, value in _numbers(command) if not math.isfinite(value)), None)

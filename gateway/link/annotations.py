@@ -1,4 +1,4 @@
-"""Remarks and acknowledgements of alarms: commands that are not sent to the board.  No I/O.
+"""Remarks, and acknowledgements and shelvings of alarms: commands that are not sent to the board.  No I/O.
 
 Rule 1: an acknowledgement refers to a name, because the gateway does not know all alarms: the twin and the views raise
         alarms, too.  It applies to the alarm that is active under that name on arrival, not to a later one.
@@ -28,7 +28,7 @@ class Annotations:
         if command.WhichOneof("what") == "mark":
             name, remark = "mark", command.mark.text
         else:
-            name = "acknowledged"
+            name = "shelved" if command.acknowledge.shelve_s else "acknowledged"
             remark = " ".join(part for part in (command.acknowledge.alarm, command.acknowledge.comment) if part)
             self._keep(command.acknowledge, who, host_ns)
         text = "".join(c if c.isprintable() else " " for c in f"{who}: {remark}")
@@ -40,4 +40,5 @@ class Annotations:
     def _keep(self, acknowledge: pb.Acknowledge, who: str, host_ns: int) -> None:
         remaining = [entry for entry in self.acknowledged if entry.alarm != acknowledge.alarm][-(MAX_RETAINED - 1) :]
         new = pb.Acknowledgement(alarm=acknowledge.alarm, who=who, host_time_ns=host_ns, comment=acknowledge.comment)
+        new.shelve_s = acknowledge.shelve_s
         self.acknowledged = (*remaining, new)

@@ -16,6 +16,8 @@ Rule 3: memory is bounded, because names come from the bus.  Beyond MAX_ALARMS t
 Rule 4: times are from the clock of the source: gateway, twin, or this host for conditions that the views detect.
 Rule 5: an acknowledgement from any view applies to earlier alarms only; an alarm that is raised again needs a new one.
 Rule 6: `revision` rises with each change that a screen would show.
+Rule 7: a shelved alarm (ISA-18.2) is acknowledged until its time is over, whether it goes and comes or not.  Then it
+        calls again if it is active.  A plain acknowledgement ends the shelving before that.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from dataclasses import dataclass, replace
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD
 from gateway.board.faults import BOARD_FAULTS, COIL, FAULT, FAULT_TEXT
+from gateway.views.journal import Entry, Journal
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 
@@ -44,12 +47,19 @@ class Alarm:
     changed_ns: int
     active: bool = True
     acknowledged: bool = False
-    acknowledger: str = ""
+    acknowledger: str = ""  # also who shelved it
+    shelved_ns: int = 0  # Unix time at which it was shelved
+    shelved_until_ns: int = 0  # 0: it is not shelved
     comment: str = ""  # of who acknowledged
     times: int = 1  # how often it came
     value: float | None = None
     threshold_on: float | None = None
     of_twin: bool = False
+
+    @property
+    def is_shelved(self) -> bool:
+        """Return whether it is listed apart until a stated time."""
+        return self.shelved_until_ns > 0
 
 
 class AlarmBook:
@@ -57,6 +67,7 @@ class AlarmBook:
 
     def __init__(self, board: str) -> None:
         self.revision = 0
+        self.journal = Journal()
         self._board = board
         self._alarms: dict[str, Alarm] = {}
         self._fault_at = (0, 0)  # session, tick
@@ -67,10 +78,14 @@ class AlarmBook:
         Order: active, then faults, then not acknowledged, then new.
         """
         urgency = sorted(
-            self._alarms.values(),
+            (a for a in self._alarms.values() if a.active or not a.acknowledged),
             key=lambda a: (not a.active, a.severity != "fault", a.acknowledged, -a.since_ns),
         )
         return tuple(urgency)
+
+    def shelved(self) -> tuple[Alarm, ...]:
+        """Return the shelved alarms, active or not, the first that comes back first."""
+        return tuple(sorted((a for a in self._alarms.values() if a.is_shelved), key=lambda a: a.shelved_until_ns))
 
     def twin_alarm(self, alarm: pb.Alarm, now_ns: int) -> None:
         """Process `twin/alarm`."""
@@ -111,7 +126,8 @@ class AlarmBook:
                 self.revision += 1
                 self._alarms[alarm.name] = replace(known, since_ns=since_ns, changed_ns=since_ns)
         for record in alarms.acknowledged:
-            self.acknowledge(record.alarm, record.who, record.host_time_ns or now_ns, record.comment)
+            at_ns = record.host_time_ns or now_ns
+            self.acknowledge(record.alarm, record.who, at_ns, record.comment, shelve_s=record.shelve_s, now_ns=now_ns)
 
     def event(self, event: pb.Event, now_ns: int) -> None:
         """Process `event`: the start and end of faults."""
@@ -166,21 +182,57 @@ class AlarmBook:
         elif log_state and not self._is_active(LOG):
             self.come(LOG, "fault", f"The log is not being written: {log_state}.", now_ns)
 
-    def waits(self, name: str) -> bool:
-        """Return whether there is an alarm of that name to acknowledge."""
-        return name in self._alarms and not self._alarms[name].acknowledged
-
-    def acknowledge(self, name: str, who: str, at_ns: int, comment: str = "") -> bool:
-        """Acknowledge an alarm that was raised before `at_ns`; return False if there is none of that name."""
+    def waits(self, name: str, *, shelve: bool = False) -> bool:
+        """Return whether there is an alarm of that name to acknowledge, or to shelve."""
         alarm = self._alarms.get(name)
-        if alarm is None or alarm.acknowledged or alarm.since_ns > at_ns:
+        return alarm is not None and (shelve or alarm.is_shelved or not alarm.acknowledged)
+
+    def acknowledge(
+        self, name: str, who: str, at_ns: int, comment: str = "", *, shelve_s: float = 0.0, now_ns: int = 0
+    ) -> bool:
+        """Acknowledge an alarm that was raised before `at_ns`, or shelve it; return False if that changes nothing.
+
+        Args:
+            name: of the alarm.
+            who: for the journal.
+            at_ns: Unix time of the act.
+            comment: of who acknowledged.
+            shelve_s: for how long to shelve it; 0: not.
+            now_ns: Unix time at which this is heard; 0: that of the act.
+        """
+        alarm = self._alarms.get(name)
+        if alarm is None or at_ns <= alarm.shelved_ns:
+            return False
+        until_ns = at_ns + round(shelve_s * 1e9) if shelve_s > 0.0 else 0
+        if until_ns:
+            if until_ns <= max(now_ns, at_ns):
+                return False  # it is over
+        elif (alarm.acknowledged and not alarm.is_shelved) or alarm.since_ns > at_ns:
             return False
         self.revision += 1
-        if alarm.active:
-            self._alarms[name] = replace(alarm, acknowledged=True, acknowledger=who, comment=comment, changed_ns=at_ns)
-        else:
+        what = "shelved" if until_ns else "unshelved" if alarm.is_shelved else "acknowledged"
+        self._note(alarm, what, at_ns, who=who, until_ns=until_ns, text=comment)
+        self._alarms[name] = replace(
+            alarm, acknowledged=True, acknowledger=who, comment=comment, changed_ns=at_ns,
+            shelved_ns=at_ns if until_ns or alarm.is_shelved else alarm.shelved_ns, shelved_until_ns=until_ns,
+        )  # fmt: skip
+        if not (alarm.active or until_ns):
             del self._alarms[name]
         return True
+
+    def expire(self, now_ns: int) -> None:
+        """End the shelvings whose time is over: what is active calls again."""
+        for alarm in [a for a in self._alarms.values() if a.is_shelved and a.shelved_until_ns <= now_ns]:
+            self.revision += 1
+            until_ns = alarm.shelved_until_ns
+            self._note(alarm, "unshelved", until_ns)
+            if not alarm.active:
+                del self._alarms[alarm.name]
+                continue
+            self._alarms[alarm.name] = replace(
+                alarm, acknowledged=False, acknowledger="", comment="", since_ns=until_ns, changed_ns=until_ns,
+                times=alarm.times + 1, shelved_ns=until_ns, shelved_until_ns=0,
+            )  # fmt: skip
 
     def come(
         self,
@@ -203,18 +255,14 @@ class AlarmBook:
         if known is None and len(self._alarms) >= MAX_ALARMS and not self._make_room():
             return
         self.revision += 1
-        self._alarms[name] = Alarm(
-            board=self._board,
-            name=name,
-            severity=severity,
-            text=text,
-            since_ns=now_ns,
-            changed_ns=now_ns,
-            times=1 if known is None else known.times + 1,
-            value=value,
-            threshold_on=threshold_on,
-            of_twin=of_twin,
-        )
+        before = Alarm(board=self._board, name=name, severity=severity, text=text, since_ns=now_ns, changed_ns=now_ns)
+        if known is not None and known.is_shelved:
+            before = known
+        alarm = self._alarms[name] = replace(
+            before, severity=severity, text=text, since_ns=now_ns, changed_ns=now_ns, active=True,
+            times=1 if known is None else known.times + 1, value=value, threshold_on=threshold_on, of_twin=of_twin,
+        )  # fmt: skip
+        self._note(alarm, "came", now_ns, text=text)
 
     def go(self, name: str, now_ns: int) -> None:
         """Note that the condition no longer holds."""
@@ -222,7 +270,8 @@ class AlarmBook:
         if alarm is None or not alarm.active:
             return
         self.revision += 1
-        if alarm.acknowledged:
+        self._note(alarm, "went", now_ns)
+        if alarm.acknowledged and not alarm.is_shelved:
             del self._alarms[name]
         else:
             self._alarms[name] = replace(alarm, active=False, changed_ns=now_ns)
@@ -234,6 +283,11 @@ class AlarmBook:
 
     def _is_active(self, name: str) -> bool:
         return name in self._alarms and self._alarms[name].active
+
+    def _note(self, alarm: Alarm, what: str, at_ns: int, *, who: str = "", until_ns: int = 0, text: str = "") -> None:
+        severity = alarm.severity
+        entry = Entry(at_ns=at_ns, name=alarm.name, what=what, severity=severity, who=who, until_ns=until_ns, text=text)
+        self.journal.note(entry)
 
     def _make_room(self) -> bool:
         ended = [alarm for alarm in self._alarms.values() if not alarm.active]

@@ -40,6 +40,7 @@ from gateway.client.connection import BusBoard, Subscription, send
 from gateway.record.replay import SESSIONS_PER_PASS
 from gateway.views.alarms import Alarm, AlarmBook
 from gateway.views.decimate import TopicBins
+from gateway.views.journal import Entry
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import is_replayed, parse
@@ -146,6 +147,16 @@ class BoardFeed:
             self._judge()
             return self._book.listed()
 
+    def shelved(self) -> tuple[Alarm, ...]:
+        """Return the shelved alarms, the first that comes back first."""
+        with self._lock:
+            return self._book.shelved()
+
+    def journal(self) -> tuple[int, tuple[Entry, ...]]:
+        """Return (how many entries there were so far, the entries, the newest first)."""
+        with self._lock:
+            return self._book.journal.count, self._book.journal.newest_first()
+
     def alarms_revision(self) -> int:
         """Return a number that rises with each change of `alarms()`."""
         with self._lock:
@@ -197,6 +208,8 @@ class BoardFeed:
         if isinstance(message, pb.State):
             self.alive = True  # whatever became of the token: here is a sample
             self._book.state(message, now_ns)
+            if self.replay_pass is not None:
+                self._book.expire(message.host_time_ns)  # a recording has its own time
         elif isinstance(message, pb.Event):
             self._events.append(message)
             self._book.event(message, now_ns)
@@ -215,16 +228,16 @@ class BoardFeed:
         elif isinstance(message, pb.Parameters):
             self._period_s = message.sample_time_s * max(1, message.stream_divider)
 
-    def waits(self, alarm: str) -> bool:
-        """Return whether there is an alarm of that name to acknowledge."""
+    def waits(self, alarm: str, *, shelve: bool = False) -> bool:
+        """Return whether there is an alarm of that name to acknowledge, or to shelve."""
         with self._lock:
             self._judge()
-            return self._book.waits(alarm)
+            return self._book.waits(alarm, shelve=shelve)
 
-    def acknowledge(self, alarm: str, who: str, now_ns: int, comment: str) -> None:
-        """Acknowledge an alarm in this view only; see Feed.acknowledge."""
+    def acknowledge(self, what: pb.Acknowledge, who: str, now_ns: int) -> None:
+        """Acknowledge or shelve an alarm in this view only; see Feed.acknowledge."""
         with self._lock:
-            self._book.acknowledge(alarm, who, now_ns, comment)
+            self._book.acknowledge(what.alarm, who, now_ns, what.comment, shelve_s=what.shelve_s)
 
     def is_unseen(self) -> bool:
         """Return whether nothing has come from the gateway for UNSEEN_S."""
@@ -234,14 +247,15 @@ class BoardFeed:
         if record.command.WhichOneof("what") == "stop":
             self.stopped_s = self._now_s()
         if record.reply.accepted and record.command.WhichOneof("what") == "acknowledge":
-            acknowledgement = record.command.acknowledge
+            what = record.command.acknowledge
             self._book.acknowledge(
-                acknowledgement.alarm, record.command.who or "unknown", record.received_ns, acknowledgement.comment
+                what.alarm, record.command.who or "unknown", record.received_ns, what.comment, shelve_s=what.shelve_s
             )
 
     def _judge(self) -> None:
         if self.replay_pass is not None:
             return
+        self._book.expire(time.time_ns())
         link = self.link()
         twin_s = min(self.age_s(pb.TwinAlarms), self._now_s() - self._back_s)
         if TWIN_TIMEOUT_S < twin_s and self.latest(pb.TwinAlarms) is not None and link.state != "no-gateway":
@@ -310,24 +324,27 @@ class Feed:
         return -math.inf if board is None else board.stopped_s
 
     def acknowledge(
-        self, board: str, alarm: str, *, who: str, role: str = "", comment: str = "", issued_ns: int = 0
-    ) -> pb.CommandReply:
+        self, board: str, alarm: str, *, who: str, role: str = "", comment: str = "", shelve_s: float = 0.0,
+        issued_ns: int = 0,
+    ) -> pb.CommandReply:  # fmt: skip
         """Acknowledge an alarm by a command, so that every view and the log receive it; blocks like `command`.
+
+        With `shelve_s` it is shelved for so long; a shelved one that is acknowledged is shelved no longer.
 
         If there is no such alarm, the reply is refused by "view" with the reason "no-alarm".  Without a gateway the
         acknowledgement counts in this view only, and `text` says so.  An operator must be able to silence the alarm
         that reports the missing gateway.
         """
         feed = self._boards.get(board)
-        if feed is None or not feed.waits(alarm):
+        if feed is None or not feed.waits(alarm, shelve=shelve_s > 0.0):
             text = "There is no such alarm, or it is already acknowledged."
             return pb.CommandReply(refused_by="view", reason="no-alarm", text=text)
-        what = pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment))
+        what = pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment, shelve_s=shelve_s))
         reply = self.command(board, what, who=who, role=role, issued_ns=issued_ns)
         if reply.reason == "not-delivered":
             reply = pb.CommandReply(accepted=True, text="Acknowledged in this view only: no gateway answers.")
         if reply.accepted:  # at once: the record may take a moment
-            feed.acknowledge(alarm, who, time.time_ns(), comment)
+            feed.acknowledge(what.acknowledge, who, time.time_ns())
         return reply
 
     def command(

@@ -231,12 +231,14 @@ class Ping(_message.Message):
     def __init__(self) -> None: ...
 
 class Acknowledge(_message.Message):
-    __slots__ = ("alarm", "comment")
+    __slots__ = ("alarm", "comment", "shelve_s")
     ALARM_FIELD_NUMBER: _ClassVar[int]
     COMMENT_FIELD_NUMBER: _ClassVar[int]
+    SHELVE_S_FIELD_NUMBER: _ClassVar[int]
     alarm: str
     comment: str
-    def __init__(self, alarm: _Optional[str] = ..., comment: _Optional[str] = ...) -> None: ...
+    shelve_s: float
+    def __init__(self, alarm: _Optional[str] = ..., comment: _Optional[str] = ..., shelve_s: _Optional[float] = ...) -> None: ...
 
 class Plant(_message.Message):
     __slots__ = ("name", "mass_kg", "travel_m", "x_max_m", "gravity_m_s2", "ball_diameter_m")
@@ -565,16 +567,18 @@ class Alarm(_message.Message):
     def __init__(self, host_time_ns: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., name: _Optional[str] = ..., active: _Optional[bool] = ..., value: _Optional[float] = ..., threshold_on: _Optional[float] = ..., threshold_off: _Optional[float] = ..., text: _Optional[str] = ...) -> None: ...
 
 class Acknowledgement(_message.Message):
-    __slots__ = ("alarm", "who", "host_time_ns", "comment")
+    __slots__ = ("alarm", "who", "host_time_ns", "comment", "shelve_s")
     ALARM_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
     HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     COMMENT_FIELD_NUMBER: _ClassVar[int]
+    SHELVE_S_FIELD_NUMBER: _ClassVar[int]
     alarm: str
     who: str
     host_time_ns: int
     comment: str
-    def __init__(self, alarm: _Optional[str] = ..., who: _Optional[str] = ..., host_time_ns: _Optional[int] = ..., comment: _Optional[str] = ...) -> None: ...
+    shelve_s: float
+    def __init__(self, alarm: _Optional[str] = ..., who: _Optional[str] = ..., host_time_ns: _Optional[int] = ..., comment: _Optional[str] = ..., shelve_s: _Optional[float] = ...) -> None: ...
 
 class Alarms(_message.Message):
     __slots__ = ("host_time_ns", "active", "acknowledged")

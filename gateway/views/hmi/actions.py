@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -143,11 +143,34 @@ class Actions:
             return refusal("not-delivered", text_of("refusal.not_delivered", error=error))
 
     def acknowledge(
-        self, session: LoginSession, board: str, alarm: str, *, comment: str = "", issued_ns: int = 0
+        self,
+        session: LoginSession,
+        board: str,
+        alarm: str,
+        *,
+        comment: str = "",
+        shelve_s: float = 0.0,
+        issued_ns: int = 0,
     ) -> pb.CommandReply:
-        """Acknowledge an alarm."""
-        send = partial(self.feed.acknowledge, board, alarm, comment=comment, issued_ns=issued_ns)
+        """Acknowledge an alarm, or shelve it for so long."""
+        send = partial(self.feed.acknowledge, board, alarm, comment=comment, shelve_s=shelve_s, issued_ns=issued_ns)
         return self._send(session, "acknowledge", board, send)
+
+    def acknowledge_all(
+        self, session: LoginSession, board: str, alarms: Sequence[str], *, issued_ns: int = 0
+    ) -> pb.CommandReply:
+        """Acknowledge alarms, each by a command of its own; return the first refusal, if there is one.
+
+        An alarm that another person has acknowledged meanwhile is no refusal.
+        """
+        with ThreadPoolExecutor(min(8, max(1, len(alarms)))) as pool:  # each may wait for its answer
+            one = partial(self.acknowledge, session, board, issued_ns=issued_ns)
+            replies = list(pool.map(one, alarms))
+        refused = next((r for r in replies if not r.accepted and r.reason != "no-alarm"), None)
+        if refused is not None:
+            return refused
+        count = sum(reply.accepted for reply in replies)
+        return pb.CommandReply(accepted=True, text=text_of("alarm.all_acknowledged", count=count))
 
     def remove(self, session: LoginSession, board: str) -> pb.CommandReply:
         """Take a rig that has not been seen for minutes off the pages and out of STOP for all rigs."""

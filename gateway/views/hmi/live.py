@@ -110,14 +110,14 @@ class Live:
         """Frames of one board, named in the path."""
         name = socket.path_params["board"]
         board: BoardFeed | None = None
-        cursor, looked_s = 0, -math.inf
+        cursor, looked_s, journal_count = 0, -math.inf, -1
         sent: dict[str, str] = {}
 
         def frame(now_s: float) -> dict[str, Any]:
-            nonlocal board, cursor, looked_s
+            nonlocal board, cursor, looked_s, journal_count
             known = self._snapshots.feed.board(name)
             if known is not board:  # it is new, or was removed and is back
-                board, cursor, looked_s = known, 0, -math.inf
+                board, cursor, looked_s, journal_count = known, 0, -math.inf, -1
                 sent.clear()
             if board is None:
                 return {"jobs": self._job_words(name)}
@@ -132,6 +132,9 @@ class Live:
                     text = json.dumps(content)
                     if text != sent.get(part):
                         sent[part], made[part] = text, content
+                count, entries = board.journal()
+                if count != journal_count:
+                    journal_count, made["journal"] = count, snapshot.journal(entries)
             return made
 
         await self._serve(socket, frame, FRAME_S)
@@ -160,10 +163,16 @@ class Live:
     async def overview(self, socket: WebSocket) -> None:
         """A line of each board."""
         feed = self._snapshots.feed
+        known: set[str] = set()
 
         def frame(_: float) -> dict[str, Any]:
             boards = [board for board in map(feed.board, feed.boards()) if board is not None]
-            return {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
+            made = {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
+            new = [board for board in boards if board.name not in known]
+            if new:  # the page makes the rest of its lines from the frames
+                made["sparks"] = {board.name: self._snapshots.traces(board).spark() for board in new}
+                known.update(board.name for board in new)
+            return made
 
         await self._serve(socket, frame, OVERVIEW_S)
 

@@ -2,7 +2,7 @@
 
 POST /api/<board>/stop              no body; of <board> "*": every board; {"boards": {"rig": answer}} then
 POST /api/<board>/command           a Command as protobuf's JSON: {"set_reference": {"x_ref_m": 0.003}}
-POST /api/<board>/acknowledge       {"name": "divergence-x"}
+POST /api/<board>/acknowledge       {"name": "divergence-x"}, with "shelve_s" to shelve it; {"names": [..]} for several
 POST /api/<board>/gains             a file; returns its command and table, sends nothing to the board
 POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ..}, see starts.py,
                                     {"kind": "replay", "act": "order", "order": "pause"}, see record/player.py
@@ -34,6 +34,7 @@ from starlette.routing import Route
 
 from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
+from gateway.views.alarms import MAX_ALARMS
 from gateway.views.dispatch import EVERY_RIG, Wish
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.acts import Acts, status_of
@@ -191,14 +192,21 @@ class Requests:
         return await self._act(request, "", lambda session, _: self._actions.remove(session, board))
 
     async def acknowledge(self, request: Request) -> Response:
-        """Acknowledge an alarm."""
-        name = (await _json(request) or {}).get("name")
-        if not isinstance(name, str):
-            return refusal(400, "malformed", 'Give {"name": "..."}.')
-        board = request.path_params["board"]
+        """Acknowledge or shelve an alarm, or acknowledge several."""
+        table, board = await _json(request) or {}, request.path_params["board"]
+        name, names, shelve_s = table.get("name"), table.get("names"), table.get("shelve_s", 0.0)
+        if isinstance(names, list) and 0 < len(names) <= MAX_ALARMS and all(isinstance(one, str) for one in names):
+            several = [str(one) for one in names]
+            return await self._act(
+                request, board, lambda session, wish: self._actions.acknowledge_all(
+                    session, board, several, issued_ns=wish.issued_ns
+                ),
+            )  # fmt: skip
+        if not isinstance(name, str) or not isinstance(shelve_s, int | float):
+            return refusal(400, "malformed", 'Give {"name": "...", "shelve_s": 600} or {"names": ["...", ...]}.')
 
         def do(session: LoginSession, wish: Wish) -> pb.CommandReply:
-            return self._actions.acknowledge(session, board, name, issued_ns=wish.issued_ns)
+            return self._actions.acknowledge(session, board, name, shelve_s=shelve_s, issued_ns=wish.issued_ns)
 
         return await self._act(request, board, do)
 

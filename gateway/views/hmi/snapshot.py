@@ -20,6 +20,7 @@ from gateway.views.hmi.model.numbers import SPOKEN, in_numbers
 from gateway.views.hmi.model.plant import stated_ms
 from gateway.views.hmi.texts import text_of, texts_of
 from gateway.views.hmi.traces import number
+from gateway.views.journal import Entry
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import plant_of
 from protocol.plant import in_words
@@ -90,9 +91,10 @@ def now(board: BoardFeed) -> dict[str, Any]:
 
 def rest(board: BoardFeed) -> dict[str, Any]:
     """Return health, limits, alarms, events and commands."""
-    alarms = board.alarms()
+    alarms, sentences = board.alarms(), _in_numbers(board)
+    ended = [alarm for alarm in board.shelved() if not alarm.active]  # the active ones are among the alarms
     return {
-        "wrong": _wrong(board, alarms),
+        "wrong": next(iter(sentences.values()), ""),
         "named": _named(board),
         "status": _status(board),
         "limits": _limits(board.latest(pb.Parameters)),
@@ -100,14 +102,17 @@ def rest(board: BoardFeed) -> dict[str, Any]:
         "plant_ms": stated_ms(board.latest(pb.PlantCard)),
         "alarms": [
             {
-                **_fields(a, "name", "severity", "text", "active", "acknowledged", "times"),
+                **_fields(a, "name", "severity", "active", "acknowledged", "times"),
+                "text": sentences.get(a.name, a.text),
+                "group": _group(a),
+                "until": _clock(a.shelved_until_ns)[:5],
                 "model": a.of_twin and a.name != TWIN,  # what to do about it is on the page of the model
                 "by": a.acknowledger,
                 "value": number(a.value, 3) if a.value is not None else None,
                 "since": _clock(a.since_ns),
                 "at_s": round(a.since_ns / 1e9, 3),
             }
-            for a in alarms
+            for a in (*alarms, *ended)
         ],
         "events": [
             {
@@ -122,14 +127,37 @@ def rest(board: BoardFeed) -> dict[str, Any]:
     }
 
 
-def _wrong(board: BoardFeed, alarms: Sequence[Alarm]) -> str:
-    """Return the present error of the model in numbers; empty without an alarm of the twin."""
+def journal(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    """Return what became of the alarms, in words."""
+    words = texts_of("journal_of")
+    return [
+        {
+            "at": _clock(e.at_ns),
+            "severity": e.severity if e.what == "came" else "info",
+            "name": e.name,
+            "what": words[e.what if e.who else f"{e.what}_alone"].format(who=e.who, until=_clock(e.until_ns)[:5]),
+            "text": e.text,
+        }
+        for e in entries
+    ]
+
+
+def _group(alarm: Alarm) -> str:
+    if alarm.is_shelved:
+        return "shelved"
+    if not alarm.active:
+        return "returned"
+    return "acknowledged" if alarm.acknowledged else "unacknowledged"
+
+
+def _in_numbers(board: BoardFeed) -> dict[str, str]:
+    """Return the present errors of the model in numbers, by the names of the active alarms, the plainest first."""
     divergence = board.latest(pb.Divergence)
     if divergence is None or board.age_s(pb.Divergence) > TWIN_STALE_S:
-        return ""
-    since = {alarm.name: _clock(alarm.since_ns)[:5] for alarm in alarms if alarm.active}
-    sentences = (in_numbers(name, since[name], divergence) for name in SPOKEN if name in since)
-    return next(filter(None, sentences), "")
+        return {}
+    since = {alarm.name: _clock(alarm.since_ns)[:5] for alarm in board.alarms() if alarm.active}
+    sentences = {name: in_numbers(name, since[name], divergence) for name in SPOKEN if name in since}
+    return {name: sentence for name, sentence in sentences.items() if sentence}
 
 
 def _named(board: BoardFeed) -> str:
@@ -154,11 +182,13 @@ def job(running: Job) -> dict[str, Any]:
 
 def summary(board: BoardFeed) -> dict[str, Any]:
     """Return the entry of a board in the list of all boards."""
-    alarms = board.alarms()
+    alarms, model = [alarm for alarm in board.alarms() if not alarm.is_shelved], board.latest(pb.TwinModel)
     return now(board) | {
         "name": board.name,
+        "model": model.name if model is not None else "",
         "unseen": board.is_unseen(),
         "alarms": sum(a.active for a in alarms),
+        "shelved": len(board.shelved()),
         "gone": sum(not a.active for a in alarms),  # that nobody has acknowledged
         "fault": any(a.active and a.severity == "fault" for a in alarms),
     }
@@ -253,7 +283,10 @@ def describe(command: pb.Command) -> str:
         case "mark":
             return text_of("command.mark", text=command.mark.text)
         case "acknowledge":
-            return text_of("command.acknowledge", alarm=command.acknowledge.alarm)
+            alarm, shelve_s = command.acknowledge.alarm, command.acknowledge.shelve_s
+            if not shelve_s:
+                return text_of("command.acknowledge", alarm=alarm)
+            return text_of("command.shelve", alarm=alarm, minutes=f"{shelve_s / 60:g}")
         case "set_gains":
             law = "PID" if command.set_gains.law == pb.LAW_PID else "LQI"
             gains = ", ".join(f"{gain:.4g}" for gain in command.set_gains.gains)

@@ -25,6 +25,7 @@ from protocol.bus import board51_pb2 as pb
 SPAN_S = 20.0  # that a plot shows
 BIN_S = 1.0 / 30.0  # a frame of a screen
 MAX_ROWS = round(3 * SPAN_S / BIN_S)
+SPARK_S, SPARK_STEP_S = 30.0, 0.2  # of the overview, whose frames come as often
 COARSE_S, LONGEST_S = 2.0, 600.0  # of what is older; static/history.js makes the same of rows that grow old there
 
 Row = list[object]
@@ -68,6 +69,21 @@ class Traces:
     def past(self) -> list[Row]:
         """Return the rows older than those of `since(0)`, in bins of COARSE_S, up to LONGEST_S."""
         return list(self._coarse)
+
+    def spark(self) -> list[Row]:
+        """Return (t_s, x in m) of the newest session, at most one in SPARK_STEP_S of the last SPARK_S."""
+        points: list[Row] = []
+        for row in reversed([*self._coarse, *self._rows]):
+            if row[0] != "s":
+                continue
+            if not points:
+                newest = row
+            t_s = float(str(row[2]))
+            if row[1] != newest[1] or t_s < float(str(newest[2])) - SPARK_S:
+                break
+            if not points or float(str(points[-1][0])) - t_s >= SPARK_STEP_S:
+                points.append([t_s, row[4]])
+        return points[::-1]
 
     def _fold(self, row: Row) -> None:
         """Put a row that leaves the ring into the coarse bin of its kind, session and time."""

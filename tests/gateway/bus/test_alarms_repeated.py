@@ -96,17 +96,22 @@ def test_an_acknowledgement_is_an_event_a_record_and_kept(tmp_path: Path) -> Non
         with gateway_and_client(config) as bus:
             first = bus.command("a", acknowledge=pb.Acknowledge(alarm="divergence-x", comment="cold coil"))
             second = bus.command("b", acknowledge=pb.Acknowledge(alarm="divergence-x"))
+            shelved = bus.command("c", acknowledge=pb.Acknowledge(alarm="innovation", shelve_s=600.0))
+            too_long = bus.command("d", acknowledge=pb.Acknowledge(alarm="innovation", shelve_s=1e6))
             event = bus.await_event("acknowledged")
             with client(config.zenoh.listen[0]) as late:
-                wait_for(lambda: newest(late).acknowledged, "acknowledgement for who came late")
+                wait_for(lambda: len(newest(late).acknowledged) > 1, "acknowledgements for who came late")
                 retained = list(newest(late).acknowledged)
 
     assert first.accepted
     assert second.accepted
     assert event.text == "test: divergence-x cold coil"
-    assert [(one.alarm, one.who, one.comment) for one in retained] == [("divergence-x", "test", "")], (
-        "the latest of a name"
-    )
+    assert shelved.accepted
+    assert (too_long.accepted, too_long.reason) == (False, "out-of-range")
+    assert [(one.alarm, one.who, one.comment, one.shelve_s) for one in retained] == [
+        ("divergence-x", "test", "", 0.0),  # the latest of a name
+        ("innovation", "test", "", 600.0),
+    ]
     logged = [m.message for log in tmp_path.glob("*.mcap") for m in read(log)]
     records = [m for m in logged if isinstance(m, pb.CommandRecord) and m.command.id == "a"]
     assert [(r.command.who, r.command.acknowledge.alarm) for r in records] == [("test", "divergence-x")]

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD
 from gateway.views.alarms import MAX_ALARMS, TWIN, AlarmBook
+from gateway.views.journal import MAX_ENTRIES
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
+
+S = 1_000_000_000  # ns
 
 
 def names(book: AlarmBook) -> list[tuple[str, bool, bool]]:
@@ -261,3 +264,78 @@ def test_a_view_that_comes_late_learns_from_the_status_that_the_board_does_not_a
 
     assert (came.severity, came.since_ns) == ("fault", 7_000_000_000)
     assert names(book) == [(TO_BOARD, False, False)]
+
+
+def test_a_shelved_alarm_is_quiet_until_its_time_is_over_and_calls_again_then() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(divergence(active=True), 10 * S)
+    assert book.acknowledge("divergence-x", "eva", 20 * S, "known", shelve_s=60.0)
+
+    def shelf() -> list[tuple[str, bool, str, int]]:
+        return [(a.name, a.active, a.acknowledger, a.shelved_until_ns) for a in book.shelved()]
+
+    assert names(book) == [("divergence-x", True, True)]
+    book.twin_alarm(divergence(active=False), 30 * S)
+    assert names(book) == []
+    assert shelf() == [("divergence-x", False, "eva", 80 * S)]
+    book.twin_alarm(divergence(active=True), 40 * S)
+    assert names(book) == [("divergence-x", True, True)]
+
+    book.expire(79 * S)
+    assert names(book) == [("divergence-x", True, True)]
+    book.expire(80 * S)
+
+    assert names(book) == [("divergence-x", True, False)]
+    assert shelf() == []
+    assert not book.acknowledge("divergence-x", "eva", 20 * S, shelve_s=60.0, now_ns=81 * S)  # the gateway repeats it
+    assert [(e.what, e.who) for e in book.journal.newest_first()] == [
+        ("unshelved", ""), ("came", ""), ("went", ""), ("shelved", "eva"), ("came", ""),
+    ]  # fmt: skip
+
+
+def test_a_shelved_alarm_that_is_gone_is_forgotten_when_its_time_is_over() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(divergence(active=True), 10 * S)
+    assert book.acknowledge("divergence-x", "eva", 20 * S, shelve_s=60.0)
+    book.twin_alarm(divergence(active=False), 30 * S)
+
+    book.expire(80 * S)
+
+    assert names(book) == []
+    assert not book.waits("divergence-x", shelve=True)
+
+
+def test_acknowledging_a_shelved_alarm_ends_the_shelving_and_an_older_acknowledgement_does_not() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(divergence(active=True), 10 * S)
+    assert book.acknowledge("divergence-x", "eva", 20 * S, shelve_s=60.0)
+    assert not book.acknowledge("divergence-x", "ben", 19 * S)
+    assert book.waits("divergence-x")
+
+    assert book.acknowledge("divergence-x", "ben", 25 * S)
+
+    assert book.shelved() == ()
+    assert names(book) == [("divergence-x", True, True)]
+    assert not book.acknowledge("divergence-x", "eva", 20 * S, shelve_s=60.0)  # as repeated from before
+    assert not book.waits("divergence-x")
+
+
+def test_a_view_that_joined_late_hears_of_a_shelving_from_the_gateway() -> None:
+    book = AlarmBook("rig")
+    record = pb.Acknowledgement(alarm="divergence-x", who="eva", host_time_ns=20 * S, shelve_s=60.0)
+    book.twin_alarm(divergence(active=True), 30 * S)  # it came again while it was shelved
+
+    book.repeated(pb.Alarms(acknowledged=[record]), 40 * S)
+
+    assert [(a.acknowledger, a.shelved_until_ns) for a in book.shelved()] == [("eva", 80 * S)]
+
+
+def test_the_journal_is_bounded() -> None:
+    book = AlarmBook("rig")
+
+    for n in range(MAX_ENTRIES):
+        book.twin_alarm(divergence(active=n % 2 == 0), n)
+    book.twin_alarm(divergence(active=True), MAX_ENTRIES)
+
+    assert len(book.journal.newest_first()) == MAX_ENTRIES
+    assert book.journal.count == MAX_ENTRIES + 1

@@ -48,6 +48,12 @@ async function submit(form) {
 
 const ACTS = {
   acknowledge: (b) => act(textOf("alarm.acknowledge_act", { alarm: b.dataset.name }), `/api/${page.board}/acknowledge`, { name: b.dataset.name }),
+  "acknowledge-all": (b) => (b.dataset.fault && !sure(b, textOf("alarm.acknowledge_all_sure"))) ||
+    act(textOf("alarm.acknowledge_all_act"), `/api/${page.board}/acknowledge`, { names: JSON.parse(b.dataset.names) }),
+  shelve: (b) => (b.dataset.fault && !sure(b, textOf("alarm.shelve_sure"))) ||
+    act(textOf("alarm.shelve_act", { alarm: b.dataset.name, span: textsOf("shelf")[b.dataset.seconds] }),
+        `/api/${page.board}/acknowledge`, { name: b.dataset.name, shelve_s: Number(b.dataset.seconds) }),
+  unshelve: (b) => act(textOf("alarm.unshelve_act", { alarm: b.dataset.name }), `/api/${page.board}/acknowledge`, { name: b.dataset.name }),
   "end-excitation": () => command(textOf("excitation.end_act"), { excite: { shape: "SHAPE_NONE", on_reference: latest?.mode !== "open loop" } }),
   "log-out": async () => {
     await fetch("/logout", { method: "POST", headers: { "x-board51-token": page.token } }).catch(() => null);
@@ -189,17 +195,21 @@ async function gains(input) {
   preview.replaceChildren(element("div", textOf("gains.preview", { file: file.name, law: answer.law }), "hint"), table, buttons);
 }
 
-// Asks by a second press, and forgets the first one after a while.
+// Asks by a second press, and forgets the first one after a while.  True where it was the second.
+function sure(button, question) {
+  const words = button.textContent;
+  if (button.dataset.sure === "yes") return true;
+  button.dataset.sure = "yes";
+  button.textContent = question;
+  setTimeout(() => {
+    button.dataset.sure = "";
+    button.textContent = words;
+  }, SURE_MS);
+  return false;
+}
+
 async function deleteForGood(button) {
-  if (button.dataset.sure !== "yes") {
-    button.dataset.sure = "yes";
-    button.textContent = textOf("library.delete_sure");
-    setTimeout(() => {
-      button.dataset.sure = "";
-      button.textContent = textOf("library.delete");
-    }, SURE_MS);
-    return;
-  }
+  if (!sure(button, textOf("library.delete_sure"))) return;
   const { log, campaign } = button.dataset, name = textOf("library.delete_act", { log: log ?? campaign });
   const answer = log ? await act(name, "/api/*/delete", { log }) : await act(name, `/api/${page.board}/campaign`, { name: campaign, act: "delete" });
   if (!answer?.accepted) return;

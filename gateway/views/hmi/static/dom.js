@@ -10,6 +10,16 @@ export function put(name, text, state) {
   }
 }
 
+const filled = {};
+
+// A list of rows.  Only what changed is made anew: a button that is replaced between press and release is never clicked.
+export function fill(name, data, row, empty) {
+  const text = JSON.stringify(data);
+  if (filled[name] === text && $(name)?.childElementCount) return;
+  filled[name] = text;
+  for (const place of $$(name)) place.replaceChildren(...(data.length ? data.map(row) : [cell("div", empty, "empty")]));
+}
+
 // A new element with text in it: nothing from the bus is ever put into a page as HTML.
 export function cell(tag, text, className) {
   const element = document.createElement(tag);

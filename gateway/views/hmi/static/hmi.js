@@ -4,10 +4,12 @@
 // was last known is marked as such wherever it stands.
 
 import { follow, limits, showJobs } from "./acts.js";
+import { counted, showAlarms, showJournal } from "./alarms.js";
 import { Ball } from "./ball.js";
-import { $, $$, cell, put } from "./dom.js";
+import { $, cell, fill, put } from "./dom.js";
 import { Line } from "./line.js";
 import { History } from "./history.js";
+import { remember, showBoards } from "./overview.js";
 import { Plots } from "./plots.js";
 import { standAt, standing, still } from "./replay.js";
 import { may, page } from "./server.js";
@@ -34,7 +36,7 @@ const liveLine = page.replay ? new Line("/live", (frame) => (liveRigs = frame.bo
 
 function take(frame) {
   drawSoon();
-  if (frame.boards) boards = frame.boards;
+  if (frame.boards) remember((boards = frame.boards), frame.sparks);
   if (frame.now) now = frame.now;
   if (frame.rest) {
     rest = frame.rest;
@@ -42,6 +44,7 @@ function take(frame) {
     limits(rest);
     document.dispatchEvent(new CustomEvent("board51-rest", { detail: rest }));
   }
+  if (frame.journal) showJournal(frame.journal);
   if (frame.jobs) showJobs((jobs = frame.jobs));
   if (frame.left_s !== undefined) sessionLeft(frame.left_s);
   for (const row of frame.past ?? []) history.fold(row);
@@ -139,26 +142,11 @@ function told(gone, serverGone) {
             writing ? "good" : status.log_state === "off" ? "warn" : "bad", old);
   if (status.to_board === "unanswered") chip("to-board", textOf("rig.no_answer"), "bad", old);
   else put("to-board", "", "none");
-  if (counted) chip("alarm-count", ...counted, serverGone);
+  if (alarmsNow) chip("alarm-count", ...alarmsNow, serverGone);
 }
 
 const HEALTH = textsOf("health");
-function toModel() {
-  const link = cell("a", textOf("alarm.to_model"), "to-model");
-  link.href = `/model/${page.board}`;
-  return link;
-}
-
-const filled = {};
-let counted = null; // of the alarms: words, state
-
-// Only what changed is made anew: a button that is replaced between press and release is never clicked.
-function fill(name, data, row, empty) {
-  const text = JSON.stringify(data);
-  if (filled[name] === text && $(name)?.childElementCount) return;
-  filled[name] = text;
-  for (const place of $$(name)) place.replaceChildren(...(data.length ? data.map(row) : [cell("div", empty, "empty")]));
-}
+let alarmsNow = null; // words, state
 
 function lists() {
   const status = rest.status;
@@ -179,25 +167,9 @@ function lists() {
       return row;
     }, textOf("rig.no_health"));
   }
-  fill("alarms", rest.alarms, (alarm) => {
-    const row = cell("div", "", "alarm");
-    row.dataset.state = alarm.active ? (alarm.severity === "fault" ? "fault" : "warning") : "gone";
-    const { since, times } = alarm;
-    row.append(cell("span", textsOf("alarm_state")[row.dataset.state], "standing"), cell("span", alarm.name, "name"),
-               cell("span", times > 1 ? textOf("alarm.times", { since, times }) : since, "at"));
-    if (alarm.acknowledged) row.append(cell("span", textOf("alarm.acknowledged", { name: alarm.by }), "seen"));
-    else if (may.has("acknowledge")) {
-      const button = cell("button", textOf("alarm.acknowledge"), "ack");
-      button.dataset.act = "acknowledge";
-      button.dataset.name = alarm.name;
-      row.append(button);
-    }
-    row.append(cell("div", alarm.text, "text"));
-    if (alarm.model && !page.replay) row.append(toModel()); // the model's page is that of the live rig
-    return row;
-  }, textOf("alarm.none"));
-  const active = rest.alarms.filter((a) => a.active), fault = active.some((a) => a.severity === "fault");
-  counted = [alarmWords(active.length, rest.alarms.length - active.length, fault), fault ? "bad" : rest.alarms.length ? "warn" : "good"];
+  showAlarms(rest.alarms);
+  alarmsNow = counted(rest.alarms);
+  put("alarm-tab", String(rest.alarms.filter((alarm) => alarm.active && alarm.group !== "shelved").length || ""), alarmsNow[1]);
   fill("events", rest.events, (event) => {
     const row = cell("div", "", "entry");
     row.dataset.state = event.severity;
@@ -215,74 +187,34 @@ function lists() {
   ball?.setTravel(rest.travel_m);
 }
 
-// How many alarms hold; those that are gone and wait to be acknowledged are not counted among them.
-function alarmWords(active, gone, fault) {
-  const ended = { gone: textOf("alarm.gone_count", { count: gone }) };
-  if (!active) return gone ? textOf("alarm.none_active", ended) : textOf("alarm.none");
-  const mark = fault ? "\u2716" : "\u25b2", words = active > 1 ? textOf("alarm.many", { mark, count: active }) : textOf("alarm.one", { mark });
-  return gone ? textOf("alarm.with_gone", { active: words, ...ended }) : words;
-}
-
-const cards = new Map();
-
-function card(name) {
-  const box = cell("div", "", "board-card"), link = cell("a", "", "board-link-all");
-  link.href = `${page.prefix}/${name}`;
-  const head = cell("div", "", "board-head");
-  const parts = { link: cell("span", "", "board-link"), x: cell("div", "", "board-x"), text: cell("div", "", "board-text"), alarms: cell("div", "", "board-alarms") };
-  head.append(cell("span", name, "board-name"), parts.link);
-  link.append(head, parts.x, parts.text, parts.alarms);
-  box.append(link);
-  if (!page.replay) {
-    const stop = cell("button", textOf("stop.button_of", { rig: name }), "stop-one");
-    Object.assign(stop.dataset, { act: "stop", board: name });
-    stop.type = "button";
-    box.append(stop);
-  }
-  if (may.has("acknowledge")) {
-    parts.remove = cell("button", textOf("overview.remove", { rig: name }), "plain");
-    Object.assign(parts.remove.dataset, { act: "remove", board: name });
-    Object.assign(parts.remove, { type: "button", hidden: true });
-    box.append(parts.remove);
-  }
-  return { box, parts };
-}
-
 const NOBODY = page.replay ? textOf("overview.nothing_replayed") : textOf("overview.waiting");
 
 function overview() {
-  const place = $("boards");
   if (page.board) return;
   const gap = line.gap(), gone = gap > FRAME_LIMIT_S;
   put("lost", gone ? textOf("line.no_server", { seconds: gap.toFixed(0) }) : "", gone ? "bad" : "none");
-  if (!place) return;
-  for (const name of [...cards.keys()].filter((one) => !boards?.some((board) => board.name === one))) {
-    cards.get(name).box.remove();
-    cards.delete(name);
-  }
-  if (!boards?.length) {
-    if (!place.childElementCount) place.append(cell("div", NOBODY, "empty"));
-    return;
-  }
-  if (!cards.size) place.replaceChildren();
-  for (const board of boards) {
-    if (!cards.has(board.name)) cards.set(board.name, card(board.name));
-    const { box, parts } = cards.get(board.name), live = (board.link === "live" || stands()) && !gone;
-    if (box.parentElement !== place) place.append(box);
-    if (parts.remove) parts.remove.hidden = !board.unseen || gone;
-    box.dataset.state = !live || board.fault ? "bad" : board.alarms + board.gone ? "warn" : "good";
-    parts.link.textContent = gone ? LINK["no-server"] : linkWords(board.link);
-    const absent = board.age_s === null ? textOf("overview.no_data") : textOf("overview.no_data_for", { seconds: Math.round(board.age_s) });
-    parts.x.textContent = live ? textOf("overview.position", { x: shown(board.x_m, 1e3, 3) }) : absent;
-    const state = { x_ref: shown(board.x_ref_m, 1e3, 3), mode: modeWords(board.mode), coil: COILS[board.coil] };
-    parts.text.textContent = live ? textOf("overview.state", state) : board.reason;
-    parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault);
-  }
+  showBoards(boards, gone, NOBODY, (board) => {
+    const live = (board.link === "live" || stands()) && !gone, link = gone ? LINK["no-server"] : linkWords(board.link);
+    if (live) {
+      const state = { x_ref: shown(board.x_ref_m, 1e3, 3), mode: modeWords(board.mode), coil: COILS[board.coil] };
+      return { live, link, x: textOf("overview.position", { x: shown(board.x_m, 1e3, 3) }), text: textOf("overview.state", state) };
+    }
+    const x = board.age_s === null ? textOf("overview.no_data") : textOf("overview.no_data_for", { seconds: Math.round(board.age_s) });
+    return { live, link, x, text: board.reason };
+  });
 }
 
 // --- drawing ------------------------------------------------------------------------------------------------------
 
 let plots = null, ball = null;
+
+for (const button of document.querySelectorAll("[data-tab-of]")) {
+  button.onclick = () => {
+    document.querySelector("main").dataset.tab = button.dataset.tabOf;
+    for (const other of document.querySelectorAll("[data-tab-of]")) other.setAttribute("aria-pressed", String(other === button));
+    scrollTo(0, 0);
+  };
+}
 
 function setUp() {
   if (plots || !$("plot-x")) return;

@@ -28,7 +28,8 @@ export class Plot {
   fit() {
     const legend = this.place.querySelector(".u-legend")?.offsetHeight ?? 0, width = this.place.clientWidth;
     const height = this.place.clientHeight - legend;
-    if (width > 40 && height > 40) this.u.setSize({ width, height });
+    this.isShown = width > 40 && height > 40;
+    if (this.isShown) this.u.setSize({ width, height });
   }
 
   settings(changed) {
@@ -115,7 +116,8 @@ export class Plot {
   ground(u) {
     const band = this.options.noise;
     if (!band) return;
-    const { left, width } = u.bbox, top = u.valToPos(band.high, band.scale, true), bottom = u.valToPos(band.low, band.scale, true);
+    const { left, width, top: highest, height } = u.bbox, inside = (y) => Math.min(Math.max(y, highest), highest + height);
+    const [top, bottom] = [band.high, band.low].map((value) => inside(u.valToPos(value, band.scale, true)));
     u.ctx.fillStyle = "#7f8f9b33";
     u.ctx.fillRect(left, top, width, bottom - top);
   }
@@ -141,7 +143,8 @@ export class Plot {
       const axis = this.options.axes.at(-1), y = u.valToPos(this.line, axis.scale, true);
       rule([left, y], [left + width, y], css("bad"), [10, 4, 2, 4]);
       g.textAlign = "right";
-      g.fillText(textOf("plots.alarm_line"), left + width - 6 * ratio, y - 4 * ratio);
+      const words = textOf("plots.alarm_line", { value: Number(this.line.toPrecision(3)) });
+      g.fillText(words, left + width - 6 * ratio, this.beside(u, y - 4 * ratio, 12 * ratio));
     }
     g.textAlign = "left";
     let free = left - 1; // names must not lie on one another
@@ -156,6 +159,16 @@ export class Plot {
     }
     if (this.lost) this.curtain(g, left, top, width, height, ratio);
     g.restore();
+  }
+
+  // Where a text of this height fits whose base would be at y: not in the band of noise, which belongs to the other axis.
+  beside(u, y, height) {
+    const band = this.options.noise;
+    if (!band) return y;
+    const top = u.valToPos(band.high, band.scale, true), bottom = u.valToPos(band.low, band.scale, true), below = bottom + height;
+    if (y < top || y - height > bottom) return y;
+    const isUpper = y - top < bottom - y && top - height > u.bbox.top;
+    return isUpper || below > u.bbox.top + u.bbox.height ? top - height / 3 : below;
   }
 
   curtain(g, left, top, width, height, ratio) {

@@ -78,7 +78,7 @@ export class Plots {
     for (const [name, plot] of Object.entries(this.plots)) {
       const about = textOf("plots.about", { plot: PLOTS[name].title, seconds: this.span, time });
       if (plot.place.ariaLabel !== about) plot.place.ariaLabel = about;
-      if (this.paused && plot.lost === lost) continue;
+      if (!plot.isShown || (this.paused && plot.lost === lost)) continue; // a tab of a narrow screen may hide it
       plot.lost = lost;
       plot.marks = marks;
       if (name === "plot-d") plot.line = now?.nis_on ?? null;

@@ -74,29 +74,34 @@ export const server = new Server();
 
 // --- what became of an act ------------------------------------------------------------------------------------------
 
-const SHOWN_MS = 4000, MAX_TOASTS = 6;
+const SUPERSEDED = "superseded-by-stop"; // an act that was issued before a STOP
+const SHOWN_MS = 4000, BAD_SHOWN_MS = 15000, MAX_TOASTS = 3;
 
-// Words at the edge of the page, to be changed until the act is over; what is bad stays until it is closed.
-export function toast(text, state = "busy") {
+// Words at the edge of the page, to be changed until the act is over.  They go after a while, those about STOP only by
+// hand; what is said again replaces what was said before.
+export function toast(text, state = "busy", about = "") {
   const place = document.querySelector(".toasts"), element = document.createElement("div"), words = document.createElement("span");
   element.className = "toast";
   element.append(words);
   place.append(element);
-  while (place.childElementCount > MAX_TOASTS) place.firstElementChild.remove();
-  const say = (text, state) => {
+  const say = (text, state, about = "") => {
     words.textContent = text;
-    element.dataset.state = state;
-    if (state === "good" || state === "note") setTimeout(() => element.remove(), SHOWN_MS);
-    if (state !== "bad") return;
-    for (const other of [...place.children]) if (other !== element && other.firstChild.textContent === text) other.remove();
-    if (element.childElementCount > 1) return;
+    Object.assign(element.dataset, { state, about });
+    const others = [...place.children].filter((one) => one !== element);
+    for (const other of others) if (other.firstChild.textContent === text) other.remove();
+    while (place.childElementCount > MAX_TOASTS) {
+      (others.find((one) => one.isConnected && one.dataset.about !== "stop") ?? place.firstElementChild).remove();
+    }
+    if (state === "busy") return;
+    if (about !== "stop") setTimeout(() => element.remove(), state === "bad" ? BAD_SHOWN_MS : SHOWN_MS);
+    if ((state !== "bad" && about !== "stop") || element.childElementCount > 1) return;
     const close = document.createElement("button");
     close.type = "button";
     close.textContent = textOf("request.close");
     close.onclick = () => element.remove();
     element.append(close);
   };
-  say(text, state);
+  say(text, state, about);
   return say;
 }
 
@@ -107,7 +112,7 @@ export async function act(name, path, body, options) {
     const answer = await server.ask(path, body, options);
     const { text, refused_by: by, reason } = answer;
     if (answer.accepted) say(text ? textOf("request.accepted_text", { act: name, text }) : textOf("request.accepted", { act: name }), "good");
-    else say(by ? textOf("request.refused_by", { act: name, by, reason, text }) : textOf("request.refused", { act: name, text }), "bad");
+    else say(by ? textOf("request.refused_by", { act: name, by, reason, text }) : textOf("request.refused", { act: name, text }), "bad", reason === SUPERSEDED ? "stop" : "");
     return answer;
   } catch (error) {
     if (error instanceof NotSent) say(textOf("request.not_sent", { act: name }), "bad");

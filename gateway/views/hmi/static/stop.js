@@ -37,7 +37,7 @@ export class Stop {
       event.preventDefault();
       open.close();
     }
-    toast(textOf("stop.esc_closed"), "note");
+    toast(textOf("stop.esc_closed"), "note", "stop");
   }
 
   async press(board) {
