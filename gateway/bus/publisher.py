@@ -81,10 +81,17 @@ class Publisher:
         """Start the thread."""
         self._thread.start()
 
-    def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0) -> None:
-        """Queue payloads of one channel; `read_mono_ns` (monotonic) where their latency is of interest."""
+    def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0, *, wake: bool = True) -> None:
+        """Queue payloads of one channel.
+
+        Args:
+            channel: Where they go.
+            payloads: In order.
+            read_mono_ns: When they were read (monotonic), where their latency is of interest.
+            wake: Wake the thread; else the caller does, once for many (`wake`).
+        """
         with self._condition:
-            idle = not self._queue
+            idle = wake and not self._queue
             self._queue.append((channel, payloads, read_mono_ns))
             self._depth += len(payloads)
             channel.waiting += len(payloads)
@@ -94,6 +101,12 @@ class Publisher:
                 oldest.waiting -= len(dropped)
                 self._depth -= len(dropped)
             if idle:  # otherwise the thread is at work and looks again by itself
+                self._condition.notify()
+
+    def wake(self) -> None:
+        """Wake the thread for what was put without."""
+        if self._queue:
+            with self._condition:
                 self._condition.notify()
 
     def hold(self, *, held: bool) -> None:
@@ -223,7 +236,8 @@ class BoardSink:
         """Send the samples of one read to bus and log."""
         # Without a router no subscriber is known: the newest samples wait for those who return with it.
         if self._samples.held or has_subscriber(self._single):
-            self._samples.put(self.state_channel, payloads, read_mono_ns)
+            # Woken at the end of the round: a thread at work would take the interpreter after every read of a port.
+            self._samples.put(self.state_channel, payloads, read_mono_ns, wake=False)
         self._batches.put(self._batch_channel, payloads)
         if self._recorder is not None:
             for payload in payloads:

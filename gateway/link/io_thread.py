@@ -27,10 +27,9 @@ from gateway.link.port import Port, PortProblem, open_port
 from gateway.link.sink import Reply
 
 POLL_S = 0.005  # largest delay of a time-out; the shortest configurable time-out is 20 ms
-# From this many streaming boards on, the thread rests after each round so that the next one finds several boards ready:
-# without it 32 boards cost a wake-up for each of 16000 frames a second.
-BATCH_BOARDS = 4
-BATCH_S = 0.001
+# The shortest time between two rounds, so that a round of many boards finds several ready: one wake-up and one
+# hand-over for all of them.  A board alone is read as soon as its bytes arrive: its next frame comes later than that.
+ROUND_S = 0.00025
 CLOSE_PATIENCE_S = 1.0  # at the end, for ports that are slow to close
 _logger = logging.getLogger("gateway.link")
 
@@ -47,11 +46,17 @@ class _Line:
 
 
 class LinkThread:
-    """Serves all boards until `stop`."""
+    """Serves all boards until `stop`.
 
-    def __init__(self, drivers: Sequence[BoardDriver]) -> None:
+    Args:
+        drivers: Of the boards.
+        round_over: Called after each round of reads, in the serial thread.
+    """
+
+    def __init__(self, drivers: Sequence[BoardDriver], round_over: Callable[[], None] = lambda: None) -> None:
         self._lines = [_Line(driver) for driver in drivers]
         self._line_of_driver = {id(line.driver): line for line in self._lines}
+        self._round_over = round_over
         self._selector = selectors.DefaultSelector()
         self._wake_read, self._wake_write = socket.socketpair()  # a selector of Windows takes nothing but sockets
         self._wake_read.setblocking(False)
@@ -101,23 +106,26 @@ class LinkThread:
 
     def _work(self) -> None:
         next_poll_s = 0.0
-        streaming = 0
         try:
             while not self._stopping:
                 pause_s = max(0.0, next_poll_s - time.monotonic())
                 # One selector, not a thread for each board: 32 threads that read would compete for the interpreter.
-                for key, mask in self._selector.select(pause_s):
+                ready = self._selector.select(pause_s)
+                began_s = time.monotonic()
+                for key, mask in ready:
                     line: _Line | None = key.data
                     if line is None:
                         self._run_actions()
                     else:
                         self._attempt(line, "while reading", partial(self._serve, line, mask))
+                if ready:
+                    self._round_over()
                 now_s = time.monotonic()
                 if now_s >= next_poll_s:
                     next_poll_s = now_s + POLL_S
-                    streaming = self._poll(now_s)
-                if streaming >= BATCH_BOARDS:
-                    time.sleep(BATCH_S)
+                    self._poll(now_s)
+                if ready and (rest_s := began_s + ROUND_S - time.monotonic()) > 0:
+                    time.sleep(rest_s)
         finally:
             for line in self._lines:
                 # No STOP is sent: a restart for an update must not drop the ball. The board follows its host-loss
@@ -142,19 +150,16 @@ class LinkThread:
         elif data is not None:
             self._close(line, f"{line.port.name} is gone.")
 
-    def _poll(self, now_s: float) -> int:
-        """Process what is due on all boards; return the number of streaming boards."""
-        streaming = 0
+    def _poll(self, now_s: float) -> None:
+        """Process what is due on all boards."""
         for line in self._lines:
             driver = line.driver
             if line.port is None:
                 if not line.opening and now_s >= line.next_open_s:
                     self._begin_opening(line)
                 continue
-            streaming += driver.link == "streaming"
             if now_s >= driver.deadline_s:
                 self._attempt(line, "while something was due", partial(driver.poll, now_s))
-        return streaming
 
     def _run_actions(self) -> None:
         with contextlib.suppress(BlockingIOError):
