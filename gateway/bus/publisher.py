@@ -194,6 +194,7 @@ class BoardSink:
         log_raw: bool,
     ) -> None:
         self._session, self._recorder, self._log_raw = session, recorder, log_raw
+        self._raw_message = pb.RawBytes()  # reused: half the time of a new one for each read
         self._messages, self._samples, self._batches = publishers
         self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}
         targets = {
@@ -240,8 +241,7 @@ class BoardSink:
             self._samples.put(self.state_channel, payloads, read_mono_ns, wake=False)
         self._batches.put(self._batch_channel, payloads)
         if self._recorder is not None:
-            for payload in payloads:
-                self._recorder.put(self._state_key, payload, host_time_ns)
+            self._recorder.put_all(self._state_key, payloads, host_time_ns)
 
     def send(self, topic: str, message: ProtoMessage, host_time_ns: int) -> None:
         """Send one message to bus and log, according to the table of topics."""
@@ -254,8 +254,9 @@ class BoardSink:
     def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
         """Write bytes of the UART to the log."""
         if self._recorder is not None and self._log_raw:
-            message = pb.RawBytes(host_time_ns=host_time_ns, to_board=to_board, data=data)
-            self._recorder.put(self._raw_key, message.SerializeToString(), host_time_ns)
+            m = self._raw_message
+            m.host_time_ns, m.to_board, m.data = host_time_ns, to_board, data
+            self._recorder.put(self._raw_key, m.SerializeToString(), host_time_ns)
 
     def alive(self, *, alive: bool) -> None:
         """Hold or drop the liveliness token: it is held while the link is streaming, not while the gateway runs."""
