@@ -30,6 +30,7 @@ from protocol.bus.encoding import zenoh_encoding
 from protocol.bus.endpoint import has_subscriber
 
 GATHER_S = 0.02  # of `states`
+LOOK_NS = 20_000_000  # how often a board asks whether `state` has a subscriber
 LONGEST_BATCH = 256  # payloads; what waited for a router would else be one message, larger than a router's queue
 
 _logger = logging.getLogger("gateway.publish")
@@ -71,7 +72,8 @@ class Publisher:
         self._gather_s, self._join = gather_s, join
         self._queue: deque[tuple[PublishQueue, list[bytes], int]] = deque()
         self._depth = 0
-        self._condition = threading.Condition(threading.Lock())
+        self._lock = threading.Lock()
+        self._condition = threading.Condition(self._lock)
         self.held = False
         self._stopping = False
         self._failed = False
@@ -90,7 +92,7 @@ class Publisher:
             read_mono_ns: When they were read (monotonic), where their latency is of interest.
             wake: Wake the thread; else the caller does, once for many (`wake`).
         """
-        with self._condition:
+        with self._lock:
             idle = wake and not self._queue
             self._queue.append((channel, payloads, read_mono_ns))
             self._depth += len(payloads)
@@ -207,6 +209,7 @@ class BoardSink:
             if topic.source == "gateway" and topic.bus
         }
         self._single, self._batched = targets["state"], targets["states"]
+        self._look_ns, self._subscribed = 0, False
         self._channels = {name: PublishQueue(target.put) for name, target in targets.items()}
         self.state_channel, self._batch_channel = self._channels["state"], self._channels["states"]
         self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
@@ -235,8 +238,10 @@ class BoardSink:
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
         """Send the samples of one read to bus and log."""
+        if read_mono_ns >= self._look_ns:
+            self._look_ns, self._subscribed = read_mono_ns + LOOK_NS, has_subscriber(self._single)
         # Without a router no subscriber is known: the newest samples wait for those who return with it.
-        if self._samples.held or has_subscriber(self._single):
+        if self._samples.held or self._subscribed:
             # Woken at the end of the round: a thread at work would take the interpreter after every read of a port.
             self._samples.put(self.state_channel, payloads, read_mono_ns, wake=False)
         self._batches.put(self._batch_channel, payloads)

@@ -109,22 +109,12 @@ class LinkThread:
         try:
             while not self._stopping:
                 pause_s = max(0.0, next_poll_s - time.monotonic())
-                # One selector, not a thread for each board: 32 threads that read would compete for the interpreter.
-                ready = self._selector.select(pause_s)
-                began_s = time.monotonic()
-                for key, mask in ready:
-                    line: _Line | None = key.data
-                    if line is None:
-                        self._run_actions()
-                    else:
-                        self._attempt(line, "while reading", partial(self._serve, line, mask))
-                if ready:
-                    self._round_over()
+                began_s = self._round(pause_s)
                 now_s = time.monotonic()
                 if now_s >= next_poll_s:
                     next_poll_s = now_s + POLL_S
                     self._poll(now_s)
-                if ready and (rest_s := began_s + ROUND_S - time.monotonic()) > 0:
+                if (rest_s := began_s + ROUND_S - time.monotonic()) > 0:
                     time.sleep(rest_s)
         finally:
             for line in self._lines:
@@ -137,6 +127,20 @@ class LinkThread:
             self._selector.close()
             self._wake_read.close()
             self._wake_write.close()
+
+    def _round(self, pause_s: float) -> float:
+        """Wait at most `pause_s` for bytes, and serve all ports that are ready; return when they were, monotonic."""
+        # One selector, not a thread for each board: 32 threads that read would compete for the interpreter.
+        ready = self._selector.select(pause_s)
+        began_s = time.monotonic()
+        for key, mask in ready:
+            line: _Line | None = key.data
+            if line is None:
+                self._run_actions()
+            else:
+                self._attempt(line, "while reading", partial(self._serve, line, mask))
+        self._round_over()
+        return began_s
 
     def _serve(self, line: _Line, mask: int) -> None:
         if mask & selectors.EVENT_WRITE:
@@ -175,8 +179,7 @@ class LinkThread:
         """Do work of one board and write its output; an internal error closes only the connection to this board."""
         try:
             work()
-            if line.port is not None:
-                self._write_output(line)
+            self._write_output(line)
         except Exception:
             _logger.exception("%s: %s", line.driver.config.name, doing)
             self._close(line, "An internal error; see the gateway's log.")
@@ -230,7 +233,9 @@ class LinkThread:
     # -- writing
 
     def _write_output(self, line: _Line) -> None:
-        while line.port is not None and (data := line.driver.output()):
+        if line.port is None:
+            return
+        while data := line.driver.output():
             written = line.port.write(data)
             if written is None:
                 self._close(line, f"{line.port.name} is gone.")
@@ -240,8 +245,7 @@ class LinkThread:
             # time-out.
             if written < len(data):
                 break
-        waits = bool(line.driver.output())
-        if line.port is not None and waits != line.waits_for_room:
-            line.waits_for_room = waits
-            event_mask = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
+        if bool(data) != line.waits_for_room:
+            line.waits_for_room = bool(data)
+            event_mask = selectors.EVENT_READ | (selectors.EVENT_WRITE if data else 0)
             self._selector.modify(line.port.fd, event_mask, line)
