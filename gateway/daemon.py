@@ -80,7 +80,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         ]
         drivers = [BoardDriver(board, sink, clock) for board, sink in zip(config.boards, sinks, strict=True)]
         cards = [BoardCard(driver, folder_of(config)) for driver in drivers]
-        link = LinkThread(drivers)
+        link = LinkThread(drivers, publishers.samples.wake)
         guarded = bool(config.security.directory)
         authorizer = Authorizer(time.time_ns(), partial(_publish_flood, drivers), guarded=guarded)
         queryables = [CommandService(bus, config.site, driver, link, replies, authorizer) for driver in drivers]

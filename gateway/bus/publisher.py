@@ -30,6 +30,7 @@ from protocol.bus.encoding import zenoh_encoding
 from protocol.bus.endpoint import has_subscriber
 
 GATHER_S = 0.02  # of `states`
+LOOK_NS = 20_000_000  # how often a board asks whether `state` has a subscriber
 LONGEST_BATCH = 256  # payloads; what waited for a router would else be one message, larger than a router's queue
 
 _logger = logging.getLogger("gateway.publish")
@@ -71,7 +72,8 @@ class Publisher:
         self._gather_s, self._join = gather_s, join
         self._queue: deque[tuple[PublishQueue, list[bytes], int]] = deque()
         self._depth = 0
-        self._condition = threading.Condition(threading.Lock())
+        self._lock = threading.Lock()
+        self._condition = threading.Condition(self._lock)
         self.held = False
         self._stopping = False
         self._failed = False
@@ -81,10 +83,17 @@ class Publisher:
         """Start the thread."""
         self._thread.start()
 
-    def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0) -> None:
-        """Queue payloads of one channel; `read_mono_ns` (monotonic) where their latency is of interest."""
-        with self._condition:
-            idle = not self._queue
+    def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0, *, wake: bool = True) -> None:
+        """Queue payloads of one channel.
+
+        Args:
+            channel: Where they go.
+            payloads: In order.
+            read_mono_ns: When they were read (monotonic), where their latency is of interest.
+            wake: Wake the thread; else the caller does, once for many (`wake`).
+        """
+        with self._lock:
+            idle = wake and not self._queue
             self._queue.append((channel, payloads, read_mono_ns))
             self._depth += len(payloads)
             channel.waiting += len(payloads)
@@ -94,6 +103,12 @@ class Publisher:
                 oldest.waiting -= len(dropped)
                 self._depth -= len(dropped)
             if idle:  # otherwise the thread is at work and looks again by itself
+                self._condition.notify()
+
+    def wake(self) -> None:
+        """Wake the thread for what was put without."""
+        if self._queue:
+            with self._condition:
                 self._condition.notify()
 
     def hold(self, *, held: bool) -> None:
@@ -181,6 +196,7 @@ class BoardSink:
         log_raw: bool,
     ) -> None:
         self._session, self._recorder, self._log_raw = session, recorder, log_raw
+        self._raw_message = pb.RawBytes()  # reused: half the time of a new one for each read
         self._messages, self._samples, self._batches = publishers
         self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}
         targets = {
@@ -193,6 +209,7 @@ class BoardSink:
             if topic.source == "gateway" and topic.bus
         }
         self._single, self._batched = targets["state"], targets["states"]
+        self._look_ns, self._subscribed = 0, False
         self._channels = {name: PublishQueue(target.put) for name, target in targets.items()}
         self.state_channel, self._batch_channel = self._channels["state"], self._channels["states"]
         self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
@@ -221,13 +238,15 @@ class BoardSink:
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
         """Send the samples of one read to bus and log."""
+        if read_mono_ns >= self._look_ns:
+            self._look_ns, self._subscribed = read_mono_ns + LOOK_NS, has_subscriber(self._single)
         # Without a router no subscriber is known: the newest samples wait for those who return with it.
-        if self._samples.held or has_subscriber(self._single):
-            self._samples.put(self.state_channel, payloads, read_mono_ns)
+        if self._samples.held or self._subscribed:
+            # Woken at the end of the round: a thread at work would take the interpreter after every read of a port.
+            self._samples.put(self.state_channel, payloads, read_mono_ns, wake=False)
         self._batches.put(self._batch_channel, payloads)
         if self._recorder is not None:
-            for payload in payloads:
-                self._recorder.put(self._state_key, payload, host_time_ns)
+            self._recorder.put_all(self._state_key, payloads, host_time_ns)
 
     def send(self, topic: str, message: ProtoMessage, host_time_ns: int) -> None:
         """Send one message to bus and log, according to the table of topics."""
@@ -240,8 +259,9 @@ class BoardSink:
     def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
         """Write bytes of the UART to the log."""
         if self._recorder is not None and self._log_raw:
-            message = pb.RawBytes(host_time_ns=host_time_ns, to_board=to_board, data=data)
-            self._recorder.put(self._raw_key, message.SerializeToString(), host_time_ns)
+            m = self._raw_message
+            m.host_time_ns, m.to_board, m.data = host_time_ns, to_board, data
+            self._recorder.put(self._raw_key, m.SerializeToString(), host_time_ns)
 
     def alive(self, *, alive: bool) -> None:
         """Hold or drop the liveliness token: it is held while the link is streaming, not while the gateway runs."""

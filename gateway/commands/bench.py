@@ -40,7 +40,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     some.add_argument("--runs", type=int, metavar="N", help="trials per part; 0: all of them (default: a few)")
     some.add_argument("--seed", type=int, metavar="S", help="seed of the first trial (default: 0)")
     some.add_argument(
-        "--part", metavar="PART", help="causes, nulls, composites, outside or gateway (default: the first four)"
+        "--part",
+        metavar="PART",
+        help="diagnosis: causes, nulls, composites, outside or gateway (default: the first four);"
+        " gateway: steps (one frame, step by step) or a number of boards (default: both)",
     )
     some.add_argument("--results", type=Path, metavar="FILE", help="file of JSON lines; trials in it are not run again")
     some.add_argument("--quick", action="store_true", default=None, help="short trials, uncalibrated")

@@ -128,6 +128,7 @@ class BoardDriver:
         valid, states, board_answers = counters.valid_frames, counters.states, counters.stray_board_answers
         payloads: list[bytes] = []
         sample: Sample | None = None
+        quiet = self.link == "streaming"  # and nothing but samples arrives
         for event in self.session.feed(data, now_s):
             if type(event) is Sample:
                 if self._encoder is None:
@@ -138,6 +139,7 @@ class BoardDriver:
                 at_ns = host_ns if event.arrived_s == now_s else round(event.arrived_s * 1e9) + self.report.offset_ns
                 payloads.append(self._encoder.encode(event, at_ns))
             else:
+                quiet = False
                 self._hand_on(payloads, host_ns, now_ns)  # keep the order: a reset follows the samples before it
                 payloads = []
                 self._handle(event, now_s)
@@ -154,7 +156,10 @@ class BoardDriver:
                 assert self.known.identity is not None
                 text = event_text.board_identity(self.known.identity, self.port, self.session.number)
                 self.report.change("streaming", "link-streaming", text)
-        self._set_deadline()
+        if not quiet:
+            self._set_deadline()
+        elif self.session.deadline_s < self.deadline_s:  # samples move all others to later: `poll` looks again
+            self.deadline_s = self.session.deadline_s
 
     def poll(self, now_s: float) -> None:
         """Process what is due: time-outs of answers, PINGs and the check for silence."""
@@ -268,7 +273,7 @@ class BoardDriver:
         if identity is not None and scaling is not None:
             if not self.known.stream_period_s:
                 self.from_board.states_may_begin(self._now_s)  # a stream that was off, or not known
-            self.known.parameters = message
+            self.known.board_has(message)
             host_ns = self.report.host_ns()
             number, limits = self.session.number, self.config.limits
             parameters = parameters_message(message, identity, scaling, session=number, host_time_ns=host_ns)

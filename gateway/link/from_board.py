@@ -26,11 +26,19 @@ class Known:
     identity: Message | None = None
     scaling: Scaling | None = None
     parameters: Message | None = None
+    stream_period_s: float = 0.0  # the time between two states; 0 if the stream is off or not known
     sample: Sample | None = None
+
+    def board_has(self, parameters: Message) -> None:
+        """Note the board's newest parameters."""
+        self.parameters = parameters
+        if self.identity is not None:
+            self.stream_period_s = parameters.int("divider") * self.identity.int("sample_time") * 1e-6
 
     def forget(self) -> None:
         """Discard the data at the end of a session."""
         self.identity = self.scaling = self.parameters = self.sample = None
+        self.stream_period_s = 0.0
 
     @property
     def highest_reference_m(self) -> float | None:
@@ -38,13 +46,6 @@ class Known:
         if self.scaling is None or self.parameters is None:
             return None
         return self.scaling.x_m(self.parameters.int("x_ref_max"))
-
-    @property
-    def stream_period_s(self) -> float:
-        """The time between two states, s; 0 if the stream is off or not known."""
-        if self.identity is None or self.parameters is None:
-            return 0.0
-        return self.parameters.int("divider") * self.identity.int("sample_time") * 1e-6
 
 
 class FromBoard:

@@ -27,10 +27,9 @@ from gateway.link.port import Port, PortProblem, open_port
 from gateway.link.sink import Reply
 
 POLL_S = 0.005  # largest delay of a time-out; the shortest configurable time-out is 20 ms
-# From this many streaming boards on, the thread rests after each round so that the next one finds several boards ready:
-# without it 32 boards cost a wake-up for each of 16000 frames a second.
-BATCH_BOARDS = 4
-BATCH_S = 0.001
+# The shortest time between two rounds, so that a round of many boards finds several ready: one wake-up and one
+# hand-over for all of them.  A board alone is read as soon as its bytes arrive: its next frame comes later than that.
+ROUND_S = 0.00025
 CLOSE_PATIENCE_S = 1.0  # at the end, for ports that are slow to close
 _logger = logging.getLogger("gateway.link")
 
@@ -47,11 +46,17 @@ class _Line:
 
 
 class LinkThread:
-    """Serves all boards until `stop`."""
+    """Serves all boards until `stop`.
 
-    def __init__(self, drivers: Sequence[BoardDriver]) -> None:
+    Args:
+        drivers: Of the boards.
+        round_over: Called after each round of reads, in the serial thread.
+    """
+
+    def __init__(self, drivers: Sequence[BoardDriver], round_over: Callable[[], None] = lambda: None) -> None:
         self._lines = [_Line(driver) for driver in drivers]
         self._line_of_driver = {id(line.driver): line for line in self._lines}
+        self._round_over = round_over
         self._selector = selectors.DefaultSelector()
         self._wake_read, self._wake_write = socket.socketpair()  # a selector of Windows takes nothing but sockets
         self._wake_read.setblocking(False)
@@ -101,23 +106,16 @@ class LinkThread:
 
     def _work(self) -> None:
         next_poll_s = 0.0
-        streaming = 0
         try:
             while not self._stopping:
                 pause_s = max(0.0, next_poll_s - time.monotonic())
-                # One selector, not a thread for each board: 32 threads that read would compete for the interpreter.
-                for key, mask in self._selector.select(pause_s):
-                    line: _Line | None = key.data
-                    if line is None:
-                        self._run_actions()
-                    else:
-                        self._attempt(line, "while reading", partial(self._serve, line, mask))
+                began_s = self._round(pause_s)
                 now_s = time.monotonic()
                 if now_s >= next_poll_s:
                     next_poll_s = now_s + POLL_S
-                    streaming = self._poll(now_s)
-                if streaming >= BATCH_BOARDS:
-                    time.sleep(BATCH_S)
+                    self._poll(now_s)
+                if (rest_s := began_s + ROUND_S - time.monotonic()) > 0:
+                    time.sleep(rest_s)
         finally:
             for line in self._lines:
                 # No STOP is sent: a restart for an update must not drop the ball. The board follows its host-loss
@@ -129,6 +127,20 @@ class LinkThread:
             self._selector.close()
             self._wake_read.close()
             self._wake_write.close()
+
+    def _round(self, pause_s: float) -> float:
+        """Wait at most `pause_s` for bytes, and serve all ports that are ready; return when they were, monotonic."""
+        # One selector, not a thread for each board: 32 threads that read would compete for the interpreter.
+        ready = self._selector.select(pause_s)
+        began_s = time.monotonic()
+        for key, mask in ready:
+            line: _Line | None = key.data
+            if line is None:
+                self._run_actions()
+            else:
+                self._attempt(line, "while reading", partial(self._serve, line, mask))
+        self._round_over()
+        return began_s
 
     def _serve(self, line: _Line, mask: int) -> None:
         if mask & selectors.EVENT_WRITE:
@@ -142,19 +154,16 @@ class LinkThread:
         elif data is not None:
             self._close(line, f"{line.port.name} is gone.")
 
-    def _poll(self, now_s: float) -> int:
-        """Process what is due on all boards; return the number of streaming boards."""
-        streaming = 0
+    def _poll(self, now_s: float) -> None:
+        """Process what is due on all boards."""
         for line in self._lines:
             driver = line.driver
             if line.port is None:
                 if not line.opening and now_s >= line.next_open_s:
                     self._begin_opening(line)
                 continue
-            streaming += driver.link == "streaming"
             if now_s >= driver.deadline_s:
                 self._attempt(line, "while something was due", partial(driver.poll, now_s))
-        return streaming
 
     def _run_actions(self) -> None:
         with contextlib.suppress(BlockingIOError):
@@ -170,8 +179,7 @@ class LinkThread:
         """Do work of one board and write its output; an internal error closes only the connection to this board."""
         try:
             work()
-            if line.port is not None:
-                self._write_output(line)
+            self._write_output(line)
         except Exception:
             _logger.exception("%s: %s", line.driver.config.name, doing)
             self._close(line, "An internal error; see the gateway's log.")
@@ -225,7 +233,9 @@ class LinkThread:
     # -- writing
 
     def _write_output(self, line: _Line) -> None:
-        while line.port is not None and (data := line.driver.output()):
+        if line.port is None:
+            return
+        while data := line.driver.output():
             written = line.port.write(data)
             if written is None:
                 self._close(line, f"{line.port.name} is gone.")
@@ -235,8 +245,7 @@ class LinkThread:
             # time-out.
             if written < len(data):
                 break
-        waits = bool(line.driver.output())
-        if line.port is not None and waits != line.waits_for_room:
-            line.waits_for_room = waits
-            event_mask = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
+        if bool(data) != line.waits_for_room:
+            line.waits_for_room = bool(data)
+            event_mask = selectors.EVENT_READ | (selectors.EVENT_WRITE if data else 0)
             self._selector.modify(line.port.fd, event_mask, line)

@@ -48,7 +48,8 @@ class ToBoard:
     def frames_arrived(self, now_s: float, period_s: float) -> None:
         """Note that valid frames of any kind arrived; `period_s` is the period of the stream."""
         # A pause delays answers as well, so the wait begins anew: a standstill of the host is no cut line.
-        if now_s - self._last_frame_s > max(_PAUSE_S, 3 * period_s):
+        pause_s = now_s - self._last_frame_s
+        if pause_s > _PAUSE_S and pause_s > 3 * period_s:
             self._wait(None)
         self._last_frame_s = now_s
 

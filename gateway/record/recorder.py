@@ -18,7 +18,7 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,7 +86,7 @@ class Recorder:
         self.directory = directory
         self.on_event = on_event
         self.files: list[Path] = []  # all parts that were begun
-        self._options = options
+        self._options, self._capacity = options, options.queue
         self._metadata = dict(metadata or {})
 
         self._lock = threading.Lock()  # guards _queue, _dropped; held for a few instructions only
@@ -121,11 +121,16 @@ class Recorder:
 
     def put(self, key: str, data: bytes, time_ns: int) -> None:
         """Queue one message: key `<site>/<board>/<topic>`, serialised protobuf, Unix time in ns."""
+        self.put_all(key, (data,), time_ns)
+
+    def put_all(self, key: str, messages: Iterable[bytes], time_ns: int) -> None:
+        """Queue messages of one key and time."""
         with self._lock:
-            if len(self._queue) >= self._options.queue:
-                self._queue.popleft()
-                self._dropped += 1
-            self._queue.append((key, data, time_ns))
+            for data in messages:
+                if len(self._queue) >= self._capacity:
+                    self._queue.popleft()
+                    self._dropped += 1
+                self._queue.append((key, data, time_ns))
 
     def stats(self) -> RecorderStats:
         """Return a snapshot; callable from any thread."""

@@ -107,6 +107,11 @@ class Session(CommandExchange):
                 if self._identity is None:
                     self.counters.states_without_session += 1
                     continue
+                tick = unwrapper.following(item.sequence, now_s)
+                if tick is not None:
+                    samples += 1
+                    events.append(Sample(tick, self.number, 0, item, now_s))
+                    continue
                 for placed in unwrapper.feed(item, now_s):
                     if isinstance(placed, Jump):
                         self._jumped(placed, now_s, events)

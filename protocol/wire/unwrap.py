@@ -124,12 +124,17 @@ class TickUnwrapper:
 
     def feed(self, state: State, now_s: float) -> list[Placed | Jump]:
         """Place a state that arrived at `now_s`; return no, one, or (with states that waited) several results."""
-        step = (state.sequence - self._last) & 0xFFFF
-        if step == self.divider and self._quick and now_s - self._last_s < self._sure_s:
-            self._last += step
-            self._last_s = now_s
-            return [Placed(self._last, 0, state, now_s)]
-        return self._feed_slowly(state, now_s)
+        tick = self.following(state.sequence, now_s)
+        return self._feed_slowly(state, now_s) if tick is None else [Placed(tick, 0, state, now_s)]
+
+    def following(self, sequence: int, now_s: float) -> int | None:
+        """Place the very next state of an undisturbed stream, and return its tick; None: `feed` decides."""
+        step = (sequence - self._last) & 0xFFFF
+        if step != self.divider or not self._quick or now_s - self._last_s >= self._sure_s:
+            return None
+        self._last += step
+        self._last_s = now_s
+        return self._last
 
     def settle(self, now_s: float) -> None:
         """Update the estimate of the board's clock from the newest state; call it once per read, after its states."""

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.bench.line import steps
 from tests.bench.line.processes import HERE, cpu_s, end, listening, ready, start
 from tests.harness.ports import free_port
 
@@ -37,10 +38,10 @@ class Result:
     us_per_frame: float
 
 
-def run() -> list[dict[str, Any]]:
-    """Rows for `board51 bench`."""
-    rows: list[dict[str, Any]] = []
-    for boards in (1, 8, 32):
+def run(part: str = "") -> list[dict[str, Any]]:
+    """Rows for `board51 bench`; `part` is `steps`, a number of boards, or "" for all of them."""
+    rows = steps.run() if part in ("", "steps") else []
+    for boards in (1, 8, 32) if not part else () if part == "steps" else (int(part),):
         ours, bare = measure(boards, bare=False), measure(boards, bare=True)
         for name, unit in (("median_ms", "ms"), ("p99_ms", "ms"), ("cores", "cores"), ("us_per_frame", "us")):
             value, baseline = getattr(ours, name), getattr(bare, name)

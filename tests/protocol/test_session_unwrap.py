@@ -237,3 +237,32 @@ def test_a_board_twenty_times_too_fast_keeps_its_count_over_losses() -> None:
 
     assert ticks_of(placed) == ticks
     assert unwrapper.lost == 200
+
+
+class LongWay(TickUnwrapper):
+    """Places each state by the full rules."""
+
+    def following(self, sequence: int, now_s: float) -> int | None:
+        return None
+
+
+@given(
+    steps=st.lists(st.one_of(st.just(1), st.integers(-3, 400)), min_size=1, max_size=60),
+    divider=st.sampled_from([1, 2]),
+    late_s=st.lists(st.floats(0, 0.05), min_size=1, max_size=10),
+)
+def test_the_short_way_of_an_undisturbed_stream_gives_what_the_full_rules_give(
+    steps: list[int], divider: int, late_s: list[float]
+) -> None:
+    results = []
+    for unwrapper in (TickUnwrapper(), LongWay()):
+        unwrapper.restart(0, 0.0, sample_time_s=T_S)
+        unwrapper.divider = divider
+        tick, now_s, placed = 0, 0.0, list[Placed | Jump]()
+        for n, step in enumerate(steps):
+            tick = max(tick + step * divider, 0)
+            now_s = max(now_s, tick * T_S + late_s[n % len(late_s)])
+            placed += unwrapper.feed(state(tick), now_s)
+        results.append((placed, unwrapper.lost, unwrapper.duplicates, unwrapper.implausible, unwrapper.unplaced))
+
+    assert results[0] == results[1]

@@ -37,6 +37,20 @@ def cobs(data: bytes) -> bytes:
     return bytes(out)
 
 
+def state_of(frame: bytes, now: int) -> bytes | None:
+    """Decode, convert, serialise; None for anything but a STATE."""
+    body = cobs(frame)
+    if len(body) != 12 or body[0] != 0x40 or crc_hqx(body, 0xFFFF):
+        return None
+    sequence = int.from_bytes(body[1:3], "little")
+    counts = int.from_bytes(body[3:9], "little")
+    return pb.State(
+        sequence=sequence, tick=sequence, host_time_ns=now, i_c_a=(counts & 4095) * 2 / 4096,
+        x_m=(counts >> 12 & 4095) * 1.43e-6, u_c_v=(counts >> 24 & 4095) * 5 / 4096,
+        x_ref_m=(counts >> 36) * 1.43e-6, flags=body[9], t_s=sequence * 2e-3,
+    ).SerializeToString()  # fmt: skip
+
+
 def main(folder: Path, count: int, endpoint: str) -> None:
     """Loop until SIGTERM."""
     stopped: list[int] = []
@@ -60,16 +74,9 @@ def main(folder: Path, count: int, endpoint: str) -> None:
             now = time.time_ns()
             *frames, pending[fd] = data.split(b"\0")
             for frame in frames:
-                body = cobs(frame)
-                if len(body) != 12 or body[0] != 0x40 or crc_hqx(body, 0xFFFF):
+                state = state_of(frame, now)
+                if state is None:
                     continue
-                sequence = int.from_bytes(body[1:3], "little")
-                counts = int.from_bytes(body[3:9], "little")
-                state = pb.State(
-                    sequence=sequence, tick=sequence, host_time_ns=now, i_c_a=(counts & 4095) * 2 / 4096,
-                    x_m=(counts >> 12 & 4095) * 1.43e-6, u_c_v=(counts >> 24 & 4095) * 5 / 4096,
-                    x_ref_m=(counts >> 36) * 1.43e-6, flags=body[9], t_s=sequence * 2e-3,
-                ).SerializeToString()  # fmt: skip
                 publishers[fd].put(state)
                 log.add_message(channels[fd], now, state, now)
     log.finish()  # type: ignore[no-untyped-call]  # the library left it untyped

@@ -26,7 +26,7 @@ from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import Message
+from protocol.wire.messages import ROW_OF_NAME, Message
 from tests.harness.protocol.port import take_output
 
 PERIOD_NS = 2_000_000
@@ -55,6 +55,30 @@ def encode(states: list[State], count: int) -> list[bytes]:
     return frames
 
 
+def reply(command: Message, tick: int, board: int) -> bytes:
+    """Return the body of a board's answer."""
+    number = command.int("id")
+    match command.name:
+        case "HELLO":
+            scalings = {"i_offset": 0.0, "i_lsb": 2 / 4096, "x_offset": -54e-6, "x_lsb": 5 / 4096 / 855}
+            return encode_body(
+                "IDENTITY", id=number, version=1, firmware_major=1, firmware_minor=0, board_id=board + 1,
+                tick=tick, sample_time=2000, adc_bits=12, dac_bits=12, **scalings, u_offset=0.0, u_lsb=5 / 4096,
+                capture_time=40, capture_size=2000, reset_cause=1, build=b"load    ",
+            )  # fmt: skip
+        case "PING":
+            return encode_body("PONG", id=number, tick=tick, bad_frames=0, overruns=0)
+        case "GET_PARAMETERS":
+            gains = {f"k{n}_{part}": 0 for n in range(1, 5) for part in ("mantissa", "shift")}
+            limits = {"x_ref_min": 0, "x_ref_max": 4095, "x_ref_step": 1000, "x_ref_slew": 1000, "u_max": 4095}
+            return encode_body(
+                "PARAMETERS", id=number, law=0, **gains, i_0=0, x_0=0, u_0=0, **limits, divider=1, policy=0,
+                timeout=1000, tick=0,
+            )  # fmt: skip
+        case _:
+            return encode_body("ACK", id=number, command=ROW_OF_NAME[command.name].type, tick=tick)
+
+
 class Board:
     """The writing end of one pty."""
 
@@ -72,29 +96,7 @@ class Board:
         with contextlib.suppress(BlockingIOError):
             for event in self._decoder.feed(os.read(self.master, 4096)):
                 if isinstance(event, Message):
-                    os.write(self.master, encode_frame(self._reply(event, tick)))
-
-    def _reply(self, command: Message, tick: int) -> bytes:
-        number = command.int("id")
-        match command.name:
-            case "HELLO":
-                scalings = {"i_offset": 0.0, "i_lsb": 2 / 4096, "x_offset": -54e-6, "x_lsb": 5 / 4096 / 855}
-                return encode_body(
-                    "IDENTITY", id=number, version=1, firmware_major=1, firmware_minor=0, board_id=self._number + 1,
-                    tick=tick, sample_time=2000, adc_bits=12, dac_bits=12, **scalings, u_offset=0.0, u_lsb=5 / 4096,
-                    capture_time=40, capture_size=2000, reset_cause=1, build=b"load    ",
-                )  # fmt: skip
-            case "PING":
-                return encode_body("PONG", id=number, tick=tick, bad_frames=0, overruns=0)
-            case "GET_PARAMETERS":
-                gains = {f"k{n}_{part}": 0 for n in range(1, 5) for part in ("mantissa", "shift")}
-                limits = {"x_ref_min": 0, "x_ref_max": 4095, "x_ref_step": 1000, "x_ref_slew": 1000, "u_max": 4095}
-                return encode_body(
-                    "PARAMETERS", id=number, law=0, **gains, i_0=0, x_0=0, u_0=0, **limits, divider=1, policy=0,
-                    timeout=1000, tick=0,
-                )  # fmt: skip
-            case _:
-                return encode_body("ACK", id=number, command=1, tick=tick)
+                    os.write(self.master, encode_frame(reply(event, tick, self._number)))
 
 
 def main(folder: Path, count: int, seconds: float) -> None:

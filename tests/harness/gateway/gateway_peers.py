@@ -65,6 +65,20 @@ def parameters_values() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def usual_answer(command: Message, tick: int) -> bytes:
+    """What a board in good order answers."""
+    number = command.int("id")
+    match command.name:
+        case "HELLO":
+            return frame("IDENTITY", id=number, tick=tick, **identity_values())
+        case "PING":
+            return frame("PONG", id=number, tick=tick, bad_frames=0, overruns=0)
+        case "GET_PARAMETERS":
+            return frame("PARAMETERS", id=number, **parameters_values())
+        case name:
+            return frame("ACK", id=number, command=ROW_OF_NAME[name].type, tick=tick)
+
+
 class ScriptedBoard:
     """Answers on the master side of a pty as far as its script goes; streams when told.
 
@@ -124,18 +138,7 @@ class ScriptedBoard:
 
     def _answer(self, message: Message) -> None:
         scripted = self._answers(message)
-        if scripted is not None:
-            self.send(scripted)
-            return
-        number = message.int("id")
-        if message.name == "HELLO":
-            self.send(frame("IDENTITY", id=number, tick=self.tick, **identity_values()))
-        elif message.name == "PING":
-            self.send(frame("PONG", id=number, tick=self.tick, bad_frames=0, overruns=0))
-        elif message.name == "GET_PARAMETERS":
-            self.send(frame("PARAMETERS", id=number, **parameters_values()))
-        else:
-            self.send(frame("ACK", id=number, command=ROW_OF_NAME[message.name].type, tick=self.tick))
+        self.send(usual_answer(message, self.tick) if scripted is None else scripted)
 
 
 def anybody() -> Sender:
