@@ -172,7 +172,9 @@ class Work:
     title: str
     who: str
     running: bool
-    standing: Annotated[str, key("in words: running for 12 s, done, ended with exit code 1")]
+    standing: Annotated[str, key("in words: running for 12 s, done, failed and why")]
+    failed: Annotated[bool, key("whether it ended without an answer")]
+    progress: Annotated[float | None, key("share of its steps that are done; null if it does not count them")]
     lines: Annotated[list[str], key("the newest lines that it printed")]
 
 
