@@ -5,8 +5,9 @@ Rule 1: `Publisher.put` returns at once.  A router that stopped reading stalls z
 Rule 2: the queue is bounded; when full, the OLDEST messages are dropped and counted with their channel.
 Rule 3: samples, replies and everything else have separate threads: an event does not wait behind 8000 samples.
 Rule 4: a message is serialised once; bus and log get the same bytes.
-Rule 5: samples are published twice: each at once on `state`, if somebody subscribes to it, and those of 20 ms together
-        on `states`.  Each message wakes up each of its subscribers: who can wait 20 ms subscribes to `states`.
+Rule 5: samples are published twice: each at once on `state`, if somebody subscribes to it (asked every 20 ms), and
+        those of 20 ms together on `states`.  Each message wakes up each of its subscribers: who can wait 20 ms
+        subscribes to `states`.
 Rule 6: without a router zenoh discards messages silently.  Publishing therefore pauses (`hold`): the queue keeps the
         newest messages and counts the dropped ones.
 """
@@ -31,6 +32,7 @@ from protocol.bus.endpoint import has_subscriber
 
 GATHER_S = 0.02  # of `states`
 LOOK_NS = 20_000_000  # how often a board asks whether `state` has a subscriber
+TAKEN = 16  # entries at a time: what a stalled bus can hold beside the queue
 LONGEST_BATCH = 256  # payloads; what waited for a router would else be one message, larger than a router's queue
 
 _logger = logging.getLogger("gateway.publish")
@@ -158,11 +160,12 @@ class Publisher:
             yield self._join(payloads[start : start + LONGEST_BATCH])
 
     def _take(self) -> Iterable[tuple[PublishQueue, list[bytes], int]]:
-        """Return the oldest entry of the queue; if payloads are gathered, all of them, one entry per channel."""
+        """Return the oldest entries of the queue; if payloads are gathered, all of them, one entry per channel."""
         with self._condition:
             if self.held or not self._queue:  # held, or dropped, while this thread gathered
                 return ()
-            entries = [self._queue.popleft() for _ in range(1 if self._join is None else len(self._queue))]
+            count = len(self._queue) if self._join is not None else min(len(self._queue), TAKEN)
+            entries = [self._queue.popleft() for _ in range(count)]
             for channel, payloads, _ in entries:
                 self._depth -= len(payloads)
                 channel.waiting -= len(payloads)

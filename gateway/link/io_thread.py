@@ -19,7 +19,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from gateway.access.authorize import Sender
 from gateway.link.driver import BoardDriver
@@ -88,7 +87,7 @@ class LinkThread:
 
         def act() -> None:
             line = self._line_of_driver[id(driver)]
-            self._attempt(line, "after a command", lambda: driver.command(payload, reply, time.monotonic(), sender))
+            self._attempt(line, "after a command", driver.command, payload, reply, time.monotonic(), sender)
 
         if not self.post(act):
             act()  # says that the link is down
@@ -138,7 +137,7 @@ class LinkThread:
             if line is None:
                 self._run_actions()
             else:
-                self._attempt(line, "while reading", partial(self._serve, line, mask))
+                self._attempt(line, "while reading", self._serve, line, mask)
         self._round_over()
         return began_s
 
@@ -163,7 +162,7 @@ class LinkThread:
                     self._begin_opening(line)
                 continue
             if now_s >= driver.deadline_s:
-                self._attempt(line, "while something was due", partial(driver.poll, now_s))
+                self._attempt(line, "while something was due", driver.poll, now_s)
 
     def _run_actions(self) -> None:
         with contextlib.suppress(BlockingIOError):
@@ -175,10 +174,10 @@ class LinkThread:
             except Exception:
                 _logger.exception("an action of the link thread failed")
 
-    def _attempt(self, line: _Line, doing: str, work: Callable[[], None]) -> None:
+    def _attempt(self, line: _Line, doing: str, work: Callable[..., None], *arguments: object) -> None:
         """Do work of one board and write its output; an internal error closes only the connection to this board."""
         try:
-            work()
+            work(*arguments)
             self._write_output(line)
         except Exception:
             _logger.exception("%s: %s", line.driver.config.name, doing)
