@@ -132,7 +132,7 @@ def test_a_capture_of_another_session_is_not_the_one_that_was_started(server: Se
     wait_for(lambda: program.json("/rigs/rig/state")["session"] == 2, "the new session")
 
     assert same.text == "t_s,i_c_a,u_c_v\n-4e-05,0.25,1.0\n0.0,0.5,2.0\n"
-    assert program.get("/rigs/rig/capture", from_tick=50).status_code == 503
+    assert program.get("/rigs/rig/capture", from_tick=50).status_code == 404
     assert program.json("/rigs/rig/capture")["i_c_a"] == [0.25, 0.5]
 
 

@@ -59,7 +59,7 @@ class Endpoints(Base):
             e(method=get, path="/rigs/{rig}/events/stream", run=self.event_stream, answer=shapes.Notice, tag="events",
               statuses={426: "not a WebSocket"}),
             e(method=get, path="/rigs/{rig}/capture", run=self.capture, answer=shapes.CaptureSamples, tag="samples",
-              query=CaptureQuery, media=(JSON, CSV), statuses={**RIG, 503: "no such capture has come"}),
+              query=CaptureQuery, media=(JSON, CSV), statuses={404: "no rig of this name; no such capture yet"}),
             e(method=post, path="/rigs/{rig}/commands", run=self.command, answer=shapes.Reply, tag="commands",
               body=_COMMAND, body_type=commands.Body, statuses=ACT),
             e(method=post, path="/rigs/{rig}/stop", run=self.stop, answer=shapes.Reply, tag="commands",
@@ -116,7 +116,7 @@ class Endpoints(Base):
         record, newest = board.latest(pb.CaptureRecord), board.latest(pb.State)
         is_old = record is None or (newest is not None and record.session != newest.session)
         if record is None or record.tick < query.from_tick or (is_old and query.from_tick):
-            raise ProblemError(503, "no-capture", f"No such capture of {board.name} has come")
+            raise ProblemError(404, "no-capture", f"No such capture of {board.name} has come")
         if query.format == "json":
             return rigs.capture(record)
         return PlainTextResponse(rigs.capture_csv(record), media_type=CSV)
