@@ -5,7 +5,7 @@
     board = feed.board("rig1")         None while nothing was heard of it
     board.link()                       Link(state="live", ...): is what you see true now?
     board.latest(pb.State)             the latest message of that type, or None; also Status, Parameters, TwinState,
-                                       Divergence, TwinModel.  Do not change it.
+                                       Divergence, TwinModel, CaptureRecord.  Do not change it.
     board.alarms(), board.events(), board.commands()
     tap = board.tap(pb.State, width_s=1 / 30)          bins with min / max of every channel; tap.take() now and then
     feed.acknowledge("rig1", "divergence-x", who="eva", role="operator")           a command too: all views and the log
@@ -55,7 +55,7 @@ GATEWAY_S = 3.5  # status comes once a second: without it, three times over, the
 UNSEEN_S = 120.0  # a board without any message for so long may be removed
 TWIN_TIMEOUT_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
 _TOPICS = ("states", "status", "event", "alarms", "parameters", "plant", "command/record", "twin/state",
-           "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")  # fmt: skip
+           "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis", "capture")  # fmt: skip
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
 _KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/")), "twin/*")
@@ -302,6 +302,11 @@ class Feed:
         """Return the names of the boards seen so far, in order."""
         with self._lock:
             return tuple(sorted(self._boards))
+
+    def heard(self) -> list[BoardFeed]:
+        """Return the boards seen so far, in the order of their names."""
+        with self._lock:
+            return [self._boards[name] for name in sorted(self._boards)]
 
     def board(self, name: str) -> BoardFeed | None:
         """Return a board, or None if no message of it has arrived."""

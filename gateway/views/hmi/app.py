@@ -29,6 +29,7 @@ from gateway.views.feed import Feed
 from gateway.views.hmi import metrics
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
 from gateway.views.hmi.acts import Acts
+from gateway.views.hmi.api.recent import LOOK_S
 from gateway.views.hmi.api.routes import Api, not_there, release
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
@@ -124,7 +125,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        pumps = [asyncio.create_task(pump) for pump in (live.pump(), replay.pump(), api.recent.follow())]
+        pumps = [asyncio.create_task(pump) for pump in (live.pump(), replay.pump(), api.recent.follow(LOOK_S))]
         yield
         for pump in pumps:
             pump.cancel()

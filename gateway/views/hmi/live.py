@@ -24,6 +24,7 @@ from gateway.views.feed import BoardFeed, Feed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.jobs import Job
+from gateway.views.hmi.kept import Kept
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.traces import Traces
 from gateway.views.hmi.watch import Watch
@@ -50,23 +51,11 @@ class Snapshots:
 
     def __init__(self, feed: Feed) -> None:
         self.feed = feed
-        self._traces: dict[str, Traces] = {}
-
-    def traces(self, board: BoardFeed) -> Traces:
-        """The traces of a board, from the first look on."""
-        traces = self._traces.get(board.name)
-        if traces is None or traces.board is not board:  # a board that was removed comes back as another one
-            traces = self._traces[board.name] = Traces(board)
-        return traces
+        self.traces = Kept(feed, Traces)
 
     async def pump(self) -> None:
         """Follow every board; runs until it is cancelled."""
-        while True:
-            for name in self.feed.boards():
-                board = self.feed.board(name)
-                if board is not None:
-                    self.traces(board).pump()
-            await asyncio.sleep(FRAME_S)
+        await self.traces.follow(FRAME_S, Traces.pump)
 
     def rest(self, board: BoardFeed) -> dict[str, Any]:
         """See snapshot.rest; with what the drawing needs."""
@@ -121,7 +110,7 @@ class Live:
                 sent.clear()
             if board is None:
                 return {"jobs": self._job_words(name)}
-            traces, first = self._snapshots.traces(board), cursor == 0
+            traces, first = self._snapshots.traces.of(board), cursor == 0
             rows, cursor = traces.since(cursor)
             made: dict[str, Any] = {"now": snapshot.now(board), "rows": rows}
             if first and rows:
@@ -166,7 +155,7 @@ class Live:
         known: set[str] = set()
 
         def frame(_: float) -> dict[str, Any]:
-            boards = [board for board in map(feed.board, feed.boards()) if board is not None]
+            boards = feed.heard()
             made = {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
             new = [board for board in boards if board.name not in known]
             if new:  # the page makes the rest of its lines from the frames

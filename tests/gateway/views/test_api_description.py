@@ -14,7 +14,8 @@ import gateway
 from gateway.client import commands as client
 from gateway.client.commands import HostLoss, Law, Shape
 from gateway.commands import send
-from gateway.views.hmi.api import commands, endpoints, openapi, rigs, shapes
+from gateway.views.hmi.actions import _ENDED_AS
+from gateway.views.hmi.api import commands, endpoints, job_bodies, job_endpoints, openapi, rigs, shapes
 from gateway.views.hmi.html.api_page import operations
 from gateway.views.hmi.problems import REMEDIES
 from protocol.checked import keys_of, plain_of
@@ -24,6 +25,7 @@ from protocol.wire.messages import Reason
 @pytest.fixture(scope="module")
 def document() -> dict[str, Any]:
     table = endpoints.Endpoints.table(endpoints.Endpoints.__new__(endpoints.Endpoints))
+    table += job_endpoints.WorkEndpoints.table(job_endpoints.WorkEndpoints.__new__(job_endpoints.WorkEndpoints))
     return openapi.document(table, release="0", has_users=True)
 
 
@@ -60,6 +62,13 @@ def test_the_commands_are_those_of_send(document: dict[str, Any]) -> None:
     assert {described[kind.__name__]["properties"]["command"]["const"] for kind, _ in commands.KINDS.values()} == set(
         commands.KINDS
     )
+
+
+def test_every_kind_of_job_can_be_named_and_interrupted(document: dict[str, Any]) -> None:
+    (schema,) = document["paths"]["/rigs/{rig}/jobs"]["post"]["requestBody"]["content"].values()
+
+    assert set(schema["schema"]["discriminator"]["mapping"]) == set(job_bodies.KINDS)
+    assert set(get_args(job_bodies.Kind)) == set(_ENDED_AS) - {"replay"}
 
 
 @pytest.mark.parametrize(
@@ -110,7 +119,7 @@ def test_the_page_lists_every_operation_with_its_keys(document: dict[str, Any]) 
 
 def test_the_how_to_names_every_path(document: dict[str, Any]) -> None:
     page = (Path(gateway.__file__).parents[1] / "docs" / "howto" / "clients.md").read_text(encoding="utf-8")
-    examples = {"{rig}": "rig1", "{model}": "NAME", "{log}": "NAME"}
+    examples = {"{rig}": "rig1", "{model}": "NAME", "{log}": "NAME", "{result}": "RESULT"}
 
     for path in document["paths"]:
         shown = re.sub(r"{\w+}", lambda part: examples[part[0]], path)

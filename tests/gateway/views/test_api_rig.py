@@ -156,6 +156,26 @@ def test_an_excitation_and_a_remark_are_in_the_log(flight: Program, rig: Rig) ->
     assert flight.get(f"/logs/{log}").content[:5] == b"\x89MCAP"
 
 
+def test_a_capture_is_started_and_fetched_in_both_forms(flight: Program) -> None:
+    flight.post("/rigs/rig/stop")
+    started = flight.command(command="capture", u_from_v=0.0, u_to_v=0.5, duration_s=0.02, pre_s=0.002)
+    assert started.json()["executed"], started.text
+    query = {"from_tick": started.json()["tick"]}
+    wait_for(lambda: flight.get("/rigs/rig/capture", **query).status_code == 200, "its samples")
+    made, text = flight.json("/rigs/rig/capture"), flight.get("/rigs/rig/capture", **query, format="csv")
+
+    rows = list(csv.DictReader(io.StringIO(text.text)))
+    assert len(made["t_s"]) == len(made["i_c_a"]) == len(rows) == 500
+    assert (made["t_s"][0], round(made["sample_time_s"], 9)) == (-0.002, 4e-5)
+    assert [float(row["i_c_a"]) for row in rows] == made["i_c_a"]
+    assert [float(row["u_c_v"]) for row in rows] == pytest.approx([0.0] * 50 + [0.5] * 450, abs=2e-3), (
+        "rounded to the converter"
+    )
+    assert made["i_c_a"][-1] > 0.05 > made["i_c_a"][0], "the current has followed the step"
+    late = flight.get("/rigs/rig/capture", from_tick=2**40)
+    assert (late.status_code, late.json()["code"]) == (404, "no-capture")
+
+
 def test_a_campaign_is_started_seen_and_interrupted(rig: Rig) -> None:
     program = Program(rig.port)
 

@@ -49,9 +49,11 @@ class Program:
         return self.post("/rigs/rig/commands", body)
 
     @contextmanager
-    def stream(self, query: str = "", rig: str = "rig", **headers: str) -> Iterator[ClientConnection]:
-        """The WebSocket of samples."""
-        url = f"ws://127.0.0.1:{self.port}/api/v1/rigs/{rig}/stream{query}"
+    def stream(
+        self, query: str = "", rig: str = "rig", what: str = "stream", **headers: str
+    ) -> Iterator[ClientConnection]:
+        """The WebSocket of samples, or of `what`."""
+        url = f"ws://127.0.0.1:{self.port}/api/v1/rigs/{rig}/{what}{query}"
         with connect(
             url, additional_headers={**self._headers, **headers}, open_timeout=HANG_S, close_timeout=1.0
         ) as socket:

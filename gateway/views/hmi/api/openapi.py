@@ -16,6 +16,7 @@ from pydantic import TypeAdapter
 
 from gateway.views.hmi.api import shapes
 from gateway.views.hmi.api.resource import BINARY, CSV, JSON, SOFT, Endpoint
+from gateway.views.hmi.api.results import RESULTS
 from gateway.views.hmi.programs import VERSION
 from protocol.checked import keys_of
 
@@ -24,6 +25,7 @@ _PARTS = {
     "rig": "name of the rig",
     "model": "name of the model; may contain /",
     "log": "name of the log; may contain /",
+    "result": f"one of {', '.join(RESULTS)}",
 }
 _SOFT = f"With the query {SOFT}=true every answer has status 200, for clients that hide the body of an error."
 _ALL = {400: "a value or key is not valid", 401: "no valid token", 403: "from a page of another server, or the role"}

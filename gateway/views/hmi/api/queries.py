@@ -7,8 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from gateway.views.feed import RETAINED_EVENTS
+from gateway.views.hmi.api.job_bodies import CampaignName
 from gateway.views.hmi.api.recent import LONGEST_S
-from protocol.checked import Flag, Keys, Number, key
+from protocol.checked import Flag, Keys, Number, Whole, key
 
 MAX_RATE_HZ = 1000.0
 
@@ -19,6 +21,28 @@ class StatesQuery(Keys):
 
     last_s: Annotated[Number, Field(ge=0.0, le=LONGEST_S, description="how far back, s")] = 10.0
     format: Annotated[Literal["json", "csv"], key("of the answer")] = "json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventsQuery(Keys):
+    """The query of recent events."""
+
+    last: Annotated[Whole, key("how many at most", 1, RETAINED_EVENTS)] = 50
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureQuery(Keys):
+    """The query of the newest capture."""
+
+    from_tick: Annotated[Whole, key("tick of the command's answer: no capture of before it; 0: any", 0, 2**63 - 1)] = 0
+    format: Annotated[Literal["json", "csv"], key("of the answer")] = "json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResultQuery(Keys):
+    """The query of a result."""
+
+    campaign: CampaignName = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +58,7 @@ class StartCampaign(Keys):
 class Identify(Keys):
     """An identification to start."""
 
-    campaign: Annotated[str, key("its name; empty: the newest")] = ""
+    campaign: CampaignName = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,16 +5,15 @@ Rule: memory is bounded, LONGEST_S at 500 Hz for each board: 13 MB.
 
 from __future__ import annotations
 
-import asyncio
 import threading
 from collections import deque
 
-from gateway.views.feed import BoardFeed, Feed
+from gateway.views.feed import BoardFeed
 from protocol.bus import board51_pb2 as pb
 
 LONGEST_S = 60.0
 MAX_SAMPLES = 30_000
-_LOOK_S = 0.25  # a new board is noticed so soon
+LOOK_S = 0.25  # a new board is noticed so soon
 
 
 class Samples:
@@ -47,30 +46,3 @@ class Samples:
         begin_ns = states[-1].host_time_ns - round(1e9 * (seconds - self.board.age_s(pb.State)))
         first = next((n for n, state in enumerate(states) if state.host_time_ns >= begin_ns), len(states))
         return states[first:]
-
-
-class Recent:
-    """The newest samples of all boards of a feed.
-
-    Args:
-        feed: of the live site.
-    """
-
-    def __init__(self, feed: Feed) -> None:
-        self._feed = feed
-        self._samples: dict[str, Samples] = {}
-
-    def of(self, board: BoardFeed) -> Samples:
-        """Return the samples of a board, from the first look on."""
-        samples = self._samples.get(board.name)
-        if samples is None or samples.board is not board:  # a board that was removed comes back as another one
-            samples = self._samples[board.name] = Samples(board)
-        return samples
-
-    async def follow(self) -> None:
-        """Look for new boards; runs until it is cancelled."""
-        while True:
-            for board in map(self._feed.board, self._feed.boards()):
-                if board is not None:
-                    self.of(board)
-            await asyncio.sleep(_LOOK_S)

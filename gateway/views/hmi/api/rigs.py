@@ -91,19 +91,7 @@ def rig(board: BoardFeed) -> shapes.Rig:
         name=board.name,
         reason=now["reason"],
         flags=now.get("flags", []),
-        alarms=[
-            shapes.AlarmEntry(
-                name=alarm.name,
-                severity="fault" if alarm.severity == "fault" else "warning",
-                text=alarm.text,
-                active=alarm.active,
-                acknowledged=alarm.acknowledged,
-                acknowledger=alarm.acknowledger,
-                since_s=alarm.since_ns / 1e9,
-                times=alarm.times,
-            )
-            for alarm in board.alarms()
-        ],
+        alarms=alarms(board),
         twin=now["twin"],
         divergence=_divergence(now) if "nis_mean" in now else None,
         model=shapes.TwinModel(name=model.name, sha256=model.sha256, who=model.who) if model is not None else None,
@@ -111,6 +99,46 @@ def rig(board: BoardFeed) -> shapes.Rig:
         log_state=status.log_state if status is not None else "",
         **_now(now),
     )
+
+
+def alarms(board: BoardFeed) -> list[shapes.AlarmEntry]:
+    """Return the alarms of a rig."""
+    return [
+        shapes.AlarmEntry(
+            name=alarm.name,
+            severity="fault" if alarm.severity == "fault" else "warning",
+            text=alarm.text,
+            active=alarm.active,
+            acknowledged=alarm.acknowledged,
+            acknowledger=alarm.acknowledger,
+            since_s=alarm.since_ns / 1e9,
+            times=alarm.times,
+        )
+        for alarm in board.alarms()
+    ]
+
+
+def event(message: pb.Event) -> shapes.EventEntry:
+    """Return an event."""
+    names = ("tick", "session", "source", "severity", "name", "text")
+    return shapes.EventEntry(host_time_s=message.host_time_ns / 1e9, **{name: getattr(message, name) for name in names})
+
+
+def capture(record: pb.CaptureRecord) -> shapes.CaptureSamples:
+    """Return a capture."""
+    names = ("session", "tick", "sample_time_s", "u_from_v", "u_to_v")
+    t_s = [round((n - record.step_index) * record.sample_time_s, 9) for n in range(len(record.i_c_a))]
+    return shapes.CaptureSamples(**{name: getattr(record, name) for name in names}, t_s=t_s, i_c_a=list(record.i_c_a))
+
+
+def capture_csv(record: pb.CaptureRecord) -> str:
+    """Return the samples of a capture as CSV with a header; u_c is the input that was asked for."""
+    made = capture(record)
+    rows = (
+        _line((t_s, i_c_a, made.u_from_v if n < record.step_index else made.u_to_v))
+        for n, (t_s, i_c_a) in enumerate(zip(made.t_s, made.i_c_a, strict=True))
+    )
+    return "".join(f"{line}\n" for line in ("t_s,i_c_a,u_c_v", *rows))
 
 
 def reply(answer: pb.CommandReply) -> shapes.Reply:

@@ -14,10 +14,12 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.acts import Acts
 from gateway.views.hmi.api.endpoints import Endpoints
+from gateway.views.hmi.api.job_endpoints import WorkEndpoints
 from gateway.views.hmi.api.openapi import document
-from gateway.views.hmi.api.recent import Recent
+from gateway.views.hmi.api.recent import Samples
 from gateway.views.hmi.api.resource import Endpoint, Resource
 from gateway.views.hmi.api.stream import Streams
+from gateway.views.hmi.kept import Kept
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.problems import problem
 from gateway.views.hmi.programs import VERSION
@@ -36,9 +38,10 @@ class Api:
 
     def __init__(self, actions: Actions, acts: Acts, work: ModelWork) -> None:
         self._has_users = actions.users is not None
-        self.recent = Recent(actions.feed)
+        self.recent = Kept(actions.feed, Samples)
         self._streams = Streams(actions.feed, actions.sessions)
-        self._endpoints = Endpoints(actions, acts, work, self.recent).table()
+        work_endpoints = WorkEndpoints(actions, acts, work)
+        self._endpoints = [*Endpoints(actions, acts, self.recent).table(), *work_endpoints.table()]
 
     @cached_property
     def document(self) -> dict[str, Any]:
@@ -55,7 +58,8 @@ class Api:
             return JSONResponse(self.document)
 
         return [
-            WebSocketRoute(f"{VERSION}/rigs/{{rig}}/stream", self._streams.stream),
+            WebSocketRoute(f"{VERSION}/rigs/{{rig}}/stream", self._streams.samples),
+            WebSocketRoute(f"{VERSION}/rigs/{{rig}}/events/stream", self._streams.events),
             Route(f"{VERSION}/openapi.json", openapi),
             *(Route(VERSION + _DEEP.sub(r"{\1:path}", path), Resource(endpoints)) for path, endpoints in paths.items()),
         ]

@@ -88,6 +88,54 @@ class AlarmEntry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Alarms:
+    """The alarms of a rig, the most urgent first."""
+
+    alarms: list[AlarmEntry]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventEntry:
+    """An event: it happened at one moment."""
+
+    host_time_s: Annotated[float, key("Unix time, s")]
+    tick: Annotated[int, key("of the board; 0 where the gateway is the source")]
+    session: Annotated[int, key("of the board, as in a sample")]
+    source: Annotated[str, key("board, gateway or twin")]
+    severity: Annotated[str, key("info, warning or fault")]
+    name: Annotated[str, key("kebab-case, stable")]
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Events:
+    """The newest events of a rig, the oldest first."""
+
+    events: list[EventEntry]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Notice:
+    """A message of the stream of events: either of the two."""
+
+    event: EventEntry | None = None
+    alarm: Annotated[AlarmEntry | None, key("as it is now; neither active nor to be acknowledged: it is over")] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureSamples:
+    """The coil current around a step of the input, at 25 kHz."""
+
+    session: Annotated[int, key("as in a sample")]
+    tick: Annotated[int, key("at which it began")]
+    sample_time_s: float
+    u_from_v: Annotated[float, key("input before the step, V")]
+    u_to_v: Annotated[float, key("input after the step, V")]
+    t_s: Annotated[list[float], key("time from the step, s")]
+    i_c_a: Annotated[list[float], key("coil current, A")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Divergence:
     """The rig minus its twin, as in the newest message of the twin."""
 
@@ -167,15 +215,23 @@ class Problem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Work:
-    """A campaign or an identification that runs, or the latest that ran."""
+    """A job that runs, or the latest of its kind that ran."""
 
+    kind: Annotated[str, key("record, campaign, identify, validate, design ...")]
     title: str
     who: str
     running: bool
-    standing: Annotated[str, key("in words: running for 12 s, done, failed and why")]
     failed: Annotated[bool, key("whether it ended without an answer")]
-    progress: Annotated[float | None, key("share of its steps that are done; null if it does not count them")]
+    progress: Annotated[Real, key("share of its steps that are done; null: it counts none")]
+    standing: Annotated[str, key("in words: running for 12 s, done, failed and why")]
     lines: Annotated[list[str], key("the newest lines that it printed")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jobs:
+    """The latest job of each kind of a rig."""
+
+    jobs: list[Work]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
