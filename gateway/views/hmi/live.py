@@ -159,7 +159,7 @@ class Live:
             made = {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
             new = [board for board in boards if board.name not in known]
             if new:  # the page makes the rest of its lines from the frames
-                made["sparks"] = {board.name: self._snapshots.traces(board).spark() for board in new}
+                made["sparks"] = {board.name: self._snapshots.traces.of(board).spark() for board in new}
                 known.update(board.name for board in new)
             return made
 
