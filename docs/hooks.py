@@ -79,7 +79,7 @@ def notebook_of_cells(script: Path) -> str:
     cells: list[dict[str, object]] = []
     for is_text, cell in cells_of(script):
         kind = "markdown" if is_text else "code"
-        outputs = {} if is_text else {"execution_count": None, "outputs": []}
+        outputs: dict[str, object] = {} if is_text else {"execution_count": None, "outputs": []}
         cells.append({"cell_type": kind, "metadata": {}, "source": cell, **outputs})
     kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
     return json.dumps(
