@@ -1,12 +1,13 @@
 """What MkDocs is told beyond `mkdocs.yml`: Markdown that lies beside the code it describes is a page of the site, too.
 
-So is a script with cells (percent format): its text as text, its code as code.
+So is a script with cells (percent format): its text as text, its code as code, and the whole as a notebook of Jupyter.
 A link in any page is written as it works in the repository.  To a file that is a page here it leads to that page; of
 any other file of the repository the link's text stays, since the site holds no source code.
 """
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
 from pathlib import Path
@@ -45,20 +46,45 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for page, file in PAGES.items():
         if file.endswith(".py"):
             files.append(File.generated(config, page, content=page_of_cells(root / file)))
+            notebook = page.replace(".md", ".ipynb")
+            files.append(File.generated(config, notebook, content=notebook_of_cells(root / file)))
         else:
             files.append(File.generated(config, page, abs_src_path=str(root / file)))
     return files
 
 
-def page_of_cells(script: Path) -> str:
-    """Markdown of a script with cells; below its heading, the script itself to take home."""
+def cells_of(script: Path) -> list[tuple[bool, str]]:
+    """The cells of a script: whether it is text, and its content."""
     _, *cells = _CELL.split(script.read_text(encoding="utf-8"))
-    page = "\n\n".join(
-        re.sub(r"^# ?", "", cell.strip(), flags=re.MULTILINE) if is_text else f"```python\n{cell.strip()}\n```"
+    return [
+        (bool(is_text), re.sub(r"^# ?", "", cell.strip(), flags=re.MULTILINE) if is_text else cell.strip())
         for is_text, cell in zip(cells[::2], cells[1::2], strict=True)
-    )
+    ]
+
+
+def page_of_cells(script: Path) -> str:
+    """Markdown of a script with cells; below its heading, notebook and script to take home."""
+    page = "\n\n".join(cell if is_text else f"```python\n{cell}\n```" for is_text, cell in cells_of(script))
     heading, _, rest = page.partition("\n")
-    return f'{heading}\n\n<a href="{script.name}" download>Download {script.name}</a>\n{rest}\n'
+    notebook = f"{script.stem}.ipynb"
+    return (
+        f'{heading}\n\n<a href="{notebook}" download>Download {notebook}</a>, or the script'
+        f' <a href="{script.name}" download>{script.name}</a>. To open the notebook, in the environment of board51:'
+        f"\n\n```sh\npip install jupyterlab\njupyter lab {notebook}\n```\n{rest}\n"
+    )
+
+
+def notebook_of_cells(script: Path) -> str:
+    """A notebook (nbformat 4.4) of a script with cells."""
+    cells: list[dict[str, object]] = []
+    for is_text, cell in cells_of(script):
+        kind = "markdown" if is_text else "code"
+        outputs: dict[str, object] = {} if is_text else {"execution_count": None, "outputs": []}
+        cells.append({"cell_type": kind, "metadata": {}, "source": cell, **outputs})
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    return json.dumps(
+        {"nbformat": 4, "nbformat_minor": 4, "metadata": {"kernelspec": kernel}, "cells": cells}, indent=1
+    )
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

@@ -4,7 +4,7 @@
 # `board51 demo` leaves a campaign: recordings of an emulated rig that is not quite what the paper's model says. We
 # identify that model, see where it is wrong, ask for the physical cause, and measure what the extended model gains.
 #
-# Run it cell by cell (Jupyter with jupytext, VS Code, Spyder), or as it is: `python first_diagnosis.py CAMPAIGN`.
+# Run it cell by cell (Jupyter, VS Code, Spyder) beside `demo-out`, or as it is: `python first_diagnosis.py CAMPAIGN`.
 # All quantities are in SI units; x is the height of the ball above the bottom stop.
 
 # %%
@@ -13,7 +13,8 @@ from pathlib import Path
 
 from twin import Campaign, diagnose, identify, predict, validate
 
-place = Path(sys.argv[1]) if len(sys.argv) > 1 else max(Path("demo-out").glob("campaign-*"))
+words = [] if "ipykernel" in sys.modules else sys.argv[1:]  # those of a notebook are Jupyter's own
+place = Path(words[0]) if words else max(Path("demo-out").glob("campaign-*"))
 campaign = Campaign.load(place)
 for recording in campaign.recordings:
     print(f"{recording.file:<28} {recording.kind:<16} {recording.use}")

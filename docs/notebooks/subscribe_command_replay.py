@@ -19,7 +19,8 @@ import numpy as np
 
 from gateway.client import CommandRefusedError, Rig
 
-endpoint = sys.argv[1] if len(sys.argv) > 1 else "tcp/127.0.0.1:7447"
+words = [] if "ipykernel" in sys.modules else sys.argv[1:]  # those of a notebook are Jupyter's own
+endpoint = words[0] if words else "tcp/127.0.0.1:7447"
 rig = Rig("rig1", connect=endpoint).open()  # in a program: with Rig(...) as rig:
 print(rig.parameters().firmware, f"{1e3 * rig.parameters().sample_time_s:g} ms")
 

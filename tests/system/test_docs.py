@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import html
+import json
 import os
 import re
 import subprocess
@@ -57,6 +58,26 @@ def test_a_script_with_cells_is_a_page_of_text_and_code(site: Path) -> None:
     assert re.search(r"<code>.*>import</span>", page)
     assert "%%" not in page
     assert (site / "notebooks" / "subscribe_command_replay.py").is_file()
+
+
+def test_a_script_with_cells_is_a_notebook_to_download(site: Path) -> None:
+    page = (site / "notebooks" / "first_diagnosis.html").read_text(encoding="utf-8")
+    notebook = json.loads((site / "notebooks" / "first_diagnosis.ipynb").read_text(encoding="utf-8"))
+    script = (ROOT / "docs" / "notebooks" / "first_diagnosis.py").read_text(encoding="utf-8")
+    code = [cell["source"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+    assert 'href="first_diagnosis.ipynb"' in page
+    assert notebook["nbformat"] == 4
+    assert notebook["cells"][0]["source"].startswith("# Your first diagnosis\n\n`board51 demo`")
+    assert len(code) == script.count("# %%\n")
+    assert all(source in script for source in code)
+
+
+def test_a_field_of_a_dataclass_of_the_api_has_its_meaning(site: Path) -> None:
+    page = (site / "api" / "client.html").read_text(encoding="utf-8")
+
+    assert re.search(r"<code>x_m</code>: position of the ball, m, up from the sensor", page)
+    assert page.count('id="gateway.client.Rig.excite"') == 1
 
 
 def test_an_enumeration_of_the_api_has_its_members(site: Path) -> None:

@@ -225,3 +225,11 @@ def test_a_job_runs_and_its_end_is_told(server: Server, kind: str) -> None:
     assert job["failed"]
     assert job["standing"]
     assert program.post("/rigs/rig/jobs/stop", {"job": kind}).json()["code"] == "not-running"
+
+
+def test_a_job_can_be_started_by_a_form(server: Server) -> None:
+    form = {"job": "design", "model": MODEL, "x_m": "2.85", "settling_s": "0.2"}
+
+    answer = server.program("ana").http.post("/api/v1/rigs/rig/jobs", data=form)
+
+    assert answer.json()["code"] == "out-of-range", "2.85 m: the numbers were read, and the act was asked"
