@@ -23,7 +23,6 @@ import zipfile
 from pathlib import Path
 
 from packaging.metadata import Metadata
-from sbom import bill
 
 ROOT = Path(__file__).resolve().parents[1]
 BACKEND = "import sys, setuptools.build_meta as backend; getattr(backend, sys.argv[1])(sys.argv[2])"
@@ -97,6 +96,8 @@ def build_images(folder: Path, *, dirty: bool) -> list[Path]:
 
 def bill_of(folder: Path) -> Path:
     """Return the bill of materials of what an installation with all parts brings."""
+    from sbom import bill
+
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     path = folder / f"{project['name']}-{project['version']}.cdx.json"
     path.write_text(bill(ROOT / "requirements-run.lock", name=project["name"], version=project["version"]), "utf-8")

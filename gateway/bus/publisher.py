@@ -32,7 +32,7 @@ from protocol.bus.endpoint import has_subscriber
 
 GATHER_S = 0.02  # of `states`
 LOOK_NS = 20_000_000  # how often a board asks whether `state` has a subscriber
-TAKEN = 16  # entries at a time: what a stalled bus can hold beside the queue
+BATCH = 16  # entries at a time: what a stalled bus can hold beside the queue
 LONGEST_BATCH = 256  # payloads; what waited for a router would else be one message, larger than a router's queue
 
 _logger = logging.getLogger("gateway.publish")
@@ -164,7 +164,7 @@ class Publisher:
         with self._condition:
             if self.held or not self._queue:  # held, or dropped, while this thread gathered
                 return ()
-            count = len(self._queue) if self._join is not None else min(len(self._queue), TAKEN)
+            count = len(self._queue) if self._join is not None else min(len(self._queue), BATCH)
             entries = [self._queue.popleft() for _ in range(count)]
             for channel, payloads, _ in entries:
                 self._depth -= len(payloads)

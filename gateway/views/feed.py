@@ -303,7 +303,7 @@ class Feed:
         with self._lock:
             return tuple(sorted(self._boards))
 
-    def heard(self) -> list[BoardFeed]:
+    def board_feeds(self) -> list[BoardFeed]:
         """Return the boards seen so far, in the order of their names."""
         with self._lock:
             return [self._boards[name] for name in sorted(self._boards)]

@@ -164,8 +164,8 @@ class Actions:
         An alarm that another person has acknowledged meanwhile is no refusal.
         """
         with ThreadPoolExecutor(min(8, max(1, len(alarms)))) as pool:  # each may wait for its answer
-            one = partial(self.acknowledge, session, board, issued_ns=issued_ns)
-            replies = list(pool.map(one, alarms))
+            acknowledge = partial(self.acknowledge, session, board, issued_ns=issued_ns)
+            replies = list(pool.map(acknowledge, alarms))
         refused = next((r for r in replies if not r.accepted and r.reason != "no-alarm"), None)
         if refused is not None:
             return refused

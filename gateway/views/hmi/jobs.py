@@ -105,11 +105,18 @@ class Jobs:
         return [job for (_, of), job in sorted(self._jobs.items()) if of == board]
 
     def stop(self, kind: str, board: str) -> bool:
-        """Interrupt it, as Ctrl-C would; False where nothing runs."""
+        """Interrupt it, as Ctrl-C would; False where nothing runs.
+
+        Where it does not end by itself, as a replay whose session of the bus hangs, it is killed: the next one must be
+        able to start.  But a campaign, which parks the ball, has all the time that it takes.
+        """
         job = self._jobs.get((kind, board))
         if job is None or not job.running:
             return False
-        order(job.process, signal.SIGINT)
+        if kind == "campaign":
+            order(job.process, signal.SIGINT)
+        else:
+            threading.Thread(target=end, args=([job.process], signal.SIGINT, END_S), daemon=True).start()
         return True
 
     def tell(self, kind: str, board: str, line: str) -> bool:

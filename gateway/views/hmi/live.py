@@ -24,7 +24,7 @@ from gateway.views.feed import BoardFeed, Feed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.jobs import Job
-from gateway.views.hmi.kept import Kept
+from gateway.views.hmi.per_board import PerBoard
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.traces import Traces
 from gateway.views.hmi.watch import Watch
@@ -51,7 +51,7 @@ class Snapshots:
 
     def __init__(self, feed: Feed) -> None:
         self.feed = feed
-        self.traces = Kept(feed, Traces)
+        self.traces = PerBoard(feed, Traces)
 
     async def pump(self) -> None:
         """Follow every board; runs until it is cancelled."""
@@ -155,7 +155,7 @@ class Live:
         known: set[str] = set()
 
         def frame(_: float) -> dict[str, Any]:
-            boards = feed.heard()
+            boards = feed.board_feeds()
             made = {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
             new = [board for board in boards if board.name not in known]
             if new:  # the page makes the rest of its lines from the frames

@@ -78,7 +78,7 @@ class Rigs(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """Yield the metrics as of now."""
-        boards = self._feed.heard()
+        boards = self._feed.board_feeds()
         yield InfoMetricFamily(f"{PREFIX}build", "This software.", {"version": self._release})
         for name, text, value_of in _GAUGES:
             gauge = GaugeMetricFamily(PREFIX + name, text, labels=["rig"])

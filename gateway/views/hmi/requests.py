@@ -195,8 +195,8 @@ class Requests:
         """Acknowledge or shelve an alarm, or acknowledge several."""
         table, board = await _json(request) or {}, request.path_params["board"]
         name, names, shelve_s = table.get("name"), table.get("names"), table.get("shelve_s", 0.0)
-        if isinstance(names, list) and 0 < len(names) <= MAX_ALARMS and all(isinstance(one, str) for one in names):
-            several = [str(one) for one in names]
+        if isinstance(names, list) and 0 < len(names) <= MAX_ALARMS and all(isinstance(name, str) for name in names):
+            several = [str(name) for name in names]
             return await self._act(
                 request, board, lambda session, wish: self._actions.acknowledge_all(
                     session, board, several, issued_ns=wish.issued_ns

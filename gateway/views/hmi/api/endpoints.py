@@ -19,7 +19,7 @@ from gateway.views.hmi.api.queries import CaptureQuery, EventsQuery, StatesQuery
 from gateway.views.hmi.api.recent import Samples
 from gateway.views.hmi.api.resource import BINARY, CSV, JSON, Call, Endpoint, ProblemError
 from gateway.views.hmi.downloads import download
-from gateway.views.hmi.kept import Kept
+from gateway.views.hmi.per_board import PerBoard
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
@@ -37,7 +37,7 @@ class Endpoints(Base):
         recent: the newest samples.
     """
 
-    def __init__(self, actions: Actions, acts: Acts, recent: Kept[Samples]) -> None:
+    def __init__(self, actions: Actions, acts: Acts, recent: PerBoard[Samples]) -> None:
         super().__init__(actions, acts)
         self._recent = recent
 
@@ -72,7 +72,7 @@ class Endpoints(Base):
     async def rigs(self, _: Call) -> shapes.Rigs:
         """List all rigs of the site."""
         feed = self._actions.feed
-        return shapes.Rigs(site=feed.site, rigs=[rigs.entry(board) for board in feed.heard()])
+        return shapes.Rigs(site=feed.site, rigs=[rigs.entry(board) for board in feed.board_feeds()])
 
     async def rig(self, call: Call) -> shapes.Rig:
         """Return the status of a rig: mode, reference, alarms, divergence from the twin, model, limits."""

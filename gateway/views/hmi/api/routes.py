@@ -19,8 +19,8 @@ from gateway.views.hmi.api.openapi import document
 from gateway.views.hmi.api.recent import Samples
 from gateway.views.hmi.api.resource import Endpoint, Resource
 from gateway.views.hmi.api.stream import Streams
-from gateway.views.hmi.kept import Kept
 from gateway.views.hmi.model.work import ModelWork
+from gateway.views.hmi.per_board import PerBoard
 from gateway.views.hmi.problems import problem
 from gateway.views.hmi.programs import VERSION
 
@@ -38,7 +38,7 @@ class Api:
 
     def __init__(self, actions: Actions, acts: Acts, work: ModelWork) -> None:
         self._has_users = actions.users is not None
-        self.recent = Kept(actions.feed, Samples)
+        self.recent = PerBoard(actions.feed, Samples)
         self._streams = Streams(actions.feed, actions.sessions)
         work_endpoints = WorkEndpoints(actions, acts, work)
         self._endpoints = [*Endpoints(actions, acts, self.recent).table(), *work_endpoints.table()]

@@ -11,7 +11,7 @@ from gateway.views.feed import BoardFeed, Feed
 T = TypeVar("T")
 
 
-class Kept(Generic[T]):
+class PerBoard(Generic[T]):
     """A thing of each board.
 
     Args:
@@ -33,6 +33,6 @@ class Kept(Generic[T]):
     async def follow(self, period_s: float, do: Callable[[T], object] = lambda _: None) -> None:
         """Look for new boards, and do something with that of each; runs until it is cancelled."""
         while True:
-            for board in self._feed.heard():
+            for board in self._feed.board_feeds():
                 do(self.of(board))
             await asyncio.sleep(period_s)
