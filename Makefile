@@ -38,7 +38,7 @@ install:
 demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
-# What guards a change, eight minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
+# What guards a change, ten minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
 test: setup
 	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow and not sample"
 

@@ -25,6 +25,7 @@ from protocol.errors import UsageError
 
 LINES, WIDTH = 200, 400
 _STEP = re.compile(r"\[(\d+)/(\d+)\]")  # of a line: the step that has begun, and their number
+_JUDGES = ("bode", "compare", "diagnose", "validate")  # a no is their answer, which the page shows
 END_S = 15.0  # a campaign parks the ball in this time
 
 
@@ -53,7 +54,7 @@ class Job:
         if code is None:
             return text_of("job.running", seconds=f"{time.monotonic() - self.began_s:.0f}")
         if code in (0, 1):  # 1: the work was done, and its answer is no
-            return text_of("job.done") if code == 0 else text_of("job.incomplete")
+            return text_of("job.done") if code == 0 or self.kind in _JUDGES else text_of("job.incomplete")
         # The last line of a command that cannot go on is its error: what, where, what to do.
         return text_of("job.failed", problem=self.lines[-1] if self.lines else f"exit code {code}")
 
