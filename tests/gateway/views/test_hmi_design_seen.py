@@ -104,7 +104,7 @@ def test_a_design_is_shown_loaded_and_flown(page: Page, rig: Rig, bus: Bus) -> N
     page.keyboard.press("Escape")  # STOP: loading in idle is the safest
     wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
     press(page, "Load on the board")
-    expect(card).to_contain_text("on the board", timeout=WORK_MS)
+    expect(card.locator(".in-use")).to_be_visible(timeout=WORK_MS)
     (made,) = (rig.folder / "data" / "campaigns" / CAMPAIGN / "designs").iterdir()
     designed = json.loads((made / "controller.json").read_text())["gains"]
     assert list(parameters(bus).gains) == pytest.approx(designed, rel=1e-4)
