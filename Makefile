@@ -47,7 +47,7 @@ test: setup
 test-slow: setup
 	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "slow and not sample"
 
-# Before a release and after a change of the twin, 12 minutes: coverage of intervals, rates of false alarms, more hidden
+# Before a release and after a change of the twin: coverage of intervals, rates of false alarms, more hidden
 # campaigns of each kind.
 test-samples: setup
 	$(ALONE) $(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m sample
