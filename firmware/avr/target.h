@@ -1,8 +1,8 @@
 /* ATmega328P at 16 MHz on an Arduino Uno with a MagnetoShield: every register that is used, clock, baud and wiring.
  *
  * In quotes: sections of the data sheet "ATmega48A/PA/88A/PA/168A/PA/328/P" (Microchip DS40002061); their numbers
- * differ between its editions.  The converter's are those of "MCP4725" (Microchip DS22039).  The wiring is that of the MagnetoShield R3 and R4
- * (github.com/gergelytakacs/AutomationShield/wiki/MagnetoShield).
+ * differ between its editions.  The converter's are those of "MCP4725" (Microchip DS22039).  The wiring is that of the
+ * MagnetoShield R3 and R4 (github.com/gergelytakacs/AutomationShield/wiki/MagnetoShield).
  *
  *     tick, T_s              timer 1     "16-bit Timer/Counter1", CTC mode     TCCR1A/B, OCR1A, TIMSK1
  *     capture, CAPTURE_US    timer 2     "8-bit Timer/Counter2", CTC mode      TCCR2A/B, OCR2A, TIMSK2, TIFR2, TCNT2

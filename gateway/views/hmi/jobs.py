@@ -109,12 +109,12 @@ class Jobs:
         """Interrupt it, as Ctrl-C would; False where nothing runs.
 
         Where it does not end by itself, as a replay whose session of the bus hangs, it is killed: the next one must be
-        able to start.  But a campaign, which parks the ball, has all the time that it takes.
+        able to start.  But a campaign, which parks the ball, and a recording, which writes what it has, are not.
         """
         job = self._jobs.get((kind, board))
         if job is None or not job.running:
             return False
-        if kind == "campaign":
+        if kind in ("campaign", "record"):
             order(job.process, signal.SIGINT)
         else:
             threading.Thread(target=end, args=([job.process], signal.SIGINT, END_S), daemon=True).start()

@@ -182,7 +182,8 @@ def job(running: Job) -> dict[str, Any]:
 
 def summary(board: BoardFeed) -> dict[str, Any]:
     """Return the entry of a board in the list of all boards."""
-    alarms, model = [alarm for alarm in board.alarms() if not alarm.is_shelved], board.latest(pb.TwinModel)
+    listed, model = board.alarms(), board.latest(pb.TwinModel)
+    alarms = [alarm for alarm in listed if not alarm.is_shelved]
     return now(board) | {
         "name": board.name,
         "model": model.name if model is not None else "",
@@ -190,7 +191,8 @@ def summary(board: BoardFeed) -> dict[str, Any]:
         "alarms": sum(a.active for a in alarms),
         "shelved": len(board.shelved()),
         "gone": sum(not a.active for a in alarms),  # that nobody has acknowledged
-        "fault": any(a.active and a.severity == "fault" for a in alarms),
+        # Also a shelved one: whoever looks at all rigs did not shelve it, and must see which of them has a fault.
+        "fault": any(a.active and a.severity == "fault" for a in listed),
     }
 
 

@@ -22,9 +22,9 @@ def rename(
     actions: Actions, work: ModelWork, session: LoginSession, board: str, name: str, title: str
 ) -> pb.CommandReply:
     """Give a campaign the name that people call it by; an empty one takes it away.  Its folder stays."""
-    chosen = _find(work, board, name)
     if (refused := actions.refused(session, "campaign")) is not None:
         return refused
+    chosen = _find(work, board, name)
     if chosen is None:
         return refusal("no-campaign", text_of("refusal.no_campaign"))
     title = " ".join(title.split())
@@ -39,9 +39,9 @@ def rename(
 
 def delete(actions: Actions, work: ModelWork, session: LoginSession, board: str, name: str) -> pb.CommandReply:
     """Delete a campaign with its recordings, models and reports; never one that a job of its rig works on."""
-    chosen = _find(work, board, name)
     if (refused := actions.refused(session, "delete_log")) is not None:
         return refused
+    chosen = _find(work, board, name)
     if chosen is None:
         return refusal("no-campaign", text_of("refusal.no_campaign"))
     if any(job.running and job.title == name for job in actions.jobs.of(board)):
