@@ -135,6 +135,8 @@ def test_a_fault_is_shelved_or_acknowledged_with_the_others_by_a_second_press_on
         page.mouse.click(5, 700)  # not a double click
         again.click()
         expect(group(page, "shelved").filter(has_text="FAULT")).to_be_visible()
+        page.goto("/")
+        expect(page.locator(".board-card[data-state=bad]")).to_have_count(1)  # all rigs are seen by others, too
     finally:
         FLAGS["flags"] = 0
 

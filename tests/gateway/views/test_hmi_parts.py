@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
+import signal
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +32,7 @@ from protocol.errors import DataError, UsageError
 from tests.harness.gateway.bus_peers import feed_of, played_gateway
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
+from tests.patience import HANG_S
 
 BOARD = pb.Parameters(sample_time_s=2e-3, x_ref_min_m=0.3e-3, x_ref_max_m=5.2e-3, gains=[0.5, 1700.0, 17.7, -17600.0])
 FILE = {
@@ -207,6 +211,28 @@ def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> N
     assert job.lines.maxlen == LINES
     assert all(len(line) <= WIDTH for line in job.lines)
     assert not jobs.stop("record", "rig")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="holds a process by SIGSTOP")
+@pytest.mark.parametrize(("kind", "killed"), [("replay", True), ("campaign", False), ("record", False)])
+def test_a_job_that_does_not_end_is_killed_but_not_one_that_parks_the_ball_or_writes(
+    kind: str, killed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.views.hmi.jobs.END_S", 0.2)
+    jobs = Jobs()
+    try:
+        job = jobs.start(kind, "*", ["emulate", "--tcp", "127.0.0.1:0"], title="t", who="ben")
+        wait_for(lambda: job.lines, "its first line")
+        os.kill(job.process.pid, signal.SIGSTOP)  # it hears nothing
+
+        assert jobs.stop(kind, "*")
+        if not killed:
+            with pytest.raises(subprocess.TimeoutExpired):
+                job.process.wait(1.0)
+            os.kill(job.process.pid, signal.SIGCONT)
+        assert (job.process.wait(HANG_S) == -signal.SIGKILL) is killed
+    finally:
+        jobs.close()
 
 
 def test_a_job_that_cannot_go_on_says_its_error_and_one_that_counts_steps_its_progress(tmp_path: Path) -> None:
