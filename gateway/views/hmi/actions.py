@@ -18,7 +18,8 @@ from pathlib import Path
 
 from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
-from gateway.views.feed import UNSEEN_S, Feed
+from gateway.views.board_feed import UNSEEN_S
+from gateway.views.feed import Feed
 from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library

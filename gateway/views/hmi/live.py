@@ -20,7 +20,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gateway.views.feed import BoardFeed, Feed
+from gateway.views.board_feed import BoardFeed
+from gateway.views.feed import Feed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.jobs import Job

@@ -20,7 +20,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from gateway.views.feed import BoardFeed, Feed
+from gateway.views.board_feed import BoardFeed
+from gateway.views.feed import Feed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.programs import METRICS
 from protocol.bus import board51_pb2 as pb

@@ -6,7 +6,8 @@ import asyncio
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from gateway.views.feed import BoardFeed, Feed
+from gateway.views.board_feed import BoardFeed
+from gateway.views.feed import Feed
 
 T = TypeVar("T")
 

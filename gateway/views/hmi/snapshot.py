@@ -14,7 +14,7 @@ from typing import Any
 from gateway.board.faults import COIL
 from gateway.board.reference import reference_range_mm
 from gateway.views.alarms import TWIN, Alarm
-from gateway.views.feed import TWIN_TIMEOUT_S, BoardFeed
+from gateway.views.board_feed import TWIN_TIMEOUT_S, BoardFeed
 from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.model.numbers import SPOKEN, in_numbers
 from gateway.views.hmi.model.plant import stated_ms

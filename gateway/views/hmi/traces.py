@@ -18,8 +18,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 
+from gateway.views.board_feed import BoardFeed
 from gateway.views.decimate import Bin, TopicBins
-from gateway.views.feed import BoardFeed
 from protocol.bus import board51_pb2 as pb
 
 SPAN_S = 20.0  # that a plot shows

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.views.feed import BoardFeed
+from gateway.views.board_feed import BoardFeed
 from gateway.views.hmi.spectrum import MISSING, FloatArray, amplitudes, even, in_bands, missing
 from gateway.views.hmi.texts import text_of, texts_of
 from gateway.views.hmi.traces import number

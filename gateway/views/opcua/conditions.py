@@ -17,7 +17,7 @@ from asyncua import ua
 from asyncua.common.event_objects import BaseEvent
 
 from gateway.views.alarms import Alarm
-from gateway.views.feed import BoardFeed
+from gateway.views.board_feed import BoardFeed
 from gateway.views.opcua.address_space.values import datetime_of
 from gateway.views.opcua.condition_events import SEVERITY, ConditionNode, condition_event
 from gateway.views.opcua.condition_nodes import ConditionObject

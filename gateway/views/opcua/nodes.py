@@ -16,8 +16,8 @@ from typing import Any
 
 from asyncua import ua
 
+from gateway.views.board_feed import BoardFeed
 from gateway.views.decimate import Bin, TopicBins
-from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space import quality
 from gateway.views.opcua.address_space.extras import EXTRAS, Extra, extra_value
 from gateway.views.opcua.address_space.history import RingHistory, Track

@@ -13,8 +13,9 @@ import pytest
 
 from gateway.board.conditions import LINK, TO_BOARD
 from gateway.views.alarms import TWIN
+from gateway.views.board_feed import SILENT_S, TWIN_TIMEOUT_S, UNSEEN_S, BoardFeed
 from gateway.views.decimate import TopicBins
-from gateway.views.feed import SILENT_S, TWIN_TIMEOUT_S, UNSEEN_S, BoardFeed, Feed
+from gateway.views.feed import Feed
 from gateway.views.hmi.snapshot import rest
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import REPLAYED, state_batch

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from playwright.sync_api import Browser, WebSocket, expect
 
-from gateway.views.feed import BoardFeed
+from gateway.views.board_feed import BoardFeed
 from gateway.views.hmi.spectrum import FloatArray, amplitudes, even, in_bands, missing
 from gateway.views.hmi.watch import Readings, Watch
 from protocol.bus import board51_pb2 as pb

@@ -12,7 +12,7 @@ from asyncua.server.internal_server import InternalServer
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.views.feed import Link
+from gateway.views.board_feed import Link
 from gateway.views.opcua.address_space import quality
 from gateway.views.opcua.address_space.history import RingHistory, Track
 from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import TypeAdapter
 from starlette.responses import Response
 
+from gateway.views.board_feed import BoardFeed
 from gateway.views.dispatch import Wish
-from gateway.views.feed import BoardFeed
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.acts import Acts, status_of
 from gateway.views.hmi.api import rigs, shapes

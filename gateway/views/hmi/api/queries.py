@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from gateway.views.feed import RETAINED_EVENTS
+from gateway.views.board_feed import RETAINED_EVENTS
 from gateway.views.hmi.api.job_bodies import CampaignName
 from gateway.views.hmi.api.recent import LONGEST_S
 from protocol.checked import Flag, Keys, Number, Whole, key

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 
-from gateway.views.feed import BoardFeed
+from gateway.views.board_feed import BoardFeed
 from protocol.bus import board51_pb2 as pb
 
 LONGEST_S = 60.0

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from gateway.board.reference import reference_range
-from gateway.views.feed import BoardFeed
+from gateway.views.board_feed import BoardFeed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.api import shapes
 from gateway.views.hmi.problems import remedy_of, sentence

@@ -19,7 +19,8 @@ from typing import Any
 from pydantic import TypeAdapter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gateway.views.feed import RETAINED_EVENTS, BoardFeed, Feed
+from gateway.views.board_feed import RETAINED_EVENTS, BoardFeed
+from gateway.views.feed import Feed
 from gateway.views.hmi.api import rigs, shapes
 from gateway.views.hmi.api.queries import StreamQuery
 from gateway.views.hmi.api.resource import checked_form

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from asyncua import ua
 
-from gateway.views.feed import BoardFeed
+from gateway.views.board_feed import BoardFeed
 from gateway.views.opcua.address_space import quality
 from gateway.views.opcua.address_space.values import Value, data_value
 from protocol.bus import board51_pb2 as pb

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from asyncua import ua
 
-from gateway.views.feed import Link
+from gateway.views.board_feed import Link
 from gateway.views.opcua.address_space.model import Leaf, Statistic
 from protocol.wire.messages import Flag
 
