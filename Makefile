@@ -4,7 +4,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 PYTEST_ARGS ?=
-STAMP  := $(VENV)/.from-lock
+INSTALLED := $(VENV)/.from-lock
+COMPILED  := $(VENV)/.compiled
 
 # Containers often forbid bytecode: every test process and every command would compile all of Python's sources again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -16,15 +17,16 @@ ALONE := XDG_CACHE_HOME=$(CACHE) XDG_CONFIG_HOME=$(CACHE)/config MPLCONFIGDIR=$(
 unexport NUMBA_CACHE_DIR
 
 .PHONY: setup install demo test test-slow test-samples mutants check docs pictures release clean
-setup: $(STAMP)
+setup: $(COMPILED)
 
-$(STAMP): requirements.lock pyproject.toml
-	@$(MAKE) --no-print-directory install
+$(COMPILED): $(INSTALLED)
 	$(BIN)/board51 compile
-	@touch $(STAMP)
+	@touch $@
+
+install: $(INSTALLED)
 
 # --require-hashes: what is installed is what was locked, byte for byte.
-install:
+$(INSTALLED): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "board51 needs Python 3.11 or newer; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
 	  echo "python3-venv is missing: installing it with apt-get"; \
@@ -34,18 +36,21 @@ install:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --disable-pip-version-check --quiet --require-hashes -r requirements.lock
 	$(BIN)/pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation -e .
+	@touch $@
 
 demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
-# What guards a change, ten minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
+# What guards a change, MINUTES on two idle cores.  Four processes: some of these tests wait for a board or a bus.
+# WHICH="not sample" runs the slow ones, too: first, so that no process waits for another at the end.
+WHICH ?= not slow and not sample
 test: setup
-	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow and not sample"
+	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup --no-loadscope-reorder $(PYTEST_ARGS) -m "$(WHICH)"
 
 # What else guards a change, twenty-five minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the
 # demo, browsers over a failing network.
-test-slow: setup
-	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "slow and not sample"
+test-slow:
+	$(MAKE) --no-print-directory test WHICH="slow and not sample"
 
 # Before a release and after a change of the twin: coverage of intervals, rates of false alarms, more hidden
 # campaigns of each kind.
@@ -57,7 +62,7 @@ mutants: setup
 	nice $(BIN)/mutmut run --max-children 1
 	$(BIN)/mutmut results
 
-check: setup
+check: install
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -65,7 +70,7 @@ check: setup
 	$(MAKE) docs
 
 # Pages that open from the file system: site/index.html.  Strict: a broken link or a missing page is an error.
-docs: setup
+docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 # The pictures of README and docs, flown anew by the emulated rig; needs chromium, 4 minutes.
@@ -73,7 +78,7 @@ pictures: setup
 	$(ALONE) $(BIN)/python .ci/pictures.py
 
 # Of the last commit, the same to the byte each time; CONTRIBUTING.md says what comes before and after.
-release: setup
+release: install
 	$(BIN)/python .ci/release.py dist
 
 clean:

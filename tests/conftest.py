@@ -49,18 +49,29 @@ def pytest_ignore_collect(collection_path: Path) -> bool | None:
 
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests that need POSIX.
+    """Mark tests that need POSIX, and put the slow ones first.
 
     Tests that share a fixture of their module run in one process: four processes would make it four times.
     """
     for item in items:
         if needs_posix(item.path):
             item.add_marker(pytest.mark.posix)
-    for item in items if hasattr(config, "workerinput") else []:
+    if not hasattr(config, "workerinput"):
+        return
+    for item in items:
         if isinstance(item, pytest.Function) and not any(item.iter_markers("xdist_group")):
             made = item._fixtureinfo.name2fixturedefs.values()
             if any(definition[-1].scope == "module" for definition in made):
                 item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+    # The short ones fill up the end of a run, where a process would otherwise wait for the last long test.  A group
+    # keeps its order: its fixtures are made once.
+    slow = {_group(item) for item in items if any(item.iter_markers("slow"))}
+    items.sort(key=lambda item: _group(item) not in slow)
+
+
+def _group(item: pytest.Item) -> str:
+    marker = item.get_closest_marker("xdist_group")
+    return str(marker.args[0]) if marker else item.nodeid
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

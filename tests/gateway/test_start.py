@@ -61,6 +61,7 @@ force_constant_n_m2_a2 = 5e-5
 """
 
 
+@pytest.mark.slow
 def test_another_emulated_rig_has_its_plant_card_and_its_limits(tmp_path: Path) -> None:
     page, bus = free_port(), free_port()
     (tmp_path / "rig.toml").write_text(RIG)

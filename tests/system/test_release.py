@@ -62,6 +62,7 @@ def builds(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Path]]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_two_builds_are_equal_to_the_byte(builds: list[dict[str, Path]], kind: str) -> None:
     first, second = (build[kind] for build in builds)

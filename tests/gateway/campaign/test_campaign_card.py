@@ -39,6 +39,7 @@ def run(line: Line, folder: Path, *more: str) -> int:
     return board51.main(words(line.endpoint, folder, *more))
 
 
+@pytest.mark.slow
 def test_nobody_s_plant_is_assumed_and_said_and_a_card_ends_that(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ from tests.patience import HANG_S
 LIFT_OFF = ("--quick", "--experiment", "lift-off", "--json")
 
 
+@pytest.mark.slow
 def test_a_recording_with_lost_samples_is_made_again(tmp_path: Path) -> None:
     folder = tmp_path / "c"
     with emulated_line(tmp_path) as line:

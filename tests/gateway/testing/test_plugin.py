@@ -25,6 +25,7 @@ def run_pytest(project: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "passes"), [("test_my_controller.py", 4), ("test_my_scada.py", 4)])
 def test_the_example_project_tests_its_own_code(name: str, passes: int, tmp_path: Path) -> None:
     shutil.copy(EXAMPLE / name, tmp_path)

@@ -17,6 +17,7 @@ from tests.harness.gateway.hmi_peers import hmi
 from tests.patience import HANG_MS
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.xdist_group("hmi-seen"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]

@@ -15,6 +15,7 @@ from tests.harness.gateway.rig_peers import Network, Rig, emulated_rig
 from tests.patience import HANG_MS
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.xdist_group("hmi-browser"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
@@ -72,7 +73,6 @@ def done(bus: Bus, what: str) -> int:
     return sum(record.command.WhichOneof("what") == what for record in records)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("how", ["nothing passes", "connections end", "connections are dead and nobody says so"])
 def test_controls_work_after_a_gap_of_seconds(page: Page, bus: Bus, network: Network, how: str) -> None:
     page.evaluate("fetch('/api/session').then((answer) => answer.text())")  # a connection to be used again
@@ -93,7 +93,6 @@ def test_controls_work_after_a_gap_of_seconds(page: Page, bus: Bus, network: Net
     assert page.evaluate("window.mine"), "the page was not loaded anew"
 
 
-@pytest.mark.slow
 def test_controls_work_after_the_page_s_server_restarted(page: Page, rig: Rig, bus: Bus) -> None:
     rig.hmi.kill()
     expect(page.locator('[data-live="lost"]')).to_contain_text("lost its server")
@@ -109,7 +108,6 @@ def test_controls_work_after_the_page_s_server_restarted(page: Page, rig: Rig, b
     mode(bus, pb.MODE_CLOSED_LOOP)
 
 
-@pytest.mark.slow
 def test_a_press_during_a_gap_is_answered_in_words_and_not_done_later(page: Page, bus: Bus, network: Network) -> None:
     network.cut()
     page.click('[data-mode="closed loop"]')
@@ -128,7 +126,6 @@ def test_a_press_during_a_gap_is_answered_in_words_and_not_done_later(page: Page
     assert done(bus, "set_mode") == 0
 
 
-@pytest.mark.slow
 def test_every_stop_goes_out_at_once_beside_those_that_are_not_answered(page: Page, bus: Bus, network: Network) -> None:
     """The first is answered late; in between somebody closes the loop again."""
     close_loop(bus)
@@ -181,7 +178,6 @@ def test_a_stop_that_the_network_held_up_acts_when_it_arrives(page: Page, bus: B
     expect(page.locator(SAID)).to_contain_text("coil off")
 
 
-@pytest.mark.slow
 def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, bus: Bus) -> None:
     close_loop(bus)
     wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight")
@@ -196,7 +192,6 @@ def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, b
     assert end.reply.accepted, end.reply.text
 
 
-@pytest.mark.slow
 def test_what_was_refused_does_not_stand_as_if_in_force(page: Page, bus: Bus) -> None:
     close_loop(bus)
     field, said = page.locator('[data-number="reference"]'), page.locator(".toast[data-state=bad]")

@@ -20,6 +20,7 @@ from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.patience import HANG_MS
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.xdist_group("hmi-plant"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
@@ -140,7 +141,6 @@ def fly_and_identify(page: Page, number: int, *, ends: str) -> None:
     expect(page.locator("[data-live=identify-said]")).to_contain_text(ends, timeout=WORK_MS)
 
 
-@pytest.mark.slow
 def test_another_ball_is_identified_by_buttons_alone_once_its_plant_is_stated(live_page: Page, rig: Rig) -> None:
     page = live_page
     expect(page.get_by_text(NOBODY)).to_be_visible()

@@ -17,7 +17,11 @@ from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import frame, hmi
 
-pytestmark = [pytest.mark.xdist_group("hmi-replay"), pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.xdist_group("hmi-replay"),
+    pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
+]
 START_NS = 1_700_000_000_000_000_000
 SECONDS = 60
 STATE = '[data-live="replay-state"]'

@@ -118,6 +118,7 @@ def test_a_page_of_a_recording_has_no_act_of_the_live_rig(page: Page, rig: Rig, 
     assert "record" not in text.replace("REPLAY of a recording", "")
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("end", ["highest", "lowest"])
 def test_the_ends_of_the_range_on_the_page_are_within_the_limits(page: Page, rig: Rig, bus: Bus, end: str) -> None:

@@ -21,6 +21,7 @@ from tests.harness.gateway.hmi_peers import hmi
 from tests.harness.gateway.npm import installed
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.xdist_group("hmi-seen"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
@@ -230,7 +231,6 @@ def test_a_coil_that_the_board_cannot_switch_off_is_never_called_off(page: Page,
         expect(page.locator('[data-live="mode"]')).not_to_contain_text("MAY BE ON")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("when", ["opened while nothing comes", "the samples end"])
 def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Site, when: str) -> None:
     with site.live():
@@ -253,7 +253,6 @@ def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Si
     expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")  # no status for seconds either
 
 
-@pytest.mark.slow
 def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/rig/rig")
     site.gateway.send("status", pb.Status(link="streaming", to_board="unanswered", log_state="writing"))
@@ -271,7 +270,6 @@ def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site)
     assert set(page.evaluate(cut)) <= may_be_cut
 
 
-@pytest.mark.slow
 def test_the_cause_that_the_twin_names_is_on_the_page_as_long_as_it_is_named(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/rig/rig")
     named = page.locator('[data-live="named"]')
@@ -315,7 +313,6 @@ def test_what_became_of_a_stop_is_told_for_each_rig(page: Page, site: Site) -> N
     assert "Switch two" not in page.locator(SAID).inner_text()
 
 
-@pytest.mark.slow
 def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
     """Alarms, flags, words across the page, marked chips, refusals."""
     site.gateway.answer = lambda _, command: pb.CommandReply(refused_by="gateway", reason="slew", text="Too far. " * 20)
@@ -347,7 +344,6 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
     return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_serious_on_any_page(
     page: Page, site: Site, axe: str, scheme: Literal["light", "dark"]
@@ -389,7 +385,6 @@ def test_dark_is_kept_once_it_was_chosen(page: Page, site: Site) -> None:
     assert theme() == "dark"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_every_text_can_be_read(page: Page, site: Site, scheme: Literal["light", "dark"]) -> None:
     """4.5 : 1, WCAG 2 AA."""

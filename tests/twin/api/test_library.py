@@ -98,6 +98,7 @@ def test_a_model_is_what_the_command_writes(
     assert found.table().startswith("K_A") or "K_A" in found.table()
 
 
+@pytest.mark.slow
 def test_a_validation_is_what_the_command_writes(
     folder: Path, model: Model, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,6 +150,7 @@ def test_a_design_is_what_the_command_writes(tmp_path: Path, capsys: pytest.Capt
     assert abs(found.poles[0]) < 1.0
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_points_of_rest_is_what_the_command_writes(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,6 +76,7 @@ def test_a_rig_that_changed_between_two_flights_is_seen() -> None:
     assert unlike.answer().startswith("The model predicts flight-1 better. ")
 
 
+@pytest.mark.sample
 def test_flights_of_one_rig_seldom_differ() -> None:
     """Three pairs: at 5 % for each, two that differ have a chance of 0.7 %."""
     flights = [fly({}, seed, ticks=2500) for seed in range(1, 7)]

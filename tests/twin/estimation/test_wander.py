@@ -51,6 +51,7 @@ def flight(theta: Theta, name: str, wander: float, seed: int) -> Record:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "wander"), WANDERS.items())
 def test_how_far_an_offset_wanders_is_found(name: str, wander: float) -> None:
     """Within four standard errors, and what is left is white noise; without the wander it is not."""
@@ -70,6 +71,7 @@ def test_how_far_an_offset_wanders_is_found(name: str, wander: float) -> None:
     assert white == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WANDERS)
 def test_an_offset_that_stays_does_not_wander(name: str) -> None:
     usual, *_ = coordinates_of(name.partition(".")[0])

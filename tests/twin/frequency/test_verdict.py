@@ -29,6 +29,7 @@ def compared_with_rig(s: Spectra, x_m: float = 2.85e-3) -> Tested:
     return x_m, differences, certain
 
 
+@pytest.mark.sample
 def test_a_right_model_is_refused_at_most_as_often_as_stated() -> None:
     flights = [compared_with_rig(s) for s in flown(REFERENCE, RIG)]
     pairs_of_heights = list(zip(flights[::2], flights[1::2], strict=True))

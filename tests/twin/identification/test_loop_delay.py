@@ -10,6 +10,7 @@ from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from twin import identify
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 704])
 def test_beside_a_delay_b_has_no_interval_but_its_value_with_the_delay(seed: int, tmp_path: Path) -> None:
     make_campaign(tmp_path, effects={"actuation-delay": 2.6e-4}, seed=seed, plant="emulator", quick=True)

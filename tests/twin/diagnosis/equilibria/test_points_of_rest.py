@@ -89,6 +89,7 @@ def test_the_interval_is_that_of_the_straight_line() -> None:
         assert held == pytest.approx(rss * (1.0 + 7.7086 / (n - 2)), rel=0.01)  # F(1, 4) at 95 %
 
 
+@pytest.mark.sample
 def test_noise_alone_seldom_names_a_cause() -> None:
     named = 0
     for seed in range(12):

@@ -320,6 +320,7 @@ def _gains_of(rig: PlantConstants) -> Controller:
     )
 
 
+@pytest.mark.slow
 def test_the_proposed_experiment_splits_on_the_emulated_board_what_narrow_steps_cannot() -> None:
     bench = Bench(gap_m=2.5e-4, seed=4)
     rig = bench.rig

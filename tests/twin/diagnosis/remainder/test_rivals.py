@@ -35,6 +35,7 @@ def rivals(
         return rivals_of(criterion, Selection(base=base, fit=fit, causes=(cause,)))
 
 
+@pytest.mark.slow
 def test_a_sensor_error_for_a_spring_falls(tmp_path: Path) -> None:
     found = rivals(tmp_path, "position-sensor-nonlinearity", plant="independent", outside={"spring-of-a-cable": 4.0})
 

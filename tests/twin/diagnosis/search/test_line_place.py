@@ -70,6 +70,7 @@ def test_flights_over_the_travel_tell_a_slow_force_from_a_reading(cause: str) ->
     assert leads(rig, [steps(rig, seed=3), steps(rig, seed=4)], cause)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", SIZES)
 def test_at_one_height_a_force_and_a_reading_are_one_class(cause: str) -> None:
     rig = rig_with(cause)

@@ -49,6 +49,7 @@ def rig_with(cause: str) -> Theta:
     return strong(cause, SIZES[cause], QUIET).having(f"{cause}.frequency_hz", FREQUENCY_HZ)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", SIZES)
 def test_a_line_is_named_where_it_is(cause: str) -> None:
     with campaign(rig_with(cause)) as criterion:

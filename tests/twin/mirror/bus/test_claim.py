@@ -97,6 +97,7 @@ def test_a_twin_that_was_stopped_frees_its_board(endpoint: str) -> None:
                 assert service.failure is None
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_one_line_and_starts_again_after_the_other_was_killed(endpoint: str) -> None:
     words = [sys.executable, "-m", "board51", "twin", "--site", "lab", "--connect", endpoint]
     with router(endpoint) as session, speaking(session) as twins, running(words) as first:
