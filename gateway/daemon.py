@@ -67,11 +67,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus(config))
         recorder = stack.enter_context(_recording(config.log)) if config.log.enabled else None
-        publishers = Publishers(
-            messages=Publisher("publish-messages", MESSAGES_QUEUE),
-            samples=Publisher("publish-samples", config.zenoh.queue),
-            batches=Publisher("publish-batches", config.zenoh.queue, gather_s=GATHER_S, join=state_batch),
-        )
+        publishers = _publishers(config.zenoh.queue)
         replies = Publisher("publish-replies", MESSAGES_QUEUE)
         clock = HostClock()
         sinks = [
@@ -120,6 +116,14 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
                 card.poll(now_s)
         _logger.info("ending; the boards follow their host-loss policy")
         del queryables
+
+
+def _publishers(samples: int) -> Publishers:
+    return Publishers(
+        messages=Publisher("publish-messages", MESSAGES_QUEUE),
+        samples=Publisher("publish-samples", samples),
+        batches=Publisher("publish-batches", samples, gather_s=GATHER_S, join=state_batch),
+    )
 
 
 def check(config: GatewayConfig) -> None:

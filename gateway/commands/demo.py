@@ -25,9 +25,9 @@ from pathlib import Path
 from gateway.client.message_queue import MessageQueue
 from gateway.client.rig import SILENCE_S, Rig
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
-from gateway.processes.command import call, emulated_line, finish, free_port, listens, running, wait
+from gateway.processes.command import EmulatedLine, call, emulated_line, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
-from protocol.diagnosis import load_diagnosis
+from protocol.diagnosis import Diagnosis, load_diagnosis
 from protocol.ending import on_signals
 from protocol.errors import ServiceError, UsageError, require
 
@@ -74,23 +74,10 @@ def _demo(out: Path, effects: list[str]) -> int:
         out / name for name in (f"campaign-{stamp}", "model.json", "report", "diagnosis")
     )
     with tempfile.TemporaryDirectory(prefix="board51-") as scratch, contextlib.ExitStack() as processes:
-        port = free_port()
-        endpoint, wire, folder = f"tcp/127.0.0.1:{port}", emulated_line(Path(scratch)), Path(scratch) / "logs"
+        endpoint, folder = f"tcp/127.0.0.1:{free_port()}", Path(scratch) / "logs"
 
         _step(began, "1/8 emulated board, gateway (UART <-> zenoh, MCAP), twin on the nominal CE 152")
-        words = [word for effect in effects for word in ("--effect", effect)]
-        emulator = processes.enter_context(running(out, "emulate", *wire.options, *words))
-        # In any order: the twin looks for the gateway until it is there.
-        twin = processes.enter_context(running(out, "twin", "--connect", endpoint, "--board", BOARD))
-        wait(wire.served, emulator, "the emulated board")
-        gateway = processes.enter_context(
-            running(out, "gateway", "--board", f"{BOARD}={wire.url}", "--listen", endpoint, "--log-dir", str(folder))
-        )
-        wait(lambda: listens(port), gateway, "the gateway")
-        rig = processes.enter_context(Rig(BOARD, connect=endpoint, who="demo"))
-        bus = rig.messages("state", "twin/state", "twin/divergence")
-        wait(lambda: bus.first(pb.State, 0.0) is not None, gateway, "samples from the board")
-        wait(lambda: bus.first(pb.TwinState, 0.0) is not None, twin, "the twin")
+        rig, bus = _start(processes, out, emulated_line(Path(scratch)), endpoint, folder, effects)
 
         _step(began, "2/8 lift the ball, follow a reference")
         flights = [_fly(rig, bus, "nominal")]
@@ -105,13 +92,7 @@ def _demo(out: Path, effects: list[str]) -> int:
 
         _step(began, "4/8 identify; diagnose begins in the background")
         diagnose = processes.enter_context(running(out, "diagnose", str(campaign), "--quick", "--out", str(diagnosis)))
-        refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
-        _show_model(model)
-        if refused:
-            _write_line("      identify rejects this model; the twin shows how large its errors are:")
-            for line in lines:
-                if line.startswith("! "):
-                    _wrap(line)
+        _identify(out, campaign, model)
 
         _step(began, "5/8 hand the identified model to the running twin, the same references again")
         _hand_over(out, model, endpoint)
@@ -137,6 +118,38 @@ def _demo(out: Path, effects: list[str]) -> int:
 
         _step(began, "8/8 what the log says")
         logs = [Path(shutil.move(path, out / path.name)) for path in sorted(folder.glob("*.mcap"))]
+    picture = _compare(out, logs, flights, diagnosed)
+    for name, path in {
+        "log": logs[-1], "campaign": campaign, "model": model, "extended": diagnosis / "extended_model.json",
+        "reports": f"{report / 'report.html'}, {diagnosis / 'report.html'}", "picture": picture,
+    }.items():  # fmt: skip
+        print(f"{name:<9}{path}")
+    print(f"{time.monotonic() - began:.0f} s")
+    return 0
+
+
+def _start(
+    processes: contextlib.ExitStack, out: Path, wire: EmulatedLine, endpoint: str, folder: Path, effects: list[str]
+) -> tuple[Rig, MessageQueue]:
+    """Start emulator, gateway and twin; return the rig and its messages once samples of both come."""
+    words = [word for effect in effects for word in ("--effect", effect)]
+    emulator = processes.enter_context(running(out, "emulate", *wire.options, *words))
+    # In any order: the twin looks for the gateway until it is there.
+    twin = processes.enter_context(running(out, "twin", "--connect", endpoint, "--board", BOARD))
+    wait(wire.served, emulator, "the emulated board")
+    gateway = processes.enter_context(
+        running(out, "gateway", "--board", f"{BOARD}={wire.url}", "--listen", endpoint, "--log-dir", str(folder))
+    )
+    wait(lambda: listens(int(endpoint.rpartition(":")[2])), gateway, "the gateway")
+    rig = processes.enter_context(Rig(BOARD, connect=endpoint, who="demo"))
+    bus = rig.messages("state", "twin/state", "twin/divergence")
+    wait(lambda: bus.first(pb.State, 0.0) is not None, gateway, "samples from the board")
+    wait(lambda: bus.first(pb.TwinState, 0.0) is not None, twin, "the twin")
+    return rig, bus
+
+
+def _compare(out: Path, logs: list[Path], flights: list[Flight], diagnosed: Diagnosis) -> Path:
+    """Print the flights side by side, by their log; return the picture of measurement and twin."""
     if not logs:
         raise ServiceError("The gateway left no log", remedy=f"Its messages are in {out / 'gateway.log'}")
     gather(logs[-1], flights)
@@ -146,13 +159,17 @@ def _demo(out: Path, effects: list[str]) -> int:
     print(f"\n{table(flights)}\n")
     for text in (sentence(flights), conclusion(diagnosed)):
         print(textwrap.fill(text, 100, initial_indent="  ", subsequent_indent="  "))
-    for name, path in {
-        "log": logs[-1], "campaign": campaign, "model": model, "extended": diagnosis / "extended_model.json",
-        "reports": f"{report / 'report.html'}, {diagnosis / 'report.html'}", "picture": picture,
-    }.items():  # fmt: skip
-        print(f"{name:<9}{path}")
-    print(f"{time.monotonic() - began:.0f} s")
-    return 0
+    return picture
+
+
+def _identify(out: Path, campaign: Path, model: Path) -> None:
+    refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
+    _show_model(model)
+    if refused:
+        _write_line("      identify rejects this model; the twin shows how large its errors are:")
+        for line in lines:
+            if line.startswith("! "):
+                _wrap(line)
 
 
 def _hand_over(out: Path, model: Path, endpoint: str) -> None:

@@ -27,24 +27,9 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options; the lists of effects and faults come from their tables."""
     from firmware.sim import CHIPS
-    from gateway.emulator import faults
-    from gateway.emulator.plant import effects
     from gateway.emulator.serve import RIGS
 
-    parser.epilog = (
-        "examples:\n"
-        "  board51 emulate --pty /tmp/board51\n"
-        "  board51 emulate --tcp 127.0.0.1:5100 --boards 4 --effect quadratic-drag=1.0\n"
-        "  board51 emulate --pty /tmp/board51 --fault flip=1e-4 --fault stall=0.5@10/30 --fault reset@60\n"
-        "  board51 emulate --pty /tmp/board51 --firmware c\n"
-        "  board51 emulate --pty /tmp/board51 --chip avr\n"
-        "  board51 emulate --pty /tmp/board51 --rig magnetoshield --chip avr\n"
-        "  board51 emulate --pty /tmp/board51 --rig my-rig.toml\n"
-        "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
-        f"{faults.HELP}\n\n"
-        f"effects (--effect NAME=VALUE; VALUE a number, or one of the three given here as weak | medium | strong):\n"
-        f"{effects.listing()}"
-    )
+    parser.epilog = _examples()
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--pty",
@@ -91,6 +76,32 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="multiple of real time; 0: as fast as possible, without --duration only while a host is connected",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds of the boards' time")
+    _add_deviations(parser)
+    parser.add_argument("--json", action="store_true", help="print for machines: one JSON object per line")
+
+
+def _examples() -> str:
+    from gateway.emulator import faults
+    from gateway.emulator.plant import effects
+
+    return (
+        "examples:\n"
+        "  board51 emulate --pty /tmp/board51\n"
+        "  board51 emulate --tcp 127.0.0.1:5100 --boards 4 --effect quadratic-drag=1.0\n"
+        "  board51 emulate --pty /tmp/board51 --fault flip=1e-4 --fault stall=0.5@10/30 --fault reset@60\n"
+        "  board51 emulate --pty /tmp/board51 --firmware c\n"
+        "  board51 emulate --pty /tmp/board51 --chip avr\n"
+        "  board51 emulate --pty /tmp/board51 --rig magnetoshield --chip avr\n"
+        "  board51 emulate --pty /tmp/board51 --rig my-rig.toml\n"
+        "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
+        f"{faults.HELP}\n\n"
+        f"effects (--effect NAME=VALUE; VALUE a number, or one of the three given here as weak | medium | strong):\n"
+        f"{effects.listing()}"
+    )
+
+
+def _add_deviations(parser: argparse.ArgumentParser) -> None:
+    """Add what makes board, line and plant differ from the nominal ones."""
     parser.add_argument(
         "--effect",
         action="append",
@@ -106,7 +117,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of noise and faults; board n takes SEED + n (default: 0)"
     )
-    parser.add_argument("--json", action="store_true", help="print for machines: one JSON object per line")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -160,14 +160,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "causes": [_finding(cause) for cause in diagnosis.causes if diagnosis.holds(cause)],
         "candidates": [_finding(cause) for cause in diagnosis.causes if not diagnosis.holds(cause)],
         "not_testable": [asdict(entry) for entry in diagnosis.not_testable],
-        "minor_effects": [
-            {
-                "name": minor_effect.name,
-                "parameters": parameters_json(minor_effect.parameters),
-                "log_likelihood_gain": minor_effect.loglik_gain,
-            }
-            for minor_effect in diagnosis.minor_effects
-        ],
+        "minor_effects": [_minor_effect(effect) for effect in diagnosis.minor_effects],
         "ruled_out": [asdict(entry) for entry in diagnosis.ruled_out],
         "jointly_explained": {"share_of_excess": diagnosis.account.jointly},
         "unexplained": {
@@ -181,25 +174,8 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "noise": noise_json(diagnosis.fit_evidence.noise, (diagnosis.floor.sigma_i_c_a, diagnosis.floor.sigma_x_m)),
         **({"noise_colour": colours} if (colours := colours_json(diagnosis.fit_evidence.noise)) else {}),
-        "lines": [
-            {
-                "channel": line.channel,
-                "cause": line.cause or None,
-                **parameters_json({"frequency_hz": line.frequency_hz, "amplitude": line.amplitude}),
-                "sentence": line.sentence,
-            }
-            for line in diagnosis.lines
-        ],
-        "trade_offs": [
-            {
-                "parameters": list(pair.names),
-                "correlation": pair.correlation,
-                "std": list(pair.stds),
-                "determined": None if pair.weights is None else list(pair.weights),
-                "log_likelihood_drops": list(pair.drops),
-            }
-            for pair in diagnosis.trade_offs
-        ],
+        "lines": [_line(line) for line in diagnosis.lines],
+        "trade_offs": [_trade_off(pair) for pair in diagnosis.trade_offs],
         "remainder": None if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.extended),
         "extended_model": _extended_model(diagnosis),
         "plant_assumed": diagnosis.extended.plant.assumed,
@@ -214,6 +190,33 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "stages_s": {name: round(seconds, 2) for name, seconds in diagnosis.stages_s.items()},
     }
     return plain(content)
+
+
+def _minor_effect(effect: MinorEffect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "parameters": parameters_json(effect.parameters),
+        "log_likelihood_gain": effect.loglik_gain,
+    }
+
+
+def _line(line: SpectralLine) -> dict[str, Any]:
+    return {
+        "channel": line.channel,
+        "cause": line.cause or None,
+        **parameters_json({"frequency_hz": line.frequency_hz, "amplitude": line.amplitude}),
+        "sentence": line.sentence,
+    }
+
+
+def _trade_off(pair: TradeOff) -> dict[str, Any]:
+    return {
+        "parameters": list(pair.names),
+        "correlation": pair.correlation,
+        "std": list(pair.stds),
+        "determined": None if pair.weights is None else list(pair.weights),
+        "log_likelihood_drops": list(pair.drops),
+    }
 
 
 def _finding(cause: Finding) -> dict[str, Any]:

@@ -185,18 +185,7 @@ def drag(
             equation="(5), (7)",
         )
     if loop_delay is not None:
-        delay = f"{loop_delay.delay_s * 1e3:.2g} ms"
-        warnings.append(
-            f"i_c answers as if u_c acted about {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} "
-            f"instead of {value:.3g} N s/m, so it has no interval. board51 diagnose extends the model by the delay"
-        )
-        return Parameter(
-            value=max(value, 0.0),
-            unit=PARAMETERS["b"][0],
-            verdict="not-identifiable",
-            method=f"innovations likelihood; with a delay of {delay} it is {loop_delay.b:.3g}",
-            equation="(5), (7)",
-        )
+        return _delayed_drag(value, loop_delay, warnings)
     # Left free below 0 in the fit and cut here: a bound in the fit would make the interval wrong.
     parameter = _parameter("b", max(value, 0.0), joint, "innovations likelihood over all flights", "(5), (7)")
     if coloured and parameter.verdict == "identified":
@@ -212,6 +201,22 @@ def drag(
             f"To know it, {_HELP['b']}"
         )
     return parameter
+
+
+def _delayed_drag(value: float, loop_delay: LoopDelay, warnings: list[str]) -> Parameter:
+    """A b without an interval: a delay that the model lacks is in it."""
+    delay = f"{loop_delay.delay_s * 1e3:.2g} ms"
+    warnings.append(
+        f"i_c answers as if u_c acted about {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} "
+        f"instead of {value:.3g} N s/m, so it has no interval. board51 diagnose extends the model by the delay"
+    )
+    return Parameter(
+        value=max(value, 0.0),
+        unit=PARAMETERS["b"][0],
+        verdict="not-identifiable",
+        method=f"innovations likelihood; with a delay of {delay} it is {loop_delay.b:.3g}",
+        equation="(5), (7)",
+    )
 
 
 def _impossible_drag(b: float, std: float) -> Parameter:

@@ -309,6 +309,21 @@ class _Rows:
         return combined(sessions)
 
 
+def _captured(capture: pb.CaptureRecord) -> list[Capture]:
+    """The step of a capture; empty if it has none."""
+    if not (0 < capture.step_index < len(capture.i_c_a) and capture.sample_time_s > 0):
+        return []
+    return [
+        Capture(
+            sample_time_s=capture.sample_time_s,
+            u_from_v=capture.u_from_v,
+            u_to_v=capture.u_to_v,
+            step_index=capture.step_index,
+            i_c_a=np.array(capture.i_c_a),
+        )
+    ]
+
+
 def _read_log(path: Path, recording: Recording) -> Record:
     from protocol.bus import board51_pb2 as pb
     from protocol.log.reader import LogReader
@@ -331,16 +346,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
         else:
             capture = parse(pb.CaptureRecord, entry, path)
             switched |= {(capture.session, tick) for tick in _switched_within(capture, T_s)}
-            if 0 < capture.step_index < len(capture.i_c_a) and capture.sample_time_s > 0:
-                captures.append(
-                    Capture(
-                        sample_time_s=capture.sample_time_s,
-                        u_from_v=capture.u_from_v,
-                        u_to_v=capture.u_to_v,
-                        step_index=capture.step_index,
-                        i_c_a=np.array(capture.i_c_a),
-                    )
-                )
+            captures += _captured(capture)
     if len(boards) > 1:
         raise DataError(
             f"{path} holds {len(boards)} boards: {', '.join(sorted(boards))}",

@@ -29,6 +29,8 @@ from protocol.errors import DataError, ServiceError, UsageError
 from protocol.log.reader import LogReader, RawLogRecord
 
 if TYPE_CHECKING:
+    import zenoh
+
     from gateway.record.replay import BusReplay
 
 SETTLE_S = 0.1  # a subscription that has just appeared takes up to 60 ms until data flows to it (measured)
@@ -90,8 +92,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
-    import zenoh
-
     from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, contents, pace
 
     if args.connect and args.listen:
@@ -107,20 +107,10 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     channels = contents(reader, topics_=topics_, boards=args.board)
     if not channels:
         _raise_empty(reader, args)
-    connect = [] if args.listen else args.connect or [DEFAULT_ENDPOINT]
-    check_bus_listeners(args.listen or [], guarded=False, insecure=args.insecure)
-    mode: Mode = "router" if args.listen else "client"
-    identity = find_identity(args.identity)
-    config = zenoh_config(mode, listen=args.listen or [], connect=connect, identity=identity)
-    try:
-        session = zenoh.open(zenoh.Config.from_json5(config))
-    except zenoh.ZError:
-        where = f"Cannot listen on {args.listen[0]}" if args.listen else f"No router answers at {connect[0]}"
-        raise ServiceError(where, remedy="Start board51 gateway or router, or replay with --listen") from None
     boards = list(dict.fromkeys((site, board) for site, board, _ in channels))
     begin_s = time.monotonic()
     sent, passes, log_s = 0, 0, 0.0
-    with session, BusReplay(session, boards, rename=args.rename, site=args.as_site) as replay:
+    with _session(args) as session, BusReplay(session, boards, rename=args.rename, site=args.as_site) as replay:
         replay.declare(channels)
         deadline_s = time.monotonic() + args.wait
         while not replay.matched() and time.monotonic() < deadline_s and not stop.is_set():
@@ -152,6 +142,26 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         print(f"{sent} messages, {log_s:.3f} s of the log, in {lasted_s:.3f} s")
     reader.check(last_ns=None)
     return 0 if sent else 1
+
+
+def _session(args: argparse.Namespace) -> zenoh.Session:
+    """Open the bus, as its router with --listen.
+
+    Raises:
+        ServiceError: no router answers, or the port is in use.
+    """
+    import zenoh
+
+    connect = [] if args.listen else args.connect or [DEFAULT_ENDPOINT]
+    check_bus_listeners(args.listen or [], guarded=False, insecure=args.insecure)
+    mode: Mode = "router" if args.listen else "client"
+    identity = find_identity(args.identity)
+    config = zenoh_config(mode, listen=args.listen or [], connect=connect, identity=identity)
+    try:
+        return zenoh.open(zenoh.Config.from_json5(config))
+    except zenoh.ZError:
+        where = f"Cannot listen on {args.listen[0]}" if args.listen else f"No router answers at {connect[0]}"
+        raise ServiceError(where, remedy="Start board51 gateway or router, or replay with --listen") from None
 
 
 def _play(
