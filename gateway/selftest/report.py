@@ -14,13 +14,8 @@ from protocol.errors import UsageError
 
 _TEMPLATE = "report.html"
 _CUT = "CUT THE SUPPLY"
-_CAUSES = (
-    "unexpected-reset",
-    "current-sensor",
-    "stuck-bit-i-c",
-    "time-constant",
-    "position-polarity",
-)  # of the faults found before them
+# Checks that find the cause of a fault that an earlier check reported.
+_CAUSES = ("unexpected-reset", "current-sensor", "stuck-bit-i-c", "time-constant", "position-polarity")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +52,7 @@ class Report:
 
 
 def cause_of(faults: Sequence[Verdict]) -> Verdict:
-    """Return the fault that explains the others: the first, unless one is known to cause what is before it."""
+    """Return the fault to mend first: the first one, unless a later check finds its cause."""
     return next((verdict for name in _CAUSES for verdict in faults if verdict.name == name), faults[0])
 
 
@@ -90,7 +85,7 @@ def _json(report: Report) -> str:
 
 
 def _html(report: Report) -> str | None:
-    """Return the page; None without jinja2: whoever solders has read the lines."""
+    """Return the page; None without jinja2, as the verdicts were printed, too."""
     try:
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     except ModuleNotFoundError:

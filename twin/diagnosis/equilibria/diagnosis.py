@@ -1,9 +1,9 @@
 """The diagnosis of a campaign that has points of rest alone: verdict, class, what would split it, diagnosis.json.
 
-Rule 1: causes whose best fits leave as much as the best one, within what chance does to so few points, are one class.
-Rule 2: members of a class differ in the unstable pole at mid-travel, which any closed-loop flight shows.  Members of
-        equal pole need another instrument.
-Rule 3: there is no motion, so no prediction of 20 ms: the gain is measured by predicting each point from the others.
+Rule 1: causes are one class if an F test cannot tell their residuals from those of the best fit.
+Rule 2: members of a class differ in the unstable pole at mid-travel, which any closed-loop flight shows.  Members with
+        the same pole need another instrument.
+Rule 3: without motion nothing is predicted 20 ms ahead.  Each point is predicted from the others, for the gain.
 """
 
 from __future__ import annotations
@@ -38,11 +38,10 @@ from twin.diagnosis.equilibria.points import (
 from twin.diagnosis.judge.reference_model import check_plant, theta_of
 from twin.estimation.record import FloatArray, Record
 from twin.inference.theta import Theta
-from twin.model import parameters as file
 from twin.model.assumed import assumption_warning, mark
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, measurement_for
 from twin.model.linear import linearised
-from twin.model.parameters import Model
+from twin.model.parameters import Model, ModelCause, Parameter, verdict_by
 from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
 
@@ -52,16 +51,16 @@ Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explanation:
-    """A cause that puts the balance right."""
+    """A cause that explains the points better than (3) alone."""
 
     name: str
     fit: StaticFit
     low: float  # 95 %
     high: float
-    F: float
-    p: float
-    left_out_a: FloatArray
-    pole_per_s: float  # unstable pole at mid-travel, as this cause has it
+    F: float  # of the F test against (3) alone
+    p: float  # probability of so large an F by chance
+    left_out_a: FloatArray  # error of each point, predicted from the others, A
+    pole_per_s: float  # unstable pole at mid-travel of the model with this cause
     pole_std_per_s: float
 
     @property
@@ -78,16 +77,16 @@ class StaticDiagnosis:
     points: Points
     base: StaticFit
     base_left_out_a: FloatArray
-    base_off_m: FloatArray  # by how much (3) holds the ball elsewhere with the measured i_c, m
-    reference_off_a: FloatArray | None  # what the model file that was given gets wrong, A
+    base_off_m: FloatArray  # height at which (3) rests with the measured i_c, minus the measured height, m
+    reference_off_a: FloatArray | None  # i_c measured - computed by the reference model, A
     members: tuple[Explanation, ...]  # of the class, best first; empty where nothing is named
     rejected: tuple[Explanation, ...]  # tested, and worse
-    absorbed: tuple[str, ...]  # K_c does what they do
+    absorbed: tuple[str, ...]  # another K_c explains as much as these causes
     verdict: Verdict
     confidence: float
     rounding_a: float  # standard deviation that rounding alone gives i_c
     judge: tuple[FloatArray, FloatArray] | None  # i_c measured - predicted on judge points, before and after, A
-    extended: file.Model
+    extended: Model
     warnings: tuple[str, ...]
 
 
@@ -96,7 +95,7 @@ def diagnose_points(
     records: Sequence[Record],
     judges: Sequence[Record],
     *,
-    model: file.Model | None = None,
+    model: Model | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> StaticDiagnosis:
     """Diagnose points of rest.
@@ -181,7 +180,7 @@ def is_static(campaign: Campaign) -> bool:
 
 
 def diagnose_static(
-    campaign: Campaign, *, data: Path | None, model: file.Model | None, say: Callable[[str], None]
+    campaign: Campaign, *, data: Path | None, model: Model | None, say: Callable[[str], None]
 ) -> StaticDiagnosis:
     """Diagnose points of rest.
 
@@ -328,10 +327,10 @@ def _extended(
     fit: StaticFit,
     members: Sequence[Explanation],
     points: Points,
-    model: file.Model | None,
+    model: Model | None,
     computed: float | None,
     base: StaticFit,
-) -> tuple[file.Model, list[str]]:
+) -> tuple[Model, list[str]]:
     """Return (the model with the first member, what in it was not measured)."""
     plant = campaign.plant
     like = model or Model.load("ce152")
@@ -343,21 +342,21 @@ def _extended(
     }
     t = float(t_distribution.ppf(1.0 - settings.STATIC_LEVEL / 2.0, max(fit.freedom, 1)))
     std = standard_error(points, plant, fit, of_gain=True) * fit.theta.K_c
-    parameters["K_c"] = file.Parameter(
+    parameters["K_c"] = Parameter(
         value=fit.theta.K_c,
         unit="N m^2/A^2",
         std=std,
         ci95=(max(fit.theta.K_c - t * std, 1e-9), fit.theta.K_c + t * std),
-        verdict=file.verdict_by(t * std, fit.theta.K_c),
+        verdict=verdict_by(t * std, fit.theta.K_c),
         method=f"{_METHOD}, Student t with {fit.freedom} degrees of freedom",
         equation="(3)",
     )
     if computed is not None:
-        parameters["K_A"] = file.Parameter(
+        parameters["K_A"] = Parameter(
             value=computed, unit="A/V", verdict="assumed", method="i_c of the points is u_c times this", equation="(1)"
         )
-    causes = tuple(file.ModelCause(name=member.name, parameters=parameters_of(member)) for member in members[:1])
-    return file.Model(
+    causes = tuple(ModelCause(name=member.name, parameters=parameters_of(member)) for member in members[:1])
+    return Model(
         plant=plant,
         parameters=mark(parameters, plant),
         noise=like.noise,
@@ -373,14 +372,14 @@ def _extended(
     ), assumed
 
 
-def parameters_of(explanation: Explanation) -> dict[str, file.Parameter]:
+def parameters_of(explanation: Explanation) -> dict[str, Parameter]:
     """Return the cause's parameters: the strength as fitted, the others at their usual values."""
     cause, half = BY_NAME[explanation.name], 0.5 * abs(explanation.high - explanation.low)
     parameters = {
-        entry.name: file.Parameter(value=entry.neutral, unit=entry.unit, method="not in these data")
+        entry.name: Parameter(value=entry.neutral, unit=entry.unit, method="not in these data")
         for entry in cause.parameters
     }
-    parameters[cause.strength.name] = file.Parameter(
+    parameters[cause.strength.name] = Parameter(
         value=explanation.value,
         unit=cause.strength.unit,
         ci95=(explanation.low, explanation.high),
