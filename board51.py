@@ -59,6 +59,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("gateway.commands.logs.replay", "a log back onto the bus, or its bytes into a pty"),
     "recover": ("gateway.commands.logs.recover", "save the intact messages of a broken log"),
     "info": ("gateway.commands.logs.info", "the contents of a log"),
+    "logs": ("gateway.commands.logs.logs", "questions about many logs: which flights, when, on which model"),
     "plot": ("twin.commands.plot", "plot measured values against the twin, from a log"),
     "completion": ("gateway.commands.completion", "a script that completes commands in bash or zsh"),
     "compile": ("twin.commands.compile", "compile the numerical kernels now instead of at their first use"),
@@ -69,7 +70,7 @@ PURPOSES = {  # the order of the help: what one wants to do, and the commands fo
     "fly": "start demo emulate send watch flash selftest",
     "measure and model": "campaign identify validate bode design twin predict what-if compare diagnose investigate"
     " export-model",
-    "logs": "record info plot export import replay recover",
+    "logs": "record info logs plot export import replay recover",
     "views": "hmi opcua foxglove",
     "operate": "gateway router security completion compile bench",
 }

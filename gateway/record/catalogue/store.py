@@ -1,0 +1,147 @@
+"""The database of a folder of logs: kept in step with the files, and asked in SQL.
+
+SQLite, not Parquet and DuckDB: it comes with Python, a changed log changes its own rows alone, and Grafana and every
+language read it.  Questions come from people and from pages, so SQLite itself refuses whatever is not a SELECT.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, NamedTuple, get_type_hints
+
+from gateway.record.catalogue.sessions import Session, sessions_of
+from protocol.errors import DataError, ServiceError, UsageError
+
+NAME = "catalogue.sqlite"
+COLUMNS = ("file", "bytes", *(column.name for column in fields(Session)), "problem")
+RECENT_S = 5.0  # a log that has changed since is being written
+LIMIT_S = 10.0  # for the answer to a question
+MAX_ROWS = 100_000
+MAX_TEXT = 1_000_000  # bytes of a value: no question fills the memory
+_VERSION = 1
+_READS = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION)
+
+
+class Update(NamedTuple):
+    """What bringing the catalogue up to date did."""
+
+    read: int  # logs that are new or have changed
+    forgotten: int  # logs that are gone
+    unfinished: tuple[str, ...]  # logs that are being written: in the catalogue once they rest
+    unreadable: tuple[str, ...]
+
+
+class Answer(NamedTuple):
+    """The rows that a question found."""
+
+    columns: tuple[str, ...]
+    rows: list[tuple[Any, ...]]
+
+
+def update(folder: Path, progress: Callable[[str], None] = lambda text: None) -> Update:
+    """Read the logs below a folder that the catalogue does not know, or not as they are now.
+
+    Raises:
+        UsageError: the folder does not exist.
+        ServiceError: the catalogue cannot be written, or is no database.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is not a folder", remedy="Give the folder of the logs with --folder")
+    with _opened(folder, "rwc") as database:
+        _prepare(database)
+        known = {name: (size, changed) for name, size, changed in database.execute("SELECT * FROM seen")}
+        present, unfinished, unreadable, read = set[str](), [], [], 0
+        paths = sorted(folder.rglob("*.mcap"))
+        for number, path in enumerate(paths, 1):
+            name, status = path.relative_to(folder).as_posix(), path.stat()
+            present.add(name)
+            if known.get(name) == (status.st_size, status.st_mtime_ns):
+                continue
+            if time.time() - status.st_mtime < RECENT_S:
+                unfinished.append(name)
+                continue
+            progress(f"[{number}/{len(paths)}] {name}")
+            try:
+                rows, problem = sessions_of(path)
+            except DataError as error:
+                rows, problem = [], str(error)
+                unreadable.append(f"{name}: {error.problem}")
+            with database:  # a log at a time: an interrupted update keeps what it has read
+                _forget(database, [name])
+                database.execute("INSERT INTO seen VALUES (?, ?, ?)", (name, status.st_size, status.st_mtime_ns))
+                values = [{"file": name, "bytes": status.st_size, **asdict(row), "problem": problem} for row in rows]
+                places = ", ".join(f":{column}" for column in COLUMNS)
+                database.executemany(f"INSERT INTO logs ({', '.join(COLUMNS)}) VALUES ({places})", values)
+            read += 1
+        gone = [name for name in known if name not in present]
+        with database:
+            _forget(database, gone)
+    return Update(read, len(gone), tuple(unfinished), tuple(unreadable))
+
+
+def query(folder: Path, sql: str, *, limit_s: float = LIMIT_S) -> Answer:
+    """Return the rows that one SELECT finds in the table `logs`; it can neither write nor read anything else.
+
+    Raises:
+        UsageError: there is no catalogue, the question is not one SELECT over `logs`, or it takes too long.
+    """
+    if not (folder / NAME).is_file():
+        raise UsageError(f"{folder} has no catalogue", remedy="Run board51 logs query without --no-update first")
+    with _opened(folder, "ro") as database:
+        deadline = time.monotonic() + limit_s
+        database.set_progress_handler(lambda: time.monotonic() > deadline, 10_000)
+        database.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY)
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_TEXT)
+        try:
+            found = database.execute(sql)
+            rows = found.fetchmany(MAX_ROWS + 1)
+        except (sqlite3.Error, sqlite3.Warning) as error:
+            late = time.monotonic() > deadline
+            problem = (
+                f"The question took more than {limit_s:g} s" if late else f"The question cannot be answered: {error}"
+            )
+            raise UsageError(problem, remedy=f"Use SQL over these columns: {', '.join(COLUMNS)}") from None
+        if len(rows) > MAX_ROWS:
+            raise UsageError(f"The question finds more than {MAX_ROWS} rows", remedy="Ask for fewer, or for sums")
+        return Answer(tuple(name for name, *_ in found.description or ()), rows)
+
+
+def selection(condition: str, columns: Sequence[str] = COLUMNS) -> str:
+    """Return the SELECT for a condition on the columns, by the time of the beginning; all rows for an empty one."""
+    where = f" WHERE ({condition})" if condition else ""
+    return f"SELECT {', '.join(columns)} FROM logs{where} ORDER BY began, site, board, session"
+
+
+@contextmanager
+def _opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
+    try:
+        with closing(sqlite3.connect(f"{(folder / NAME).resolve().as_uri()}?mode={mode}", uri=True)) as database:
+            yield database
+    except sqlite3.DatabaseError as error:
+        where = folder / NAME
+        raise ServiceError(f"{where}: {error}", remedy="Look at its rights and the disk, or delete it") from None
+
+
+def _prepare(database: sqlite3.Connection) -> None:
+    """Make the tables; those of another version are made anew, as the logs hold everything."""
+    if database.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
+        kinds = {int: "INTEGER", int | None: "INTEGER", float: "REAL", float | None: "REAL", str: "TEXT"}
+        types = {"file": str, "bytes": int, **get_type_hints(Session), "problem": str}
+        columns = ", ".join(f"{name} {kinds[types[name]]}" for name in COLUMNS)
+        with database:
+            database.execute("DROP TABLE IF EXISTS seen")
+            database.execute("DROP TABLE IF EXISTS logs")
+            database.execute("CREATE TABLE seen (file TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER)")
+            database.execute(f"CREATE TABLE logs ({columns})")
+            database.execute("CREATE INDEX by_file ON logs (file)")
+            database.execute(f"PRAGMA user_version = {_VERSION}")
+
+
+def _forget(database: sqlite3.Connection, names: Sequence[str]) -> None:
+    for table in ("seen", "logs"):
+        database.executemany(f"DELETE FROM {table} WHERE file = ?", [(name,) for name in names])
