@@ -42,15 +42,12 @@ demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
 # What guards a change, MINUTES on two idle cores.  Four processes: some of these tests wait for a board or a bus.
-# WHICH="not sample" runs the slow ones, too: first, so that no process waits for another at the end.
+# test-slow, the rest, twenty-five minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
+# browsers.  WHICH="not sample" runs both, the slow ones first, so that no process waits for another at the end.
 WHICH ?= not slow and not sample
-test: setup
+test-slow: WHICH = slow and not sample
+test test-slow: setup
 	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup --no-loadscope-reorder $(PYTEST_ARGS) -m "$(WHICH)"
-
-# What else guards a change, twenty-five minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the
-# demo, browsers over a failing network.
-test-slow:
-	$(MAKE) --no-print-directory test WHICH="slow and not sample"
 
 # Before a release and after a change of the twin: coverage of intervals, rates of false alarms, more hidden
 # campaigns of each kind.

@@ -114,7 +114,6 @@ INPUTS: tuple[str, ...] = (
     "import BAD.mat -o OUT.mcap",
     "import BAD.parquet -o OUT.mcap",
     "info BAD",
-    "logs query --folder BAD",
     "opcua --security BAD --connect tcp/127.0.0.1:1",
     "plot BAD --out OUT.png",
     "predict BAD GOOD",

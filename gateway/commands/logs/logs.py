@@ -18,25 +18,30 @@ from typing import Any
 from gateway.record.catalogue.store import COLUMNS, Answer, Update, query, selection, update
 from protocol.errors import UsageError
 
-SHOWN = ("began", "board", "session", "duration_s", "flown_s", "missing", "model", "causes", "alarms", "nis", "file")
+COLUMNS_OF_TABLE = ("began", "board", "session", "duration_s", "flown_s", "model", "causes", "alarms", "nis", "file")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the sub-command."""
     parser.epilog = f"columns: {', '.join(COLUMNS)}\n{_EXAMPLES}"
     work = parser.add_subparsers(dest="work", required=True, metavar="WORK")
-    asked = work.add_parser(
+    parser_of_query = work.add_parser(
         "query",
         help="the sessions that satisfy a condition",
         description=__doc__,
         epilog=parser.epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    asked.add_argument("condition", nargs="?", default="", metavar="CONDITION", help="in SQL; default: all")
-    asked.add_argument("--folder", type=Path, default=Path("logs"), help="of the logs, with its sub-folders (logs)")
-    asked.add_argument("--sql", metavar="SELECT", help="a whole SELECT over the table logs instead of a CONDITION")
-    asked.add_argument("--no-update", action="store_true", help="ask the catalogue as it is")
-    form = asked.add_mutually_exclusive_group()
+    parser_of_query.add_argument("condition", nargs="?", default="", metavar="CONDITION", help="in SQL; default: all")
+    parser_of_query.add_argument(
+        "--folder", type=Path, default=Path("logs"), help="of the logs, with its sub-folders (logs)"
+    )
+    parser_of_query.add_argument(
+        "--sql", metavar="SELECT", help="a whole SELECT over the table logs instead of a CONDITION"
+    )
+    parser_of_query.add_argument("--no-update", action="store_true", help="ask the catalogue as it is")
+    parser_of_query.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    form = parser_of_query.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print all columns as JSON, one row a line")
     form.add_argument("--csv", action="store_true", help="print all columns as CSV")
 
@@ -54,8 +59,9 @@ def run(args: argparse.Namespace) -> int:
     if args.sql and args.condition:
         raise UsageError("--sql excludes a CONDITION", remedy="Give one of the two")
     if not args.no_update:
-        _tell(update(args.folder, lambda text: print(text, file=sys.stderr)))
-    columns = COLUMNS if args.json or args.csv else SHOWN
+        result = update(args.folder, (lambda _: None) if args.quiet else _write_progress)
+        _write_progress(*_left_out(result))
+    columns = COLUMNS if args.json or args.csv else COLUMNS_OF_TABLE
     answer = query(args.folder, args.sql or selection(args.condition, columns))
     if args.json:
         for row in answer.rows:
@@ -81,8 +87,11 @@ def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _tell(done: Update) -> None:
-    for name in done.unfinished:
-        print(f"{name} is being written: it is in the catalogue once it is finished", file=sys.stderr)
-    for text in done.unreadable:
-        print(f"left out: {text}", file=sys.stderr)
+def _left_out(result: Update) -> list[str]:
+    written = [f"{name} is being written: it is in the catalogue once it is finished" for name in result.unfinished]
+    return written + [f"left out: {text}" for text in result.unreadable]
+
+
+def _write_progress(*lines: str) -> None:
+    for line in lines:
+        print(line, file=sys.stderr)

@@ -63,7 +63,7 @@ class _MeanSquare:
 
 @dataclass(slots=True)
 class _Sums:
-    """What is known of a session so far."""
+    """The sums of a session so far."""
 
     gaps: SampleGaps
     parameters: pb.Parameters | None = None

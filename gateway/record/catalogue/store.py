@@ -28,7 +28,7 @@ _READS = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION)
 
 
 class Update(NamedTuple):
-    """What bringing the catalogue up to date did."""
+    """The result of bringing the catalogue up to date."""
 
     read: int  # logs that are new or have changed
     forgotten: int  # logs that are gone
@@ -78,10 +78,10 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
                 places = ", ".join(f":{column}" for column in COLUMNS)
                 database.executemany(f"INSERT INTO logs ({', '.join(COLUMNS)}) VALUES ({places})", values)
             read += 1
-        gone = [name for name in known if name not in present]
+        deleted = [name for name in known if name not in present]
         with database:
-            _forget(database, gone)
-    return Update(read, len(gone), tuple(unfinished), tuple(unreadable))
+            _forget(database, deleted)
+    return Update(read, len(deleted), tuple(unfinished), tuple(unreadable))
 
 
 def query(folder: Path, sql: str, *, limit_s: float = LIMIT_S) -> Answer:
@@ -98,17 +98,19 @@ def query(folder: Path, sql: str, *, limit_s: float = LIMIT_S) -> Answer:
         database.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY)
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_TEXT)
         try:
-            found = database.execute(sql)
-            rows = found.fetchmany(MAX_ROWS + 1)
+            cursor = database.execute(sql)
+            rows = cursor.fetchmany(MAX_ROWS + 1)
         except (sqlite3.Error, sqlite3.Warning) as error:
-            late = time.monotonic() > deadline
+            is_overdue = time.monotonic() > deadline
             problem = (
-                f"The question took more than {limit_s:g} s" if late else f"The question cannot be answered: {error}"
+                f"The question took more than {limit_s:g} s"
+                if is_overdue
+                else f"The question cannot be answered: {error}"
             )
             raise UsageError(problem, remedy=f"Use SQL over these columns: {', '.join(COLUMNS)}") from None
         if len(rows) > MAX_ROWS:
             raise UsageError(f"The question finds more than {MAX_ROWS} rows", remedy="Ask for fewer, or for sums")
-        return Answer(tuple(name for name, *_ in found.description or ()), rows)
+        return Answer(tuple(name for name, *_ in cursor.description or ()), rows)
 
 
 def selection(condition: str, columns: Sequence[str] = COLUMNS) -> str:

@@ -9,6 +9,7 @@ POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act
 POST /api/*/delete                  {"log": "logs/NAME.mcap"}
 GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
+GET  /api/sessions?where=nis > 3    table of the sessions of the gateway's logs, see record/catalogue
 GET  /api/timeline/<name>           start, duration and marks of a log, see record/timeline.py
 GET  /api/<board>/plant?mass_g=8.28&...  what is wrong about the data of a plant, see model/plant.py; changes nothing
 GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see model/exports.py
@@ -47,7 +48,7 @@ from gateway.views.hmi.model.plant import judged
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.starts import starts
-from gateway.views.hmi.summaries import summary, timeline
+from gateway.views.hmi.summaries import sessions, summary, timeline
 from gateway.views.hmi.texts import text_of
 from gateway.views.hmi.turns import Turns, departure
 from protocol.bus import board51_pb2 as pb
@@ -58,6 +59,7 @@ _REPORT_POLICY = (
     "sandbox allow-same-origin; default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:;"
     " frame-ancestors 'self'"
 )
+MAX_CONDITION = 1000  # characters
 _JOB_ACTS = ("start", "stop", "order")
 
 
@@ -99,6 +101,7 @@ class Requests:
             "/log/{name:path}": self.log,
             "/report-file/{name:path}": self.report,
             "/api/summary/{name:path}": self.summary,
+            "/api/sessions": self.sessions,
             "/api/timeline/{name:path}": self.timeline,
             "/api/{board}/export/{name:path}": self.export,
             "/api/{board}/plant": self.plant,
@@ -240,6 +243,14 @@ class Requests:
         if entry is None:
             return refusal(404, "no-log", text_of("refusal.no_log"))
         text = await summary(self._turns, entry, departure(request))
+        if text is None:
+            return refusal(503, "busy", text_of("library.busy"))
+        return JSONResponse({"accepted": True, "text": text})
+
+    async def sessions(self, request: Request) -> Response:
+        """Return the sessions in the gateway's logs that satisfy a condition, as text."""
+        condition = request.query_params.get("where", "")[:MAX_CONDITION]
+        text = await sessions(self._turns, self._actions.logs.folders[0], condition, departure(request))
         if text is None:
             return refusal(503, "busy", text_of("library.busy"))
         return JSONResponse({"accepted": True, "text": text})

@@ -1,9 +1,10 @@
-"""Summaries and timelines of logs, as `board51 info` prints them."""
+"""Summaries and timelines of logs, as `board51 info` prints them; sessions, as `board51 logs query` does."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Coroutine
+from pathlib import Path
 from typing import Any
 
 from gateway.views.hmi.library import LibraryFile
@@ -39,3 +40,12 @@ async def timeline(turns: Turns, entry: LibraryFile, leaving: Coroutine[Any, Any
     if extent is None:
         return None
     return json.dumps({"start_s": extent.start_s, "duration_s": extent.duration_s, "marks": []})
+
+
+async def sessions(turns: Turns, folder: Path, condition: str, leaving: Coroutine[Any, Any, None]) -> str | None:
+    """Return the table of the sessions that satisfy a condition in SQL; None if too many wait."""
+    words = ("logs", "query", "--folder", str(folder), "--quiet", "--", condition)
+    output = await turns.run(*words, memory=MEMORY, leaving=leaving)
+    if output is None:
+        return None
+    return text_of("library.many_to_read", path=folder) if output.code is None else output.text

@@ -82,6 +82,17 @@ def test_nothing_acts_after_a_stop_however_many_summaries_are_read(
     assert bus.states()[-1].mode == pb.MODE_IDLE
 
 
+def test_sessions_are_found_by_a_condition_and_a_wrong_one_is_said(page: Page, rig: Rig) -> None:
+    os.utime(rig.folder / "logs" / "big.mcap", (1.7e9, 1.7e9))  # finished long ago
+
+    found = page.http.get("/api/sessions", params={"where": "samples = 60000"}).json()["text"]
+    wrong = page.http.get("/api/sessions", params={"where": "--json"}).json()["text"]
+
+    assert "big.mcap" in found
+    assert found.endswith("1 row\n")
+    assert "cannot be answered" in wrong
+
+
 def test_one_summary_is_read_at_a_time_and_ends_with_its_request(rig: Rig, page: Page, viewers: Viewers) -> None:
     viewers.ask(WAITING + 1)
     viewers.ask(3)

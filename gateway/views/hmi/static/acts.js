@@ -222,13 +222,23 @@ document.querySelector("[data-filter=log]")?.addEventListener("input", (event) =
   for (const row of document.querySelectorAll(".log")) row.hidden = !row.textContent.toLowerCase().includes(wanted);
 });
 
-async function summary(button) {
+function summary(button) {
+  return showText(button.dataset.log, `/api/summary/${button.dataset.log}`);
+}
+
+document.querySelector("form.sessions")?.addEventListener("submit", (event) => {
+  event.preventDefault();
+  const condition = new FormData(event.target).get("where");
+  showText(condition, `/api/sessions?where=${encodeURIComponent(condition)}`);
+});
+
+async function showText(name, path) {
   const dialog = document.querySelector("dialog.summary"), text = dialog.querySelector(".summary-text");
-  dialog.querySelector(".file-name").textContent = button.dataset.log;
+  dialog.querySelector(".file-name").textContent = name;
   text.textContent = textOf("library.reading");
   dialog.show(); // not modal: STOP stays within reach
   try {
-    const answer = await server.ask(`/api/summary/${button.dataset.log}`, null, { method: "GET", limit: 130 });
+    const answer = await server.ask(path, null, { method: "GET", limit: 130 });
     text.textContent = answer.text;
   } catch (error) {
     text.textContent = textOf("library.unreadable", { error: error.message });
