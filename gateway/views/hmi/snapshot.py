@@ -91,8 +91,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
 
 def rest(board: BoardFeed) -> dict[str, Any]:
     """Return health, limits, alarms, events and commands."""
-    alarms, sentences = board.alarms(), _in_numbers(board)
-    ended = [alarm for alarm in board.shelved() if not alarm.active]  # the active ones are among the alarms
+    sentences = _in_numbers(board)
     return {
         "wrong": next(iter(sentences.values()), ""),
         "named": _named(board),
@@ -112,7 +111,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
                 "since": _clock(a.since_ns),
                 "at_s": round(a.since_ns / 1e9, 3),
             }
-            for a in (*alarms, *ended)
+            for a in board.all_alarms()
         ],
         "events": [
             {
