@@ -46,6 +46,15 @@ def on_end_signal(end: Callable[[], object]) -> None:
         signal.signal(number, handle)
 
 
+def end_at_once() -> None:
+    """Let SIGTERM and SIGINT end this process as the system does, until `on_end_signal`: it has begun nothing yet.
+
+    Python's own handler would wait for what runs in C, such as a compilation, and for the threads of pools.
+    """
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def order_end() -> None:
     """Give this process a SIGTERM, from any thread."""
     if os.name == "posix" or signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:

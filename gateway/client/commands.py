@@ -178,6 +178,15 @@ def acknowledge(alarm: str, *, comment: str = "") -> pb.Command:
     )
 
 
+def shelve(alarm: str, duration_s: float, *, comment: str = "") -> pb.Command:
+    """Shelve an alarm for a time, s; `acknowledge` brings it back before that."""
+    if not duration_s > 0.0:
+        raise UsageError(f"{duration_s:g} s is no time for an alarm on the shelf", remedy="Give a positive one")
+    command = acknowledge(alarm, comment=comment)
+    command.acknowledge.shelve_s = _finite(duration_s, "duration_s")
+    return command
+
+
 def stop() -> pb.Command:
     """Switch the coil off at once; mode idle."""
     return pb.Command(stop=pb.Stop())

@@ -168,6 +168,10 @@ class Rig(BoardConnection):
         """Acknowledge an alarm, such as "divergence-x"; views and logs show it."""
         return self._execute(commands.acknowledge(alarm, comment=comment))
 
+    def shelve(self, alarm: str, duration_s: float, *, comment: str = "") -> Reply:
+        """Keep an alarm quiet for a time, s; `acknowledge` brings it back before that."""
+        return self._execute(commands.shelve(alarm, duration_s, comment=comment))
+
     def ping(self) -> Reply:
         """Check that the board answers; raises if not."""
         return self._execute(commands.ping())

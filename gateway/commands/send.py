@@ -22,8 +22,15 @@ from protocol.bus import board51_pb2 as pb
 _number = argument(number, math.isfinite, "is not a finite number")
 _whole = argument(whole_number, lambda value: 0 <= value < 2**32, "is not a whole number from 0 to 2^32 - 1")
 _wait = argument(_number, lambda value: value > 0, "is not a time to wait")
+_time = argument(_number, lambda value: value > 0, "s is no time; give a positive one")
 _seconds = argument(_number, lambda value: value > 0, "s is not a duration; write 'endless' for one without end")
 _unix_time = argument(whole_number, lambda value: 0 < value < 2**64, "is not a Unix time in ns")
+
+_ALARM_ACTS = {
+    "acknowledge": "acknowledge an alarm, in every view and in the log",
+    "shelve": "keep an alarm quiet for a time, whether it goes and comes or not",
+    "unshelve": "bring a shelved alarm back before its time; it is acknowledged then",
+}
 
 
 def _duration(text: str) -> float:
@@ -60,6 +67,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n  board51 send rig1 mode closed-loop\n  board51 send rig1 reference 0.0030      or 3mm\n"
         "  board51 send rig1 excite rectangle --on-reference --amplitude 0.001"
         " --offset 0.003 --period 2 --duration 20\n"
+        "  board51 send rig1 shelve divergence-x --for 600 --comment 'coil is cold'\n"
         "  board51 send rig1 stop --connect tls/10.0.0.5:7447 --identity identities/ana"
     )
     options = argparse.ArgumentParser(add_help=False)
@@ -103,11 +111,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     loss.add_argument("policy", choices=list(map(str, commands.HostLoss)))
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="time without the host (1 s)")
     what.add_parser("mark", parents=[options], help="write a remark into every log").add_argument("text", type=_text)
-    acknowledge = what.add_parser(
-        "acknowledge", parents=[options], help="acknowledge an alarm, in every view and in the log"
-    )
-    acknowledge.add_argument("alarm", type=_text, help="its name, such as divergence-x")
-    acknowledge.add_argument("--comment", type=_text, default="", metavar="TEXT", help="the reason")
+    for name, purpose in _ALARM_ACTS.items():
+        alarm = what.add_parser(name, parents=[options], help=purpose)
+        alarm.add_argument("alarm", type=_text, help="its name, such as divergence-x")
+        alarm.add_argument("--comment", type=_text, default="", metavar="TEXT", help="the reason")
+        if name == "shelve":
+            alarm.add_argument("--for", dest="for_s", type=_time, required=True, metavar="S", help="at most 24 h")
     plant = what.add_parser("plant", parents=[options], help="state the plant card: ball, travel, x_max, gravity")
     plant.add_argument("file", type=Path, metavar="FILE", help="TOML with the [plant] of the rig")
     plant.add_argument("--confirmed", action="store_true", help="its unusual values are right")
@@ -150,7 +159,9 @@ def build(args: argparse.Namespace) -> pb.Command:
             return commands.set_host_loss(args.policy, timeout_s=args.after)
         case "mark":
             return commands.mark(args.text)
-        case "acknowledge":
+        case "shelve":
+            return commands.shelve(args.alarm, args.for_s, comment=args.comment)
+        case "acknowledge" | "unshelve":
             return commands.acknowledge(args.alarm, comment=args.comment)
         case "plant":
             from protocol.campaign import load_stated_plant

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import os
 import shutil
 import signal
 import socket
@@ -23,7 +24,7 @@ from gateway.commands.gateway import VIEWS as GATEWAY_VIEWS
 from gateway.config import LogConfig
 from gateway.link.port import closed_problem
 from gateway.processes.command import emulated_line
-from gateway.processes.supervisor import Service, running
+from gateway.processes.supervisor import END_S, Service, running
 from gateway.views.listen import ADDRESSES, address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.ending import on_signals, wait_for_end
@@ -122,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
     with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, *hang_up):
         _warn_of_ports(args.board or [])
         services = _services(args)
-        with running(services):
+        with running(services, end_s=END_S + 5.0):  # the gateway waits for its views
             if _answers(page, stopped):
                 _print_services(args, services)
                 wait_for_end(stopped)
@@ -202,7 +203,7 @@ def _check_free(address: tuple[str, int], *, option: str) -> None:
             pass
     except OSError as error:
         raise UsageError(
-            f"Cannot listen on {host}:{port} ({error.strerror})",
+            f"Cannot listen on {host}:{port} ({os.strerror(error.errno or 0)})",  # Python's own has the address, too
             remedy=f"If another board51 runs here, stop it, or give {option}HOST:PORT",
         ) from None
 

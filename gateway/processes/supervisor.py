@@ -28,7 +28,7 @@ from gateway.processes.command import Process, end, start
 FIRST_WAIT_S = 1.0
 LONGEST_WAIT_S = 30.0
 CALM_S = 60.0
-END_S = 5.0  # time to end before the child is killed
+END_S = 20.0  # time to end before the child is killed; a page gives its campaign 15 s to park the ball
 HUNG_S = 20.0  # much longer than any delay on a busy machine
 _USAGE = 2
 _logger = logging.getLogger("gateway.views")
@@ -44,14 +44,19 @@ class Service:
 
 
 @contextmanager
-def running(services: Sequence[Service]) -> Iterator[None]:
-    """Context manager: keep the services running within the block."""
+def running(services: Sequence[Service], *, end_s: float = END_S) -> Iterator[None]:
+    """Context manager: keep the services running within the block.
+
+    Args:
+        services: what runs.
+        end_s: time to end before they are killed; more than that of their own children.
+    """
     keepers = [_Keeper(service) for service in services]
     try:
         yield
     finally:
         last = {process: keeper for keeper in keepers if (process := keeper.stop()) is not None}
-        for process in end(list(last), signal.SIGTERM, END_S):
+        for process in end(list(last), signal.SIGTERM, end_s):
             _logger.warning("%s does not end and is killed", last[process].name)
         for keeper in keepers:
             keeper.join()

@@ -116,6 +116,12 @@ class BoardFeed:
             self._judge()
             return self._book.listed()
 
+    def all_alarms(self) -> tuple[Alarm, ...]:
+        """Return those of `alarms`, then those that are gone and still shelved."""
+        with self._lock:
+            self._judge()
+            return (*self._book.listed(), *(alarm for alarm in self._book.shelved() if not alarm.active))
+
     def shelved(self) -> tuple[Alarm, ...]:
         """Return the shelved alarms, the first that comes back first."""
         with self._lock:

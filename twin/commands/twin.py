@@ -21,7 +21,7 @@ from typing import Any
 from protocol.bus.endpoint import DEFAULT_ENDPOINT
 from protocol.bus.identity import HELP, find_identity, login_name
 from protocol.bus.topics import DEFAULT_SITE, check_name
-from protocol.ending import note_end, on_end_signal
+from protocol.ending import end_at_once, note_end, on_end_signal
 from protocol.errors import Board51Error, UsageError
 from twin.live.shell import endpoints_of
 from twin.model.parameters import SHIPPED, Model
@@ -170,16 +170,20 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:
     from twin.live.naming.namer import namers
     from twin.mirror.bus.service import TwinService
+    from twin.mirror.warm_up import compile_kernels
     from twin.model.simulate import left_out
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    stop = threading.Event()
-    on_end_signal(stop.set)
     log = logging.getLogger("twin")
     deadline = time.monotonic() + args.duration if args.duration else math.inf
     identity = find_identity(args.identity)
     if identity is not None:
         identity.check_valid(datetime.now(UTC))
+    end_at_once()  # where nothing is compiled yet the next two take a minute, in which no signal would be heeded
+    naming = None if args.no_names else namers(model)
+    compile_kernels(model)
+    stop = threading.Event()
+    on_end_signal(stop.set)
     with TwinService(
         model,
         site=args.site,
@@ -187,7 +191,7 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
         endpoints=endpoints,
         settings=settings,
         identity=identity,
-        namers=None if args.no_names else namers(model),
+        namers=naming,
     ) as service:
         log.info("twin of model %s on %s/%s via %s", model.name, args.site, args.board or "*", endpoints[0])
         for line in left_out(model):

@@ -93,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, contents, pace
+    from protocol.bus.closing import closing
 
     if args.connect and args.listen:
         raise UsageError("--connect and --listen exclude each other", remedy="Give one of the two")
@@ -110,7 +111,8 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     boards = list(dict.fromkeys((site, board) for site, board, _ in channels))
     begin_s = time.monotonic()
     sent, passes, log_s = 0, 0, 0.0
-    with _session(args) as session, BusReplay(session, boards, rename=args.rename, site=args.as_site) as replay:
+    session = _session(args)
+    with closing(session), BusReplay(session, boards, rename=args.rename, site=args.as_site) as replay:
         replay.declare(channels)
         deadline_s = time.monotonic() + args.wait
         while not replay.matched() and time.monotonic() < deadline_s and not stop.is_set():

@@ -91,8 +91,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
 
 def rest(board: BoardFeed) -> dict[str, Any]:
     """Return health, limits, alarms, events and commands."""
-    alarms, sentences = board.alarms(), _in_numbers(board)
-    ended = [alarm for alarm in board.shelved() if not alarm.active]  # the active ones are among the alarms
+    sentences = _in_numbers(board)
     return {
         "wrong": next(iter(sentences.values()), ""),
         "named": _named(board),
@@ -109,14 +108,14 @@ def rest(board: BoardFeed) -> dict[str, Any]:
                 "model": a.of_twin and a.name != TWIN,  # what to do about it is on the page of the model
                 "by": a.acknowledger,
                 "value": number(a.value, 3) if a.value is not None else None,
-                "since": _clock(a.since_ns),
+                "since": _moment(a.since_ns),
                 "at_s": round(a.since_ns / 1e9, 3),
             }
-            for a in (*alarms, *ended)
+            for a in board.all_alarms()
         ],
         "events": [
             {
-                "at": _clock(e.host_time_ns),
+                "at": _moment(e.host_time_ns),
                 "at_s": round(e.host_time_ns / 1e9, 3),
                 **_fields(e, "source", "severity", "name", "text"),
             }
@@ -132,7 +131,7 @@ def journal(entries: Sequence[Entry]) -> list[dict[str, Any]]:
     words = texts_of("journal_of")
     return [
         {
-            "at": _clock(e.at_ns),
+            "at": _moment(e.at_ns, dated=True),
             "severity": e.severity if e.what == "came" else "info",
             "name": e.name,
             "what": words[e.what if e.who else f"{e.what}_alone"].format(who=e.who, until=_clock(e.until_ns)[:5]),
@@ -155,7 +154,7 @@ def _in_numbers(board: BoardFeed) -> dict[str, str]:
     divergence = board.latest(pb.Divergence)
     if divergence is None or board.age_s(pb.Divergence) > TWIN_STALE_S:
         return {}
-    since = {alarm.name: _clock(alarm.since_ns)[:5] for alarm in board.alarms() if alarm.active}
+    since = {alarm.name: _moment(alarm.since_ns)[:-3] for alarm in board.alarms() if alarm.active}
     sentences = {name: in_numbers(name, since[name], divergence) for name in SPOKEN if name in since}
     return {name: sentence for name, sentence in sentences.items() if sentence}
 
@@ -170,7 +169,7 @@ def _named(board: BoardFeed) -> str:
         seconds=f"{diagnosis.for_s:.0f}",
         sentence=diagnosis.sentence,
         probability=f"{diagnosis.probability:.1g}",
-        since=_clock(diagnosis.since_ns),
+        since=_moment(diagnosis.since_ns),
     )
 
 
@@ -263,7 +262,7 @@ def _model(model: pb.TwinModel | None) -> dict[str, Any] | None:
 def _command(record: pb.CommandRecord) -> dict[str, Any]:
     command, reply = record.command, record.reply
     return {
-        "at": _clock(record.received_ns),
+        "at": _moment(record.received_ns),
         "who": command.who,
         "what": describe(command),
         "result": text_of("command.accepted")
@@ -308,6 +307,15 @@ def describe(command: pb.Command) -> str:
             return text_of("command.nothing")
         case what:
             return str(what).replace("_", " ")
+
+
+def _moment(time_ns: int, *, dated: bool = False) -> str:
+    """Return the local time, with its date where it is not of today."""
+    if not time_ns:
+        return ""
+    then = time.localtime(time_ns / 1e9)
+    form = "%H:%M:%S" if then[:3] == time.localtime()[:3] and not dated else "%Y-%m-%d %H:%M:%S"
+    return time.strftime(form, then)
 
 
 def _clock(time_ns: int) -> str:

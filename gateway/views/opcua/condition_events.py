@@ -12,12 +12,14 @@ from asyncua import ua
 from asyncua.common.event_objects import AlarmCondition
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD
+from gateway.board.limits import MAX_SHELVE_S
 from gateway.views.alarms import TWIN, Alarm
 from gateway.views.opcua.address_space.values import datetime_of
 
 SEVERITY = {"info": 100, "warning": 500, "fault": 800}
 _PROCESS = ua.NodeId(ua.ObjectIds.ProcessConditionClassType)
-_V = ua.VariantType
+_V, _O = ua.VariantType, ua.ObjectIds
+SHELVING, UNSHELVE_TIME = "ShelvingState/CurrentState", "ShelvingState/UnshelveTime"
 _INPUTS = {  # the variable that an alarm judges, by its name; of the board's faults, its flags
     "divergence-x": "twin/divergence/x_m.normalised",
     "divergence-i_c": "twin/divergence/i_c_a.normalised",
@@ -44,6 +46,7 @@ class ConditionNode:
     states: dict[str, tuple[bool, datetime]] = field(default_factory=dict)  # what was said last, and since when
     severity: tuple[int, datetime] | None = None  # said last
     sent_comment: tuple[str, datetime] | None = None  # comment, and since when
+    unshelved_at: datetime | None = None  # end of its shelving
 
 
 def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now: datetime, *, retain: bool) -> Any:
@@ -64,7 +67,7 @@ def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now
     event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
     event.ConditionClassName = ua.LocalizedText("ProcessConditionClassType")
     event.Retain = retain and condition.enabled
-    event.SupportsFilteredRetain = event.SuppressedOrShelved = False
+    event.SupportsFilteredRetain = False
     event.BranchId = ua.NodeId()
     event.InputNode = ua.NodeId(f"{alarm.board}/{_INPUTS.get(alarm.name, 'state/flags')}", node.NamespaceIndex)
     event.Quality = ua.StatusCode()
@@ -75,7 +78,13 @@ def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now
     condition.severity = severity, now
     _comment(event, alarm, condition, now)
     _states(event, alarm, condition, now, retain=retain)
+    _shelving(event, alarm, condition, retain=retain)
     return event
+
+
+def unshelve_time_ms(condition: ConditionNode, now: datetime) -> float:
+    """Return the time until the end of the shelving; 0 where it is not shelved (Part 9, 5.8.17)."""
+    return 0.0 if condition.unshelved_at is None else max(0.0, (condition.unshelved_at - now).total_seconds() * 1e3)
 
 
 def _comment(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime) -> None:
@@ -107,6 +116,16 @@ def _states(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime, *
     # Nothing waits to be confirmed: what an operator has acknowledged is done.
     event.ConfirmedState = ua.LocalizedText("Confirmed")
     setattr(event, "ConfirmedState/Id", True)
+
+
+def _shelving(event: Any, alarm: Alarm, condition: ConditionNode, *, retain: bool) -> None:
+    is_shelved = event.SuppressedOrShelved = alarm.is_shelved and retain
+    condition.unshelved_at = datetime_of(alarm.shelved_until_ns) if is_shelved else None
+    event.add_property(SHELVING, ua.LocalizedText("Timed Shelved" if is_shelved else "Unshelved"), _V.LocalizedText)
+    state = _O.ShelvedStateMachineType_TimedShelved if is_shelved else _O.ShelvedStateMachineType_Unshelved
+    event.add_property(f"{SHELVING}/Id", ua.NodeId(state), _V.NodeId)
+    event.add_property(UNSHELVE_TIME, unshelve_time_ms(condition, event.Time), _V.Double)
+    event.add_property("MaxTimeShelved", 1e3 * MAX_SHELVE_S, _V.Double)
 
 
 def _stamp(event: Any, name: str, moment: datetime) -> None:

@@ -57,10 +57,21 @@ class ConditionObject:
             if attributes[_A.NodeClass].value.Value.Value == ua.NodeClass.Method:
                 if _is_mandatory(self._space, reference.NodeId):
                     self._builder.refer(parent, reference.ReferenceTypeId.Identifier, reference.NodeId)
+            elif attributes[_A.NodeClass].value.Value.Value == ua.NodeClass.Object:
+                if any(field.startswith(f"{name}/") for field in event.data_types):
+                    node = self._object(parent, f"{path}/{browse_name.Name}", reference, browse_name)
+                    self._declarations(reference.NodeId, node, f"{path}/{browse_name.Name}", f"{name}/", event)
             elif name not in self._variables and getattr(event, name, None) is not None:  # a subtype repeats some
                 node = self._variable(parent, f"{path}/{browse_name.Name}", reference, browse_name)
                 self._variables[name] = node
                 self._declarations(reference.NodeId, node, f"{path}/{browse_name.Name}", f"{name}/", event)
+
+    def _object(self, parent: ua.NodeId, path: str, reference: Any, browse_name: ua.QualifiedName) -> ua.NodeId:
+        name = ua.LocalizedText(browse_name.Name)
+        attributes = ua.ObjectAttributes(DisplayName=name, Description=name, EventNotifier=0)
+        kind = next(r.NodeId for r in self._space[reference.NodeId].references if _is(r, _O.HasTypeDefinition))
+        reference_type = reference.ReferenceTypeId.Identifier
+        return self._builder.add(parent, path, browse_name, ua.NodeClass.Object, attributes, reference_type, kind)
 
     def _variable(self, parent: ua.NodeId, path: str, reference: Any, browse_name: ua.QualifiedName) -> ua.NodeId:
         declared, name = self._space[reference.NodeId], ua.LocalizedText(browse_name.Name)

@@ -2,7 +2,8 @@
 
 A condition of a board is the node `<board>/alarm/<name>`, which can be browsed once the alarm was raised.  Everything
 is emitted by the Server object and by the board's object: clients subscribe at either.  ConditionRefresh shows what is
-retained; Acknowledge, AddComment, Enable and Disable are methods of the condition.  A disabled condition is not
+retained; Acknowledge, AddComment, Enable and Disable are methods of the condition, TimedShelve and Unshelve of its
+ShelvingState: they act on the alarm of the bus, and so in every view and in the log.  A disabled condition is not
 reported to any client of this server until it is enabled or the server restarts; all other views continue to show it.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 import copy
 import uuid
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 from asyncua import ua
@@ -18,8 +20,14 @@ from asyncua.common.event_objects import BaseEvent
 
 from gateway.views.alarms import Alarm
 from gateway.views.board_feed import BoardFeed
-from gateway.views.opcua.address_space.values import datetime_of
-from gateway.views.opcua.condition_events import SEVERITY, ConditionNode, condition_event
+from gateway.views.opcua.address_space.values import Value, datetime_of
+from gateway.views.opcua.condition_events import (
+    SEVERITY,
+    UNSHELVE_TIME,
+    ConditionNode,
+    condition_event,
+    unshelve_time_ms,
+)
 from gateway.views.opcua.condition_nodes import ConditionObject
 from gateway.views.opcua.sessions import GuardedServer
 from gateway.views.opcua.types.build import Builder
@@ -55,7 +63,7 @@ class Conditions:
             await self._send(_plain(_command_text(record), "info", record.answered_ns))
 
     async def _alarms(self) -> None:
-        listed = {alarm.name: alarm for alarm in self._feed.alarms()}
+        listed = {alarm.name: alarm for alarm in self._feed.all_alarms()}
         ended = [self._sent[name] for name in self._sent.keys() - listed.keys()]
         previous, self._sent = self._sent, listed
         for alarm in listed.values():
@@ -92,6 +100,8 @@ class Conditions:
         if of:
             if of not in self._objects:
                 self._objects[of] = ConditionObject(self._server.aspace, self._builder, self._node, event)
+                left = self._builder.id(f"{event.NodeId.Identifier}/{UNSHELVE_TIME}")
+                self._server.set_attribute_value_callback(left, partial(_time_left, self._known[of][0]))
             await self._objects[of].show(event)
         for emitter in (self._node, _SERVER):
             emitted = copy.copy(event)
@@ -103,6 +113,12 @@ class Conditions:
         """Return the entries after `last`; all if `last` is no longer among them."""
         index = next((n for n in range(len(retained) - 1, -1, -1) if retained[n] is last), -1)
         return retained[index + 1 :]
+
+
+def _time_left(condition: ConditionNode, *_: object) -> Value:
+    """Return the value of UnshelveTime, which runs down."""
+    now = datetime.now(UTC)
+    return Value(Value=ua.Variant(unshelve_time_ms(condition, now), ua.VariantType.Double), SourceTimestamp=now)
 
 
 def _plain(text: str, severity: str, time_ns: int) -> Any:

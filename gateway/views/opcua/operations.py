@@ -92,7 +92,8 @@ class Operations:
             head: dict[str, Any] = {"who": visitor.name, "role": visitor.role.word, "issued_ns": wish.issued_ns}
             if act == "acknowledge" and may(visitor.role, act):  # it may count without a gateway, too
                 acknowledgement = command.acknowledge
-                return self._feed.acknowledge(board, acknowledgement.alarm, comment=acknowledgement.comment, **head)
+                span: dict[str, Any] = {"comment": acknowledgement.comment, "shelve_s": acknowledgement.shelve_s}
+                return self._feed.acknowledge(board, acknowledgement.alarm, **span, **head)
             return self._feed.command(board, command, timeout_s=TIMEOUT_S, **head)
 
         if act == "stop":

@@ -24,6 +24,7 @@ from asyncua.server.internal_session import InternalSession
 
 from gateway.access.roles import may
 from gateway.access.users import User
+from gateway.board.limits import MAX_SHELVE_S
 from gateway.views.opcua.address_space.model import methods
 from gateway.views.opcua.address_space.values import check_timestamps, stamped
 from gateway.views.opcua.condition_events import ConditionNode
@@ -53,6 +54,15 @@ _OF_CONDITIONS: dict[ua.NodeId, tuple[str, tuple[ua.VariantType, ...]]] = {
     ua.NodeId(ua.ObjectIds.ConditionType_AddComment): ("comment", (_V.ByteString, _V.LocalizedText)),
     ua.NodeId(ua.ObjectIds.ConditionType_Enable): ("enable", ()),
     ua.NodeId(ua.ObjectIds.ConditionType_Disable): ("disable", ()),
+    **{
+        ua.NodeId(getattr(ua.ObjectIds, f"{owner}_{method}")): (name, types)
+        for owner in ("ShelvedStateMachineType", "AlarmConditionType_ShelvingState")
+        for method, name, types in (
+            ("TimedShelve", "shelve", (_V.Double,)),
+            ("OneShotShelve", "one-shot", ()),
+            ("Unshelve", "unshelve", ()),
+        )
+    },
 }
 
 
@@ -285,6 +295,8 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             if self.is_foreign(values[0]):
                 return int(S.BadSubscriptionIdInvalid), []
             return await self.iserver.subscription_service.refresh(*values), []
+        if name in ("shelve", "one-shot", "unshelve"):
+            return await self._shelve(node, name, *(supplied.Value for supplied in inputs)), []
         condition = self.iserver.conditions.get(node)
         if condition is None:
             return int(S.BadNodeIdUnknown), []
@@ -304,6 +316,23 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         if code == S.Good:
             condition.comment, condition.is_changed = (comment, self.visitor.name), True
         return code, []
+
+    async def _shelve(self, node: ua.NodeId, name: str, duration_ms: float = 0.0) -> int:
+        """Shelve or unshelve an alarm (Part 9, 5.8.17); `node` is its ShelvingState or the condition itself."""
+        path = str(node.Identifier).removesuffix("/ShelvingState")
+        condition = self.iserver.conditions.get(ua.NodeId(path, node.NamespaceIndex))
+        if condition is None:
+            return int(S.BadNodeIdUnknown)
+        if not condition.enabled:
+            return int(S.BadConditionDisabled)
+        if name == "one-shot":  # on the bus a shelving has an end: nobody forgets an alarm that stays away
+            return int(S.BadNotSupported)
+        if name == "unshelve" and condition.unshelved_at is None:
+            return int(S.BadConditionNotShelved)
+        if name == "shelve" and not 0.0 < duration_ms <= 1e3 * MAX_SHELVE_S:
+            return int(S.BadShelvingTimeOutOfRange)
+        what = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, shelve_s=duration_ms / 1e3))
+        return code_of(await self.iserver.operations.command(self.visitor, condition.board, "acknowledge", what))
 
     async def _enable(self, condition: ConditionNode, *, enabled: bool) -> int:
         if condition.enabled == enabled:

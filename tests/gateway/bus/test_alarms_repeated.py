@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import board51
 from gateway.board.conditions import EVERY_S, LINK, TO_BOARD, Condition, Standing
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
@@ -88,6 +89,30 @@ def test_every_state_frame_is_a_sample_of_the_status_or_counted_in_it() -> None:
     assert 0 <= waiting <= 2
     assert status.samples > 1000
     assert status.states_ignored["no-session"] > 0
+
+
+def test_an_alarm_is_shelved_and_brought_back_from_the_command_line() -> None:
+    with ScriptedBoard() as board:
+        config = gateway_config(board.url)
+        with gateway_and_client(config) as bus:
+            send = ("send", "rig", "--connect", config.zenoh.listen[0])
+            codes = [
+                board51.main([*send[:2], *words, *send[2:]])
+                for words in (
+                    ("shelve", "innovation", "--for", "600", "--comment", "cold"),
+                    ("unshelve", "innovation"),
+                    ("shelve", "innovation", "--for", "86401"),
+                )
+            ]
+            wait_for(lambda: bus.event("acknowledged"), "both events")
+            texts = [bus.await_event(name).text.partition(": ")[2] for name in ("shelved", "acknowledged")]
+            with pytest.raises(SystemExit):
+                board51.main([*send[:2], "shelve", "innovation", "--for", "0", *send[2:]])
+
+    assert codes == [0, 0, 1]
+    assert texts[0].startswith("innovation")
+    assert "cold" in texts[0]
+    assert texts[1].strip() == "innovation"
 
 
 def test_an_acknowledgement_is_an_event_a_record_and_kept(tmp_path: Path) -> None:

@@ -125,6 +125,7 @@ def test_every_command_of_the_interface_has_a_method_that_a_board_accepts(rig: R
     assert rig.plant_card().plant.mass_kg == 8e-3
     rig.mark("here")
     rig.acknowledge("divergence-x", comment="seen")
+    rig.shelve("divergence-x", 600.0, comment="known")
     rig.ping()
     rig.set_mode(Mode.OPEN_LOOP)
     rig.excite("rectangle", amplitude=0.2, offset=0.4, period_s=0.1, duration_s=1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,6 +110,32 @@ def test_a_stream_tells_events_and_the_life_of_an_alarm(server: Server) -> None:
     assert over["acknowledged"]
     assert (event["source"], event["severity"]) == ("gateway", "info")
     assert "divergence-x" not in [alarm["name"] for alarm in server.program("vic").json("/rigs/rig/alarms")["alarms"]]
+
+
+def test_an_alarm_is_shelved_and_brought_back(server: Server) -> None:
+    server.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=True, host_time_ns=7, text="high"))
+    ben = server.program("ben")
+    about: dict[str, Any] = {"alarm": "innovation", "comment": "known"}
+
+    def entry() -> dict[str, Any]:
+        listed = server.program("vic").json("/rigs/rig/alarms")["alarms"]
+        return next((alarm for alarm in listed if alarm["name"] == "innovation"), {})
+
+    wait_for(entry, "the alarm")
+    forbidden = server.program("vic").command(command="shelve", shelve_s=600.0, **about)
+    malformed = [ben.command(command="shelve", shelve_s=wrong, **about) for wrong in (0.0, -1.0, 90000.0)]
+    shelved, during = ben.command(command="shelve", shelve_s=600.0, **about).json(), entry()
+    server.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=False, host_time_ns=11))
+    wait_for(lambda: entry()["active"] is False, "its end, on the shelf")
+    gone = entry()
+    back = ben.command(command="unshelve", **about).json()
+
+    assert forbidden.status_code == 403
+    assert [answer.json()["code"] for answer in malformed] == 3 * ["malformed"]
+    assert (shelved["executed"], back["executed"]) == (True, True)
+    assert 0.0 < during["shelved_until_s"] - time.time() <= 600.0
+    assert (gone["shelved_until_s"], gone["acknowledger"]) == (during["shelved_until_s"], "ben")
+    assert entry() == {}
 
 
 def test_a_late_reader_is_told_the_alarms_that_stand(server: Server) -> None:

@@ -100,5 +100,53 @@ def test_a_condition_is_browsed_read_heard_and_acknowledged(server: Served) -> N
         asyncio.run(ask())
 
 
+def test_a_condition_is_shelved_for_a_time_and_brought_back(server: Served) -> None:
+    ours, shelving = f"{RIG}-shelved", f"{RIG}-shelved/alarm/divergence-x/ShelvingState"
+    timed, unshelve, once = (
+        ua.NodeId(getattr(ID, f"AlarmConditionType_ShelvingState_{name}"))
+        for name in ("TimedShelve", "Unshelve", "OneShotShelve")
+    )
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status(f"{ours}/state/x_m", S.Good)
+            server.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text="x is off"), ours)
+
+            async def call(method: ua.NodeId, *inputs: float, at: str = shelving) -> int:
+                request = ua.CallMethodRequest(client.node(at).nodeid, method)
+                request.InputArguments = [ua.Variant(value, ua.VariantType.Double) for value in inputs]
+                return int((await client.client.uaclient.call([request]))[0].StatusCode.value)
+
+            async def shelved(*, wanted: bool) -> None:
+                path = f"{ours}/alarm/divergence-x/SuppressedOrShelved"
+
+                async def look() -> bool | None:
+                    return True if await client.node(path).read_value() is wanted else None
+
+                await until(look, "the alarm on the shelf, or back")
+
+            await shelved(wanted=False)
+            methods = await client.node(shelving).get_children(nodeclassmask=ua.NodeClass.Method)
+            assert {timed, unshelve} <= {method.nodeid for method in methods}
+            assert await call(unshelve) == S.BadConditionNotShelved
+            assert await call(once) == S.BadNotSupported
+            assert [await call(timed, ms) for ms in (0.0, -1.0, 1e12)] == 3 * [S.BadShelvingTimeOutOfRange]
+
+            assert await call(timed, 600e3) == S.Good
+            await shelved(wanted=True)
+            state = await client.node(f"{shelving}/CurrentState/Id").read_value()
+            assert state == ua.NodeId(ID.ShelvedStateMachineType_TimedShelved)
+            left_ms = [await client.node(f"{shelving}/UnshelveTime").read_value() for _ in range(2)]
+            assert 600e3 > left_ms[0] > left_ms[1] > 0.0
+            assert server.gateway.commands[-1][1].acknowledge.shelve_s == 600.0
+
+            assert await call(unshelve, at=f"{ours}/alarm/divergence-x") == S.Good  # of the condition itself, too
+            await shelved(wanted=False)
+            assert await client.node(f"{shelving}/UnshelveTime").read_value() == 0.0
+
+    with ticking(server.gateway, ours):
+        asyncio.run(ask())
+
+
 async def value(client: Peer, path: str) -> Any:
     return await client.node(f"{CONDITION}/{path}").read_value()

@@ -11,7 +11,7 @@ from asyncua import ua
 
 from gateway.views.alarms import Alarm
 from gateway.views.opcua.address_space.model import leaves
-from gateway.views.opcua.condition_events import _INPUTS, ConditionNode, condition_event
+from gateway.views.opcua.condition_events import _INPUTS, SHELVING, UNSHELVE_TIME, ConditionNode, condition_event
 
 NODE = ua.NodeId("rig/alarm/divergence-x", 2)
 START = datetime(2026, 1, 1, tzinfo=UTC)
@@ -20,7 +20,8 @@ FIELDS = (  # mandatory from BaseEventType to AlarmConditionType; SourceNode, So
     "EventId", "EventType", "Time", "Message", "Severity", "ConditionClassId", "ConditionClassName", "ConditionName",
     "BranchId", "Retain", "EnabledState", "EnabledState/Id", "Quality", "Quality/SourceTimestamp", "LastSeverity",
     "LastSeverity/SourceTimestamp", "Comment", "Comment/SourceTimestamp", "ClientUserId", "AckedState", "AckedState/Id",
-    "ActiveState", "ActiveState/Id", "InputNode", "SuppressedOrShelved", "NodeId", "SupportsFilteredRetain",
+    "ActiveState", "ActiveState/Id", "InputNode", "SuppressedOrShelved", "NodeId", "ShelvingState/CurrentState",
+    "ShelvingState/CurrentState/Id", "ShelvingState/UnshelveTime", "MaxTimeShelved", "SupportsFilteredRetain",
 )  # fmt: skip
 
 
@@ -62,3 +63,15 @@ def test_each_state_says_since_when() -> None:
 @pytest.mark.parametrize("path", sorted({*_INPUTS.values(), "state/flags"}))
 def test_the_input_of_a_condition_is_a_variable_of_the_rig(path: str) -> None:
     assert path == "link/state" or path in {leaf.path for leaf in leaves()}
+
+
+def test_a_shelved_condition_says_so_and_for_how_long() -> None:
+    condition = ConditionNode("rig", "divergence-x")
+    until_ns = round((START + timedelta(seconds=65)).timestamp() * 1e9)
+    shelved = told(condition, 5, acknowledged=True, shelved_until_ns=until_ns)
+    back = told(condition, 30)
+
+    assert [event.SuppressedOrShelved for event in (shelved, back)] == [True, False]
+    assert [getattr(event, SHELVING).Text for event in (shelved, back)] == ["Timed Shelved", "Unshelved"]
+    assert [getattr(event, UNSHELVE_TIME) for event in (shelved, back)] == [60e3, 0.0]
+    assert condition.unshelved_at is None

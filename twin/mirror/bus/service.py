@@ -28,6 +28,7 @@ import zenoh
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
+from protocol.bus.closing import close
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
@@ -121,7 +122,7 @@ class TwinService:
             self._worker.join(timeout=2.0)
         for session in (self._hearing, self._session):
             if session is not None:
-                session.close()  # type: ignore[no-untyped-call]  # the stub has no return type
+                close(session)
         self._hearing = self._session = None
 
     def __enter__(self) -> TwinService:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from gateway.board.limits import MAX_SHELVE_S
 from gateway.client import commands
 from gateway.views.hmi.api.shapes import Mode
 from protocol.bus import board51_pb2 as pb
@@ -117,6 +118,25 @@ class Acknowledge(Keys):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Shelve(Keys):
+    """Keep an alarm quiet for a time, in every view, whether it goes and comes or not."""
+
+    command: Literal["shelve"]
+    alarm: Annotated[str, key("its name, such as divergence-x")]
+    shelve_s: Annotated[Annotated[Number, Field(gt=0.0, le=MAX_SHELVE_S)], key("for so long, s; at most 24 h")]
+    comment: Annotated[str, key("the reason")] = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unshelve(Keys):
+    """Bring a shelved alarm back before its time; it is acknowledged then, as one that is not shelved."""
+
+    command: Literal["unshelve"]
+    alarm: Annotated[str, key("its name, such as divergence-x")]
+    comment: Annotated[str, key("the reason")] = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SetPlant(Keys):
     """State the plant of the rig for its card; values that are unusual have to be confirmed."""
 
@@ -154,6 +174,8 @@ Body = Annotated[
     | SetHostLoss
     | Mark
     | Acknowledge
+    | Shelve
+    | Unshelve
     | SetPlant
     | Stop
     | Ping,
@@ -207,6 +229,8 @@ KINDS: dict[str, tuple[type, Callable[[Any], pb.Command]]] = {  # of the key "co
     "host-loss": (SetHostLoss, lambda body: commands.set_host_loss(body.policy, timeout_s=body.timeout_s)),
     "mark": (Mark, lambda body: commands.mark(body.text)),
     "acknowledge": (Acknowledge, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
+    "shelve": (Shelve, lambda body: commands.shelve(body.alarm, body.shelve_s, comment=body.comment)),
+    "unshelve": (Unshelve, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
     "plant": (SetPlant, _plant),
     "stop": (Stop, lambda _: commands.stop()),
     "ping": (Ping, lambda _: commands.ping()),

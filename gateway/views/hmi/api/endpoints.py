@@ -102,7 +102,7 @@ class Endpoints(Base):
         return await self.stream(call)
 
     async def alarms(self, call: Call) -> shapes.Alarms:
-        """List the alarms that are active or not acknowledged; the command acknowledge acknowledges one."""
+        """List the alarms that are active, not acknowledged or shelved; the command acknowledge acknowledges one."""
         return shapes.Alarms(alarms=rigs.alarms(self._board(call)))
 
     async def events(self, call: Call) -> shapes.Events:
@@ -129,9 +129,10 @@ class Endpoints(Base):
         command = commands.KINDS[body.command][1](body)
 
         def do(session: LoginSession, wish: Wish) -> pb.CommandReply:
-            if isinstance(body, commands.Acknowledge):
+            if isinstance(body, commands.Acknowledge | commands.Shelve | commands.Unshelve):
+                what = command.acknowledge
                 return self._actions.acknowledge(
-                    session, board, body.alarm, comment=body.comment, issued_ns=wish.issued_ns
+                    session, board, what.alarm, comment=what.comment, shelve_s=what.shelve_s, issued_ns=wish.issued_ns
                 )
             return self._actions.command(session, board, command, issued_ns=wish.issued_ns)
 

@@ -113,8 +113,9 @@ def alarms(board: BoardFeed) -> list[shapes.AlarmEntry]:
             acknowledger=alarm.acknowledger,
             since_s=alarm.since_ns / 1e9,
             times=alarm.times,
+            shelved_until_s=alarm.shelved_until_ns / 1e9 if alarm.is_shelved else None,
         )
-        for alarm in board.alarms()
+        for alarm in board.all_alarms()
     ]
 
 

@@ -75,7 +75,7 @@ class Rigs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmEntry:
-    """An alarm that is active or not acknowledged."""
+    """An alarm that is active, not acknowledged or shelved."""
 
     name: Annotated[str, key("kebab-case, stable; for the command acknowledge")]
     severity: Literal["warning", "fault"]
@@ -85,6 +85,7 @@ class AlarmEntry:
     acknowledger: str
     since_s: Annotated[float, key("latest coming, Unix time, s")]
     times: Annotated[int, key("how often it came")]
+    shelved_until_s: Annotated[float | None, key("Unix time, s; null: it is not shelved")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

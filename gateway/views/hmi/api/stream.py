@@ -32,6 +32,7 @@ from protocol.errors import Board51Error
 
 MAX_STREAMS = 32
 NO_RIG, BAD_QUERY, TOO_MANY = 4404, 4400, 1013  # WebSocket close codes
+_OVER: dict[str, Any] = {"active": False, "acknowledged": True, "shelved_until_s": None}
 _STATE, _NOTICE = TypeAdapter(shapes.State), TypeAdapter(shapes.Notice)
 Source = Generator[list[str], None, None]  # of the messages since the last look
 
@@ -127,7 +128,7 @@ def _notices(board: BoardFeed, _: None) -> Source:
             if board.alarms_revision() != revision:
                 revision = board.alarms_revision()
                 listed = {alarm.name: alarm for alarm in rigs.alarms(board)}
-                over = [replace(sent[name], active=False, acknowledged=True) for name in sent.keys() - listed.keys()]
+                over = [replace(sent[name], **_OVER) for name in sent.keys() - listed.keys()]
                 changed = [alarm for name, alarm in listed.items() if sent.get(name) != alarm]
                 notices += [shapes.Notice(alarm=alarm) for alarm in (*over, *changed)]
                 sent = listed

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,6 +26,7 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
 )
 _TEMPLATES.globals |= {"text_of": text_of, "texts_of": texts_of, "json": json.dumps, "all_texts": for_scripts()}
+_TEMPLATES.globals["zone"] = lambda: time.strftime("%Z (UTC%z)")  # of this server
 _TEMPLATES.globals["parts"] = _TEMPLATES.get_template("parts.html").module
 for _name in _TEMPLATES.list_templates(extensions=["html"]):  # now: the first visitor's page would hold up a STOP
     _TEMPLATES.get_template(_name)

@@ -3,6 +3,7 @@
 // A series is {kind, low, high, name, scale, factor, style, dash, width, fill, digits}: which rows it reads and at which places
 // of a row its low and high are.  A gap, or a new session, is a gap in the line.
 
+import { cell } from "./dom.js";
 import { textOf } from "./texts.js";
 
 /* global uPlot */
@@ -21,7 +22,16 @@ export class Plot {
     this.kept = {};
     place.setAttribute("role", "group");
     this.u = new uPlot(this.settings(changed), [[]], place);
+    this.named = place.querySelector(".u-legend").appendChild(cell("caption", "", "alarm-line")); // a name in the plot would lie on lines
     new ResizeObserver(() => this.fit()).observe(place);
+    this.fit();
+  }
+
+  // value: where the alarm begins, or null.
+  alarmAt(value) {
+    if (this.line === value) return;
+    this.line = value;
+    this.named.textContent = value === null ? "" : textOf("plots.alarm_line", { value: Number(value.toPrecision(3)) });
     this.fit();
   }
 
@@ -142,9 +152,6 @@ export class Plot {
     if (this.line !== null) {
       const axis = this.options.axes.at(-1), y = u.valToPos(this.line, axis.scale, true);
       rule([left, y], [left + width, y], css("bad"), [10, 4, 2, 4]);
-      g.textAlign = "right";
-      const words = textOf("plots.alarm_line", { value: Number(this.line.toPrecision(3)) });
-      g.fillText(words, left + width - 6 * ratio, this.beside(u, y - 4 * ratio, 12 * ratio));
     }
     g.textAlign = "left";
     let free = left - 1; // names must not lie on one another
@@ -159,16 +166,6 @@ export class Plot {
     }
     if (this.lost) this.curtain(g, left, top, width, height, ratio);
     g.restore();
-  }
-
-  // Where a text of this height fits whose base would be at y: not in the band of noise, which belongs to the other axis.
-  beside(u, y, height) {
-    const band = this.options.noise;
-    if (!band) return y;
-    const top = u.valToPos(band.high, band.scale, true), bottom = u.valToPos(band.low, band.scale, true), below = bottom + height;
-    if (y < top || y - height > bottom) return y;
-    const isUpper = y - top < bottom - y && top - height > u.bbox.top;
-    return isUpper || below > u.bbox.top + u.bbox.height ? top - height / 3 : below;
   }
 
   curtain(g, left, top, width, height, ratio) {

@@ -1,6 +1,6 @@
 // The plots of a rig's page: position, current and input, residual and divergence; span, pause, zoom.
 
-import { $ } from "./dom.js";
+import { $, put } from "./dom.js";
 import { Plot } from "./plot.js";
 import { textOf } from "./texts.js";
 
@@ -51,11 +51,15 @@ export class Plots {
     this.button = document.querySelector("[data-pause]");
     this.button.addEventListener("click", () => this.pause(!this.paused));
     for (const plot of Object.values(this.plots)) plot.u.over.addEventListener("dblclick", () => this.pause(false));
-    this.show(20);
+    const { timeZone } = Intl.DateTimeFormat().resolvedOptions();
+    put("plots-zone", textOf("plots.zone", { zone: timeZone }));
+    const wanted = Number(new URLSearchParams(location.hash.slice(1)).get("span")); // a link may say it
+    this.show(document.querySelector(`[data-span="${wanted}"]`) ? wanted : 20);
   }
 
   show(span) {
     this.span = span;
+    if (span !== 20 || location.hash) history.replaceState(null, "", `#span=${span}`);
     for (const button of document.querySelectorAll("[data-span]")) {
       button.setAttribute("aria-pressed", String(Number(button.dataset.span) === span));
     }
@@ -81,7 +85,7 @@ export class Plots {
       if (!plot.isShown || (this.paused && plot.lost === lost)) continue; // a tab of a narrow screen may hide it
       plot.lost = lost;
       plot.marks = marks;
-      if (name === "plot-d") plot.line = now?.nis_on ?? null;
+      if (name === "plot-d") plot.alarmAt(now?.nis_on ?? null);
       if (this.paused) plot.u.redraw();
       else plot.draw(this.history, at - this.span, at, this.offset);
     }
