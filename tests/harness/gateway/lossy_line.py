@@ -196,7 +196,7 @@ def send_all(rig: LossyRig, count: int, *, seed: int, at_once: int = 4, stops: f
     sent = 0
     while sent < count or any(not replies[n] for n, _ in open_ones):
         if rig.driver.link == "streaming":
-            while sent < count and sum(not replies[n] for n, _ in open_ones) < at_once:
+            if sent < count and sum(not replies[n] for n, _ in open_ones) < at_once:
                 command = rig.gains(sent)
                 rig.ask(command, replies[sent])
                 open_ones = [*open_ones[-16:], (sent, command)]
