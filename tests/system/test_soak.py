@@ -26,6 +26,7 @@ from tests.harness.soak.stage import GATEWAYS, Stage, staged
 MINUTES = float(os.environ.get("BOARD51_SOAK_MINUTES", "0.5"))
 BOARDS = int(os.environ.get("BOARD51_SOAK_BOARDS", "4"))
 SEED = int(os.environ.get("BOARD51_SOAK_SEED", "1"))
+LOG_QUEUE = 1000 * max(BOARDS, 2)  # messages, of a second or two: a disk is full for longer
 LONG_MIN = 5.0  # from so many minutes on the slopes count
 NEAR_NS = 3_000_000_000
 CALM_S = 4.0  # before the first fault, and after the last
@@ -33,7 +34,7 @@ CALM_S = 4.0  # before the first fault, and after the last
 
 @pytest.mark.slow
 def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path: Path) -> None:
-    with staged(tmp_path, boards=BOARDS, seed=SEED, log_queue=2000) as stage:
+    with staged(tmp_path, boards=BOARDS, seed=SEED, log_queue=LOG_QUEUE) as stage:
         time.sleep(CALM_S)
         weather = Weather(stage, SEED, per_s=BOARDS / 4.0)
         weather.blow(60.0 * MINUTES)

@@ -47,10 +47,10 @@ _COSTS = (
     # gateway/README.md: at most 250 ms of log.
     Cost(BUS_ALONE, "gateway killed", 0.5, 0.1, "not yet on the disk when the gateway was killed"),
     Cost(BUS_ALONE, "disk full", 0.5, 1.0, DISK_FULL),
-    Cost(LOG_ALONE, "gateway killed", 0.5, 0.1, "not yet on the bus when the gateway was killed"),
-    # Messages wait for the router; lost is what was on its way when it died, and what was put before the subscriber
-    # was back.  The gateway counts only what its queue drops.
+    # Messages wait for the router, as far as the queue holds, which counts what it drops, and while the gateway lives.
+    # Not counted is what was on its way when the router died, and what was put before the subscriber was back.
     Cost(LOG_ALONE, "router killed", 0.5, 3.0, "no router, or on its way to one that was killed"),
+    Cost(LOG_ALONE, "gateway killed", 0.5, 0.1, "not yet on the bus when the gateway was killed"),
 )  # fmt: skip
 
 

@@ -75,7 +75,6 @@ def _no_gateway(stage: Stage, draw: random.Random, _: int) -> Course:
     stage.gateways[0].kill()
     yield draw.uniform(0.1, 1.0)
     stage.gateways[0].start()
-    yield 3.0  # it comes up
 
 
 def _no_reader(stage: Stage, draw: random.Random, _: int) -> Course:
