@@ -19,7 +19,7 @@ from gateway.campaign.plan import CommandLimits
 from gateway.campaign.subscriber import Recorded
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
-from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording, load_plant
+from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, PlantFile, Recording, load_plant
 from protocol.campaign_text import emit
 from protocol.checked import Flag, Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
@@ -112,6 +112,10 @@ class Folder:
         table = parse_json(read_small(file, remedy=_READABLE), where=str(file), remedy=_READABLE)
         known: _File = checked(_File, table, where=str(file), error=DataError, remedy=_READABLE)
         self.lift_off_v, self._identity = known.lift_off_v, known.identity
+        # A file that somebody has changed: what cannot be a plant is said now, and not in the middle of a run.
+        stated = {"plant": known.identity.get("plant")}
+        rig: PlantFile = checked(PlantFile, stated, where=str(file), error=DataError, remedy=_READABLE)
+        self._identity["plant"] = asdict(rig.plant)
         self.retained = {name: retained for name, retained in known.recordings.items() if name in EXPERIMENT_OF_NAME}
         self.left, self.quick = known.left, known.quick
         if (self.path / "campaign.toml").exists():

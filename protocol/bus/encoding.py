@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import SupportsBytes, TypeVar
 
+from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
 from google.protobuf.message import DecodeError, Message
 
 from protocol.bus import board51_pb2 as pb
@@ -31,6 +32,12 @@ def schema_name(message: type[Message]) -> str:
 def zenoh_encoding(message: type[Message]) -> str:
     """Return the zenoh encoding of a message class; subscribers may check it before they parse."""
     return f"{MIME};{schema_name(message)}"
+
+
+def word_of(kind: EnumTypeWrapper, number: int) -> str:
+    """Return the name of an enum's value in words, `closed loop`; one that this version does not know, as digits."""
+    known = kind.DESCRIPTOR.values_by_number.get(number)
+    return str(number) if known is None else known.name.partition("_")[2].lower().replace("_", " ")
 
 
 def is_replayed(attachment: SupportsBytes | None) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -43,6 +43,7 @@ class Wire:
     stall_ticks: int
     carried: int = 0
     lost: int = 0
+    spoil: Callable[[bytes], bytes] = bytes  # of what arrives
     _waiting: deque[bytes] = field(default_factory=deque)
     _stalled: int = 0
 
@@ -60,7 +61,7 @@ class Wire:
         if not self._stalled and self.random.random() < self.stall:
             self._stalled = self.random.randrange(1, self.stall_ticks)
         while self._waiting and not self._stalled:
-            yield self._waiting.popleft()
+            yield self.spoil(self._waiting.popleft())
 
 
 class BoardEnd:
@@ -110,24 +111,23 @@ class LossyRig:
         loss: Probability per frame, each way.
         stall: Probability per tick, each way, that the line stands.
         stall_ticks: Longest stall.
-        config: Of the board in the gateway.
+        divider: Of the states; few by default, they are not what is tried with commands.
     """
 
     limits: ClassVar = LimitsConfig(commands_per_s=1000.0)
 
     def __init__(
         self, board: type[Firmware] | type[NativeFirmware], *, seed: int, loss: float, stall: float = 0.0,
-        stall_ticks: int = 750,
+        stall_ticks: int = 750, divider: int = 50,
     ) -> None:  # fmt: skip
         self.tick_count = 0
         self.end = BoardEnd(board(Bench()))
         self.to_board, self.from_board = (
             Wire(random.Random(seed + n), loss, stall, stall_ticks) for n in range(2)
         )  # fmt: skip
-        # The shortest time-out that the configuration takes: the least ticks for a command.  Few states: they are not
-        # what is tried here.
+        # The shortest time-out that the configuration takes: the least ticks for a command.
         config = BoardConfig(
-            name="rig", port="none", stream_divider=50, command_timeout_s=0.02, limits=self.limits
+            name="rig", port="none", stream_divider=divider, command_timeout_s=0.02, limits=self.limits
         )  # fmt: skip
         clock = HostClock(lambda: _START_NS + self.now_ns, lambda: self.now_ns)
         self.driver = BoardDriver(config, Nobody(), clock)
@@ -159,8 +159,12 @@ class LossyRig:
 
     def ask(self, command: pb.Command, replies: list[pb.CommandReply]) -> None:
         """Send a command, as from the bus; its reply is added to `replies`."""
+        self.ask_bytes(command.SerializeToString(), replies)
+
+    def ask_bytes(self, payload: bytes, replies: list[pb.CommandReply]) -> None:
+        """Send what may be no command."""
         sender = Sender(name="", role=None, arrived_ns=_START_NS + self.now_ns, started_ns=0)
-        self.driver.command(command.SerializeToString(), replies.append, self.now_s, sender)
+        self.driver.command(payload, replies.append, self.now_s, sender)
 
     def gains(self, number: int) -> pb.Command:
         """A command that the board's end knows by its number: the operating point has it."""
