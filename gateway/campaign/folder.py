@@ -112,10 +112,6 @@ class Folder:
         table = parse_json(read_small(file, remedy=_READABLE), where=str(file), remedy=_READABLE)
         known: _File = checked(_File, table, where=str(file), error=DataError, remedy=_READABLE)
         self.lift_off_v, self._identity = known.lift_off_v, known.identity
-        # A file that somebody has changed: what cannot be a plant is said now, and not in the middle of a run.
-        stated = {"plant": known.identity.get("plant")}
-        rig: PlantFile = checked(PlantFile, stated, where=str(file), error=DataError, remedy=_READABLE)
-        self._identity["plant"] = asdict(rig.plant)
         self.retained = {name: retained for name, retained in known.recordings.items() if name in EXPERIMENT_OF_NAME}
         self.left, self.quick = known.left, known.quick
         if (self.path / "campaign.toml").exists():
@@ -123,8 +119,12 @@ class Folder:
 
     @property
     def plant(self) -> Plant | None:
-        """The plant of a folder that was begun; None for a new one."""
-        return None if self._identity is None else Plant(**self._identity["plant"])
+        """The plant of a folder that was begun; None for a new one.  Raises DataError if somebody has damaged it."""
+        if self._identity is None:
+            return None
+        stated, where = {"plant": self._identity.get("plant")}, str(self.path / RUN_FILE)
+        file: PlantFile = checked(PlantFile, stated, where=where, error=DataError, remedy=_READABLE)
+        return file.plant
 
     def claim(self, identity: Mapping[str, Any]) -> None:
         """Create the folder for this rig, or check that it is of this rig.
@@ -139,11 +139,12 @@ class Folder:
             for part, known in self._identity.items():
                 if known.get("assumed"):
                     continue
-                differing = [key for key in known if known[key] != identity[part].get(key)]
+                now = identity.get(part, {})
+                differing = [key for key in known if known[key] != now.get(key)]
                 if differing:
                     key = differing[0]
                     raise UsageError(
-                        f"{self.path} is of another {part}: {key} was {known[key]}, is {identity[part].get(key)}",
+                        f"{self.path} is of another {part}: {key} was {known[key]}, is {now.get(key)}",
                         remedy="Give a new folder, or the same board, plant and gains as before",
                     )
         self._identity = dict(identity)
