@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from random import Random
 from typing import Any
 
 from google.protobuf.message import Message
+from hypothesis import HealthCheck, settings
 
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.gateway_peers import frame, identity_values, parameters_values
 
+EXAMPLES = os.environ.get("BOARD51_FUZZ_EXAMPLES", "")  # how many, and then other ones each time
+fuzzed = settings(
+    max_examples=int(EXAMPLES or 40),
+    derandomize=not EXAMPLES,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 START_NS = 1_700_000_000_000_000_000
 _FLOATS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e308, -1e308, 5e-324, -1.0, 1e9)
 _WHOLE = {3: 64, 4: 64, 5: 32, 13: 32, 14: 32}  # protobuf types: int64, uint64, int32, uint32, enum

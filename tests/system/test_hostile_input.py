@@ -5,13 +5,12 @@ BOARD51_FUZZ_EXAMPLES=20000 pytest -n0 tests/system/test_hostile_input.py     ot
 
 from __future__ import annotations
 
-import os
 import struct
 from pathlib import Path
 from random import Random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.emulator.plant.secret import open_sealed
@@ -23,15 +22,9 @@ from tests.harness import mutations
 from tests.harness.gateway.board_host import FIRMWARES
 from tests.harness.gateway.lossy_line import LossyRig
 from tests.harness.hostile_files import READERS, Reader, envelope_of
-from tests.harness.hostile_messages import message, usual_messages, write_log
+from tests.harness.hostile_messages import fuzzed, message, usual_messages, write_log
 from twin.readers.campaign import read_flight
 
-EXAMPLES = os.environ.get("BOARD51_FUZZ_EXAMPLES", "")
-fuzzed = settings(
-    max_examples=int(EXAMPLES or 40),
-    derandomize=not EXAMPLES,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
 chances = st.randoms(use_true_random=False)
 
 COMMANDS = (
