@@ -62,8 +62,8 @@ def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
     ledger, other = Ledger(), Ledger()
     for at_s in range(1, 7):
         ledger.sense()
-        ledger.sensed_ns[at_s] = at_s * 1_000_000_000
         ledger.came(at_s, Fate.TAKEN if at_s < 6 else Fate.SENT)
+        ledger.at_ns[at_s] = at_s * 1_000_000_000
     logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in (1, 2, 3, 3, 9)])
     published = np.array([(0, 1, 0), (0, 4, 0)], np.int64)
     cut = Occurrence("unplugged", 0, 5_000_000_000, 5_100_000_000)
@@ -117,7 +117,10 @@ def growth(service: Service) -> str:
     held = late_in_life(service)
     if len(held) < 2 * BLOCKS:
         return "too short a life"
-    return ", ".join(f"{what} {getattr(held[-1], what):.0f} ({slope(held, what)}/min)" for what in Held._fields[1:])
+    texts = [f"{what} {getattr(held[-1], what):.0f} ({slope(held, what)}/min)" for what in Held._fields[1:]]
+    whole = [h.resident_mb for h in max(service.held, key=len)]
+    means = " ".join(f"{block.mean():.0f}" for block in np.array_split(np.array(whole), BLOCKS))
+    return f"{', '.join(texts)}; resident_mb by tenths {means}"
 
 
 def too_much(service: Service) -> str:

@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 
 BOTH, LOG_ALONE, BUS_ALONE, NOWHERE = "published and logged", "logged", "published", "lost"
 DISK_FULL = "disk full for longer than the log's queue holds"
+IGNORED_UNSEEN = "read while the disk was full, counted in states_ignored"
 _BEFORE = {
     Fate.SENSED: "in the board: its queue, a reset",
     Fate.SENT: "on the line: damaged",
@@ -43,7 +44,8 @@ class Cost:
 _COSTS = (
     # A pty holds what its host has not read; it is gone with the pty, or with the host.
     Cost(NOWHERE, "unplugged", 0.5, 0.1, "in the cable when it was unplugged"),
-    Cost(NOWHERE, "gateway killed", 0.5, 0.1, "in the gateway when it was killed"),
+    # Such as come before the end of a handshake; where the log has the bytes, they are seen in it.
+    Cost(NOWHERE, "disk full", 0.5, 1.0, IGNORED_UNSEEN),
     # gateway/README.md: at most 250 ms of log.
     Cost(BUS_ALONE, "gateway killed", 0.5, 0.1, "not yet on the disk when the gateway was killed"),
     Cost(BUS_ALONE, "disk full", 0.5, 1.0, DISK_FULL),
@@ -96,7 +98,7 @@ def account_of(
     account = Account()
     for board, ledger in enumerate(ledgers):
         count, logged = len(ledger.fate), logs.get(board, Logged())
-        fate, at_ns = np.array(ledger.fate), np.array(ledger.sensed_ns)
+        fate, at_ns = np.array(ledger.fate), np.array(ledger.at_ns)
         on_bus = _times(published[published[:, 0] == board, 1], count, board, account)
         in_log = _times(logged.numbers, count, board, account)
         read = np.bincount([n for n in logged.read if n < count], minlength=count)
@@ -150,14 +152,18 @@ def _concerns(occurrence: Occurrence, board: int, gateways: int) -> bool:
 def _explain(
     account: Account, place: str, mask: Mask, board: int, at_ns: NDArray[np.int64], happened: Sequence[Occurrence]
 ) -> None:
-    for cost, window in _windows(place, at_ns, happened):
-        explained = mask & window
-        account.lines[place, cost.reason] += int(explained.sum())
-        mask = mask & ~explained
     if place == NOWHERE:
         neither = [np.logical_or.reduce([w for _, w in _windows(p, at_ns, happened)]) for p in (BUS_ALONE, LOG_ALONE)]
         explained = mask & neither[0] & neither[1]
-        account.lines[place, "neither bus nor disk (or killed while one was away)"] += int(explained.sum())
+        account.lines[place, "neither on the bus nor on the disk: the gateway killed, or both away"] += int(
+            explained.sum()
+        )
+        mask = mask & ~explained
+    for cost, window in _windows(place, at_ns, happened):
+        explained = mask & window
+        account.lines[place, cost.reason] += int(explained.sum())
+        if cost.reason == IGNORED_UNSEEN:
+            account.read_but_no_sample[board] += int(explained.sum())
         mask = mask & ~explained
     account.lines[place, "UNEXPLAINED"] += int(mask.sum())
     account.unexplained += [(place, board, int(n), int(at_ns[n])) for n in np.flatnonzero(mask)]

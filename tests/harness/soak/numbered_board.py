@@ -45,21 +45,22 @@ class Fate(IntEnum):
 
 
 class Ledger:
-    """The samples of one board by number; number 0 is none."""
+    """The samples of one board by number, with the time of the last that is known of each; number 0 is none."""
 
     def __init__(self) -> None:
-        self.fate, self.sensed_ns = array("B", [Fate.SENSED]), array("q", [0])
+        self.fate, self.at_ns = array("B", [Fate.SENSED]), array("q", [0])
 
     def sense(self) -> int:
         """Begin a new sample and return its number."""
         self.fate.append(Fate.SENSED)
-        self.sensed_ns.append(time.monotonic_ns())
+        self.at_ns.append(time.monotonic_ns())
         return len(self.fate) - 1
 
     def came(self, number: int, fate: Fate) -> None:
         """Note how far a sample came; noise with a right CRC may name any number."""
         if 0 < number < len(self.fate):
             self.fate[number] = max(self.fate[number], fate)
+            self.at_ns[number] = time.monotonic_ns()  # a line that stalls keeps samples for a second
 
 
 class NumberedPins(AnalogSide):
