@@ -1,4 +1,4 @@
-# make setup | install | demo | test | test-slow | test-samples | mutants | check | docs | pictures | release | clean.
+# make setup | install | demo | test | test-slow | test-samples | soak | audit | mutants | check | docs | pictures | release | clean.
 # Everything lives in .venv, from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
@@ -16,7 +16,7 @@ CACHE := $(abspath $(VENV))/cache
 ALONE := XDG_CACHE_HOME=$(CACHE) XDG_CONFIG_HOME=$(CACHE)/config MPLCONFIGDIR=$(CACHE)/matplotlib npm_config_cache=$(CACHE)/npm
 unexport NUMBA_CACHE_DIR
 
-.PHONY: setup install demo test test-slow test-samples mutants check docs pictures release clean
+.PHONY: setup install demo test test-slow test-samples soak audit mutants check docs pictures release clean
 setup: $(COMPILED)
 
 $(COMPILED): $(INSTALLED)
@@ -53,6 +53,20 @@ test test-slow: setup
 # campaigns of each kind.
 test-samples: setup
 	$(ALONE) $(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m sample
+
+# Weeks of faults in ten minutes: SOAK_MINUTES, SOAK_BOARDS and SOAK_SEED are yours; tests/README.md says what it shows.
+soak: setup
+	$(ALONE) BOARD51_SOAK_MINUTES=$(or $(SOAK_MINUTES),10) BOARD51_SOAK_BOARDS=$(or $(SOAK_BOARDS),16) \
+	  BOARD51_SOAK_SEED=$(or $(SOAK_SEED),1) $(BIN)/pytest -n0 -s tests/system/test_soak.py
+
+# Known vulnerabilities of what is locked, by the advisories of the package index: needs the network.  --strict: a package
+# of which the index says nothing is an error, too.
+audit: $(VENV)/audit/bin/pip-audit
+	$< --strict --disable-pip --require-hashes --requirement requirements.lock
+
+$(VENV)/audit/bin/pip-audit:
+	$(PYTHON) -m venv $(VENV)/audit
+	$(VENV)/audit/bin/pip install --disable-pip-version-check --quiet pip-audit==2.10.1
 
 # Half an hour: see tests/README.md.
 mutants: setup

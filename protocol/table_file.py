@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import os
-import struct
 import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from protocol.errors import DataError
 from protocol.files import open_regular
+from protocol.mat_file import BrokenMatError, MatTooLargeError, Numbers, Variable, byte_order, parse_mat
 
 LARGEST_TABLE = 500_000_000  # bytes, unpacked: four hours at 500 Hz
 LARGEST_RATIO = 100  # samples pack ten times; equal rows, which are not a recording, a thousand times
@@ -26,8 +28,6 @@ LONGEST_LINE = 100_000  # bytes; below the largest cell of Python's csv
 REMEDY = "Name a CSV file (also .gz), a MATLAB or an MCAP file"
 _GZIP = b"\x1f\x8b"
 _PIECE = 1 << 16  # below LONGEST_LINE: a line within one piece is short enough
-_MAT_HEAD = 128
-_COMPRESSED = 15  # miCOMPRESSED of the MAT-file format, level 5
 
 
 def read_csv_bytes(path: Path) -> bytes:
@@ -84,7 +84,8 @@ def read_header(path: Path, line: str, row: str, number: int = 1) -> tuple[tuple
 
 def split(line: str, separator: str) -> list[str]:
     """Return the cells of a line."""
-    return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    # A carriage return within a line ends none here, and the reader of the library takes none.
+    return next(csv.reader([line.replace("\r", " ")], delimiter=separator, skipinitialspace=True), [])
 
 
 def is_number(cell: str) -> bool:
@@ -96,7 +97,7 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def read_mat(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
+def read_mat(path: Path) -> tuple[dict[str, Sequence[float]], dict[str, str]]:
     """Return the vectors of a .mat file up to version 7, and why its other variables are no columns.
 
     A variable is a vector, or a scalar struct of vectors (`run.x`).  A scalar beside vectors is no column.
@@ -104,76 +105,65 @@ def read_mat(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
     Raises:
         DataError: the file is absent, too large, not a MATLAB file, of version 7.3, or without vectors.
     """
-    from scipy.io import loadmat
-
-    check_mat(path)
-    try:
-        content = loadmat(path, struct_as_record=False)
-    except NotImplementedError:
-        raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except Exception as error:  # scipy raises many types for a damaged file, KeyError and zlib.error among them
-        raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
-    columns: dict[str, Any] = {}
+    columns: dict[str, Sequence[float]] = {}
     unusable: dict[str, str] = {}
-    for name, value in content.items():
-        if not name.startswith("__"):
-            _collect(name, value, columns, unusable)
+    for name, value in _variables(path).items():
+        _collect(name, value, columns, unusable)
     if not columns:
         reasons = "".join(f"; {name}: {why}" for name, why in unusable.items())
         raise DataError(f"{path} holds no numeric vectors{reasons}", remedy="Save t, x, ... as vectors of equal length")
     return {name: column for name, column in columns.items() if len(column) > 1} or columns, unusable
 
 
-def _collect(name: str, value: Any, columns: dict[str, Any], unusable: dict[str, str]) -> None:
-    if value.dtype == object and value.size == 1 and hasattr(value.item(), "_fieldnames"):
-        for field in value.item()._fieldnames:  # noqa: SLF001  # scipy's documented way into a struct
-            _collect(f"{name}.{field}", getattr(value.item(), field), columns, unusable)
-    elif hasattr(value, "ravel") and value.dtype.kind in "fiub" and 0 < value.size == max(value.shape):
-        columns[name] = value.ravel()
-    else:
-        unusable[name] = _why(value)
-
-
-def _why(value: Any) -> str:
-    """Return why a variable cannot be used as a column."""
-    if not hasattr(value, "ravel"):  # a sparse matrix
-        return f"its type is not supported ({type(value).__name__})"
-    shape = " x ".join(str(size) for size in value.shape)
-    if value.size == 0:
-        return "it is empty"
-    if value.dtype.kind in "fiub":
-        return f"it is a matrix of {shape}; save each of its columns as a vector"
-    return {"c": "it is complex", "U": "it is text", "S": "it is text"}.get(
-        value.dtype.kind, f"it is a cell or struct array of {shape}; save vectors of numbers"
-    )
-
-
-def check_mat(path: Path) -> None:
-    """Refuse a MATLAB file that expands beyond the bounds; its reader reports all other faults.
-
-    Raises:
-        DataError: the file is absent, not a regular file, or too large.
-    """
+def _variables(path: Path) -> Mapping[str, Variable]:
     with open_regular(path, remedy=REMEDY) as file:
-        file.seek(_MAT_HEAD - 2)
-        order = "<" if file.read(2) == b"IM" else ">"
-        total, largest = 0, _largest(file)
-        while len(tag := file.read(8)) == 8:
-            kind, size = struct.unpack(f"{order}II", tag)
-            if kind != _COMPRESSED:
-                file.seek(size, 1)
-                continue
-            unpack = zlib.decompressobj()
-            while size > 0 and (piece := file.read(min(size, _PIECE))):
-                size -= len(piece)
-                try:
-                    while piece:
-                        total += len(unpack.decompress(piece, LARGEST_TABLE // 100))
-                        piece = unpack.unconsumed_tail
-                        if total > largest:
-                            raise _too_large(path, largest)
-                except zlib.error:
-                    return
+        largest = _largest(file)
+        data = file.read(LARGEST_TABLE + 1)
+    if len(data) > LARGEST_TABLE:
+        raise _too_large(path, LARGEST_TABLE)
+    if data[124:128] in (b"\x00\x02IM", b"\x02\x00MI"):
+        raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')")
+    try:
+        return parse_mat(data, largest) if byte_order(data) else _version_4(data)
+    except MatTooLargeError:
+        raise _too_large(path, largest) from None
+    except BrokenMatError as error:
+        raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
+
+
+def _version_4(data: bytes) -> Mapping[str, Variable]:
+    """Read what scipy reads in Python alone, without a compiled part that damaged bytes can end."""
+    from scipy.io import loadmat
+
+    if 0 not in data[:4]:  # how scipy knows it
+        raise BrokenMatError("it does not begin as one")
+    file: Any = io.BytesIO(data)  # the stub knows files by their paths alone
+    try:
+        content = loadmat(file)
+    except Exception as error:  # scipy raises many types for a damaged file, KeyError among them
+        raise BrokenMatError(str(error)) from None
+    return {name: _of_version_4(value) for name, value in content.items() if not name.startswith("__")}
+
+
+def _of_version_4(value: Any) -> Variable:
+    if not hasattr(value, "ravel") or value.dtype.kind not in "fiub":
+        return "it is text, complex or sparse"
+    return Numbers(value.shape, value.ravel(order="F").tolist())
+
+
+def _collect(name: str, value: Variable, columns: dict[str, Sequence[float]], unusable: dict[str, str]) -> None:
+    if isinstance(value, dict):
+        for field, inner in value.items():
+            _collect(f"{name}.{field}", inner, columns, unusable)
+    elif isinstance(value, str):
+        unusable[name] = value
+    elif 0 < len(value.values) == max(value.shape):
+        columns[name] = value.values
+    elif not value.values:
+        unusable[name] = "it is empty"
+    else:
+        shape = " x ".join(map(str, value.shape))
+        unusable[name] = f"it is a matrix of {shape}; save each of its columns as a vector"
 
 
 def _largest(packed: BinaryIO) -> int:

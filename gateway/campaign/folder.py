@@ -19,7 +19,7 @@ from gateway.campaign.plan import CommandLimits
 from gateway.campaign.subscriber import Recorded
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
-from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording, load_plant
+from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, PlantFile, Recording, load_plant
 from protocol.campaign_text import emit
 from protocol.checked import Flag, Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
@@ -119,8 +119,12 @@ class Folder:
 
     @property
     def plant(self) -> Plant | None:
-        """The plant of a folder that was begun; None for a new one."""
-        return None if self._identity is None else Plant(**self._identity["plant"])
+        """The plant of a folder that was begun; None for a new one.  Raises DataError if somebody has damaged it."""
+        if self._identity is None:
+            return None
+        stated, where = {"plant": self._identity.get("plant")}, str(self.path / RUN_FILE)
+        file: PlantFile = checked(PlantFile, stated, where=where, error=DataError, remedy=_READABLE)
+        return file.plant
 
     def claim(self, identity: Mapping[str, Any]) -> None:
         """Create the folder for this rig, or check that it is of this rig.
@@ -135,11 +139,12 @@ class Folder:
             for part, known in self._identity.items():
                 if known.get("assumed"):
                     continue
-                differing = [key for key in known if known[key] != identity[part].get(key)]
+                now = identity.get(part, {})
+                differing = [key for key in known if known[key] != now.get(key)]
                 if differing:
                     key = differing[0]
                     raise UsageError(
-                        f"{self.path} is of another {part}: {key} was {known[key]}, is {identity[part].get(key)}",
+                        f"{self.path} is of another {part}: {key} was {known[key]}, is {now.get(key)}",
                         remedy="Give a new folder, or the same board, plant and gains as before",
                     )
         self._identity = dict(identity)

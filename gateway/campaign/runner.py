@@ -32,6 +32,7 @@ from gateway.campaign.plan import (
 )
 from gateway.campaign.subscriber import BoardSubscriber, Recorded, is_foreign
 from protocol.bus import board51_pb2 as pb
+from protocol.bus import encoding
 from protocol.errors import Board51Error, ServiceError
 from protocol.experiments import LIFT_OFF, Experiment
 
@@ -77,8 +78,7 @@ class Runner:
         state, self._parameters = self._rig.await_board()
         if state.mode != pb.MODE_IDLE and not self._wishes.park:
             raise ServiceError(
-                f"{self._board} is in {pb.Mode.Name(state.mode).removeprefix('MODE_').lower().replace('_', ' ')}:"
-                " somebody uses it",
+                f"{self._board} is in {encoding.word_of(pb.Mode, state.mode)}: somebody uses it",
                 remedy=f"When it is free: `board51 send {self._board} stop`, or --park",
             )
         w = self._wishes

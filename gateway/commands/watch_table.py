@@ -13,7 +13,7 @@ from google.protobuf.message import Message
 
 from gateway.client.message_queue import MessageQueue
 from protocol.bus import board51_pb2 as pb
-from protocol.bus import topics
+from protocol.bus import encoding, topics
 
 TABLE_TOPICS = ("states", "status", "alarms", "twin/divergence", "twin/alarm", "twin/alarms")
 FRESH_S = 2.5  # of what comes once a second or more often
@@ -55,9 +55,9 @@ class Table:
         }
         status, batch, divergence = latest.get("status"), latest.get("states"), latest.get("twin/divergence")
         cells = ["-"] * 5
-        if isinstance(batch, pb.StateBatch):
+        if isinstance(batch, pb.StateBatch) and batch.states:
             state = batch.states[-1]
-            cells[0] = pb.Mode.Name(state.mode).removeprefix("MODE_").lower().replace("_", "-")
+            cells[0] = encoding.word_of(pb.Mode, state.mode).replace(" ", "-")
             for n, (name, scale) in enumerate((("x_m", 1e3), ("x_ref_m", 1e3), ("i_c_a", 1.0)), 1):
                 cells[n] = f"{scale * getattr(state, name):.3f}" if state.HasField(name) else "-"
         if isinstance(divergence, pb.Divergence):

@@ -64,7 +64,10 @@ class Keepalive:
 
     def read_parameters(self, now_s: float) -> None:
         """Read the parameters again, after a change."""
-        self._order("GET_PARAMETERS", now_s)
+        # Of two that are not answered the second has not been sent yet: it reads what has changed now, too.  One for
+        # each change would fill the queue of a line that loses much, and users' commands would be refused.
+        if sum(name == "GET_PARAMETERS" for name, _ in self._under_way.values()) < 2:
+            self._order("GET_PARAMETERS", now_s)
 
     def host_loss_is(self, timeout_ms: int, now_s: float) -> None:
         """Note the new host-loss time-out of the board."""
@@ -84,7 +87,8 @@ class Keepalive:
                 self.host_loss_is(int(values["timeout"]), now_s)
         # A PING is not repeated, because the next one is due soon. A setting would be missing for the whole session.
         elif name not in ("", "PING") and self._session.is_open:
-            self._redo.append((name, values))
+            if (name, values) not in self._redo:
+                self._redo.append((name, values))
             self._redo_s = now_s + REDO_S
 
     def poll(self, now_s: float) -> None:
@@ -96,11 +100,14 @@ class Keepalive:
                 self._order("PING", now_s)
         if now_s >= self._next_parameters_s:
             self._next_parameters_s = now_s + PARAMETERS_S
-            self._order("GET_PARAMETERS", now_s)
+            self.read_parameters(now_s)
         if now_s >= self._redo_s:
             redo, self._redo, self._redo_s = self._redo, [], _NEVER
             for name, values in redo:
-                self._order(name, now_s, **values)
+                if name == "GET_PARAMETERS":
+                    self.read_parameters(now_s)
+                else:
+                    self._order(name, now_s, **values)
 
     def _order(self, name: str, now_s: float, /, **values: Value) -> None:
         self._under_way[self._session.submit(name, now_s, **values)] = (name, values)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 from protocol.bus import board51_pb2 as pb
+from protocol.bus import encoding
 from protocol.log.reader import LogReader
 
 CHANNELS = ("i_c_a", "x_m", "u_c_v", "x_ref_m")
@@ -170,7 +171,7 @@ def _take_state(board: BoardSummary, state: pb.State) -> None:
     for name in CHANNELS:
         if state.HasField(name):
             board.ranges.setdefault(name, Range()).take(getattr(state, name))
-    board.modes.add(pb.Mode.Name(state.mode).removeprefix("MODE_").lower().replace("_", " "))
+    board.modes.add(encoding.word_of(pb.Mode, state.mode))
     board.gaps.take(state)
 
 

@@ -156,7 +156,7 @@ class BoardFeed:
     def tap(self, message: type[Message], *, width_s: float) -> TopicBins:
         """Return bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, at least 1."""
         parameters = self.latest(pb.Parameters)
-        period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
+        period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s >= 1e-6 else 2e-3
         tap = TopicBins(message, max(1, round(width_s / period_s)), self._lock)
         self.attach(message, tap)
         return tap

@@ -14,8 +14,8 @@
 Rule 1: views poll the feed.  zenoh's thread receives the messages and runs no code of a view.  So a slow view only
         falls behind itself (a tap keeps the newest bins); it stalls neither router nor gateway.
 Rule 2: age is measured by this process's monotonic clock, never by time stamps of others.
-Rule 3: messages that are malformed, of unknown type or beyond the number of boards are counted (`refused`); no error is
-        raised.
+Rule 3: messages that are malformed, of unknown type, with numbers that nothing on a rig can have, or beyond the number
+        of boards are counted (`refused`); no error is raised.
 Rule 4: a board is known by messages of its gateway; those of the twin alone make none.
 Rule 5: what a replay sends is marked (protocol/bus/encoding.py).  A feed takes either live or
         replayed messages.  So a replay is never shown as a rig, and is never among the rigs of STOP.
@@ -37,11 +37,12 @@ from gateway.record.replay import SESSIONS_PER_PASS
 from gateway.views.board_feed import BoardFeed
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import is_replayed, parse
+from protocol.bus.encoding import is_plausible, is_replayed, parse
 
 MAX_BOARDS = 64
 _TOPICS = ("states", "status", "event", "alarms", "parameters", "plant", "command/record", "twin/state",
            "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis", "capture")  # fmt: skip
+_CHECKED = (pb.Status, pb.Parameters)  # whose numbers become whole ones, axes and limits; samples may have NaN
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
 _KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/")), "twin/*")
@@ -160,7 +161,7 @@ class Feed:
         address = topics.split(str(sample.key_expr))
         kind = _TYPES.get(address[2]) if address is not None else None
         message = parse(kind, sample.payload.to_bytes()) if kind is not None else None
-        if address is None or message is None:
+        if address is None or message is None or (isinstance(message, _CHECKED) and not is_plausible(message)):
             self.refused += 1
             return
         with self._lock:

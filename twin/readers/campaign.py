@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -190,7 +190,7 @@ _NEEDED: dict[str, tuple[Channel, ...]] = {
 def _from_columns(
     path: Path,
     recording: Recording,
-    columns: dict[str, FloatArray],
+    columns: Mapping[str, Sequence[float] | FloatArray],
     unusable: Mapping[str, str] = MappingProxyType({}),  # other variables, and why they are not columns
 ) -> Record:
     channels: dict[str, FloatArray] = {}
@@ -255,9 +255,10 @@ def _switched_within(capture: pb.CaptureRecord, T_s: float) -> list[int]:
 
     The board steps `step_index` samples after the capture's tick and returns to its mode's u_c after the last sample.
     """
-    if T_s <= 0.0:
+    if not T_s > 0.0:
         return []
-    after = [n * capture.sample_time_s / T_s for n in (capture.step_index, len(capture.i_c_a))]
+    ends = (n * capture.sample_time_s / T_s for n in (capture.step_index, len(capture.i_c_a)))
+    after = [ticks for ticks in ends if math.isfinite(ticks)]
     return [capture.tick + math.floor(ticks) for ticks in after if abs(ticks - round(ticks)) > _ON_A_TICK]
 
 

@@ -104,7 +104,10 @@ def open_sealed(path: Path) -> dict[str, float]:
             f"Sealed file {path}: content and commitment differ",
             remedy="Use the original file; this one was changed",
         )
-    effects = {str(name): float(value) for name, value in json.loads(content)["effects"].items()}
+    try:
+        effects = {str(name): float(value) for name, value in json.loads(content)["effects"].items()}
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+        raise DataError(f"Sealed file {path} holds no effects with numbers", remedy=remedy) from None
     check(effects)
     return effects
 

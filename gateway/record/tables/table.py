@@ -124,7 +124,7 @@ def read_mat(path: Path) -> Table:
         names=tuple(columns),
         rows=next(iter(lengths.values())),
         label=lambda row: f"sample {row + 1}",
-        cell=lambda column, row: columns[column][row].item(),  # whole numbers stay exact: times in ns have 61 bits
+        cell=lambda column, row: columns[column][row],  # whole numbers stay exact: times in ns have 61 bits
         unusable=unusable,
     )
 

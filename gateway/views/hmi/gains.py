@@ -6,6 +6,7 @@ Rule: the complete file is checked before any part is shown: the screen shows ex
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 from gateway.views.hmi.texts import text_of
@@ -33,7 +34,7 @@ def parse_gains(data: bytes, parameters: pb.Parameters | None) -> pb.SetGains:
     """
     table = _table(data)
     law = table.get("law")
-    if law not in NAMES:
+    if not isinstance(law, str) or law not in NAMES:
         raise DataError(f"law is {law!r}", remedy='Write law = "lqi" or "pid"; board51 design writes such a file')
     gains = table.get("gains")
     if not isinstance(gains, list) or len(gains) not in (3, 4) or not all(map(_is_number, gains)):
@@ -99,7 +100,7 @@ def _table(data: bytes) -> dict[str, Any]:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _check_board(table: dict[str, Any], x_0_m: float, parameters: pb.Parameters) -> None:

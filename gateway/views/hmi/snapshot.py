@@ -22,6 +22,7 @@ from gateway.views.hmi.texts import text_of, texts_of
 from gateway.views.hmi.traces import number
 from gateway.views.journal import Entry
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.encoding import word_of
 from protocol.bus.plant_card import plant_of
 from protocol.plant import in_words
 from protocol.wire.decoder import CAUSES
@@ -205,7 +206,7 @@ def _excitation(records: Sequence[pb.CommandRecord]) -> dict[str, Any] | None:
             return None
         duration_s = command.excite.duration_s
         until_s = round(record.received_ns / 1e9 + duration_s, 1) if duration_s else 0
-        return {"what": pb.Shape.Name(command.excite.shape).removeprefix("SHAPE_").lower(), "until_s": until_s}
+        return {"what": word_of(pb.Shape, command.excite.shape), "until_s": until_s}
     return None
 
 
@@ -298,8 +299,8 @@ def describe(command: pb.Command) -> str:
             e = command.excite
             if e.shape == pb.SHAPE_NONE:
                 return text_of("command.excite_end")
-            name = pb.Shape.Name(e.shape).removeprefix("SHAPE_").lower() if e.shape in pb.Shape.values() else ""
-            shape = texts_of("shape").get(name, str(e.shape))
+            name = word_of(pb.Shape, e.shape)
+            shape = texts_of("shape").get(name, name)
             if not e.duration_s:
                 return text_of("command.excite", shape=shape)
             return text_of("command.excite_for", shape=shape, seconds=f"{e.duration_s:g}")

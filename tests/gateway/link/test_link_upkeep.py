@@ -43,3 +43,20 @@ def test_a_ping_is_due_at_least_every_quarter_of_the_host_loss_timeout(timeout_s
 
     pings_s = [0.0, *(when_s for name, when_s, _ in session.submitted if name == "PING"), 5.0 * timeout_s]
     assert max(b - a for a, b in itertools.pairwise(pings_s)) <= timeout_s / 4.0 + 1e-9
+
+
+def test_changes_on_a_line_that_answers_nothing_do_not_fill_the_queue_with_questions() -> None:
+    session = Noted()
+    keepalive = Keepalive(BoardConfig(name="rig", port="x"), session, lambda _: None)
+    session.is_open = True
+
+    for n in range(100):  # every 0.1 s a change, and every 0.5 s all that was asked is given up
+        keepalive.read_parameters(n * 0.1)
+        if n % 5 == 4:
+            for _, _, token in session.submitted:
+                keepalive.answered(Answer(token, "timed-out", 0), n * 0.1)
+            keepalive.poll(n * 0.1)
+
+    asked = [when_s for name, when_s, _ in session.submitted if name == "GET_PARAMETERS"]
+    assert len(asked) <= 2 * 20 + 10  # two in each half second, one a second again
+    assert max(asked) > 9.0

@@ -39,13 +39,14 @@ def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
         return ""
     field, scale, unit, above, below, differ = _SIGNALS[name]
     signal: pb.SignalDivergence = getattr(divergence, field)
-    if not signal.normalised or not signal.rolling_rmse > 0.0:
+    sigma = abs(signal.error / signal.normalised) if signal.normalised else 0.0
+    if not sigma > 0.0 or not signal.rolling_rmse > 0.0:
         return ""
     if abs(signal.rolling_mean) >= _DIRECTED * signal.rolling_rmse:
         key, size = above if signal.rolling_mean > 0.0 else below, abs(signal.rolling_mean)
     else:
         key, size = differ, signal.rolling_rmse
-    times = signal.rolling_rmse / abs(signal.error / signal.normalised)
+    times = signal.rolling_rmse / sigma
     return text_of(key, size=f"{_digits(size * scale)} {unit}", since=since, times=_times(times))
 
 

@@ -1,0 +1,185 @@
+"""The account of a soak: where every sample that a board has taken is, once, and why it is not everywhere.
+
+How far a sample came before the gateway is in the emulator's ledger, what the gateway read and kept is in its log, what
+it published has the witness.  What is missing must be missing beside a fault that can cost it (`_COSTS`).  The rest is
+`unexplained`: there must be none.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.harness.soak.faults import Occurrence
+from tests.harness.soak.logged import Logged
+from tests.harness.soak.numbered_board import Fate, Ledger
+
+Mask = NDArray[np.bool_]
+
+BOTH, LOG_ALONE, BUS_ALONE, NOWHERE = "published and logged", "logged", "published", "lost"
+DISK_FULL = "disk full for longer than the log's queue holds"
+IGNORED_UNSEEN = "read while the disk was full, counted in states_ignored"
+_BEFORE = {
+    Fate.SENSED: "in the board: its queue, a reset",
+    Fate.SENT: "on the line: damaged",
+    Fate.INTACT: "at the port: nobody reads",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Samples that a fault may cost: those from `before_s` before it began until `after_s` after it ended."""
+
+    place: str
+    fault: str
+    before_s: float
+    after_s: float
+    reason: str
+
+
+_COSTS = (
+    # A pty holds what its host has not read; it is gone with the pty, or with the host.
+    Cost(NOWHERE, "unplugged", 0.5, 0.1, "in the cable when it was unplugged"),
+    # Such as come before the end of a handshake; where the log has the bytes, they are seen in it.
+    Cost(NOWHERE, "disk full", 0.5, 1.0, IGNORED_UNSEEN),
+    # gateway/README.md: at most 250 ms of log.
+    Cost(BUS_ALONE, "gateway killed", 0.5, 0.1, "not yet on the disk when the gateway was killed"),
+    Cost(BUS_ALONE, "disk full", 0.5, 1.0, DISK_FULL),
+    # Messages wait for the router, as far as the queue holds, which counts what it drops, and while the gateway lives.
+    # Not counted is what was on its way when the router died, and what was put before the subscriber was back.
+    Cost(LOG_ALONE, "router killed", 0.5, 3.0, "no router, or on its way to one that was killed"),
+    Cost(LOG_ALONE, "gateway killed", 0.5, 0.1, "not yet on the bus when the gateway was killed"),
+)  # fmt: skip
+
+
+@dataclass(slots=True)
+class Account:
+    """The account over all boards."""
+
+    sensed: int = 0
+    lines: Counter[tuple[str, str]] = field(default_factory=Counter)  # place and reason
+    twice: list[tuple[int, int]] = field(default_factory=list)  # board, number: published or logged twice
+    invented: list[tuple[int, int]] = field(default_factory=list)  # never sent
+    unexplained: list[tuple[str, int, int, int]] = field(default_factory=list)  # place, board, number, ns
+    read_but_no_sample: Counter[int] = field(default_factory=Counter)  # by board
+    counted_no_sample: Counter[int] = field(default_factory=Counter)  # by board, what the gateway says
+    counted_dropped: Counter[str] = field(default_factory=Counter)  # what the gateways say: on the bus, in the log
+
+    def table(self) -> str:
+        """Return the account as text."""
+        rows = [f"{'samples of all boards':<72}{self.sensed:>10}"]
+        rows += [f"{f'{place}: {reason}':<72}{n:>10}" for (place, reason), n in sorted(self.lines.items())]
+        return "\n".join([*rows, f"{'sum of these':<72}{self.lines.total():>10}"])
+
+
+def account_of(
+    ledgers: Sequence[Ledger],
+    published: NDArray[np.int64],
+    logs: Mapping[int, Logged],
+    happened: Sequence[Occurrence],
+    gateways: int,
+) -> Account:
+    """Put the sources together.
+
+    Args:
+        ledgers: Of the boards.
+        published: The witness's rows.
+        logs: By board.
+        happened: The faults.
+        gateways: Board n is served by gateway n % gateways; the first one is the one that is killed.
+
+    Returns:
+        The account.
+    """
+    account = Account()
+    for board, ledger in enumerate(ledgers):
+        count, logged = len(ledger.fate), logs.get(board, Logged())
+        fate, at_ns = np.array(ledger.fate), np.array(ledger.at_ns)
+        on_bus = _times(published[published[:, 0] == board, 1], count, board, account)
+        in_log = _times(logged.numbers, count, board, account)
+        read = np.bincount([n for n in logged.read if n < count], minlength=count)
+        known = fate == Fate.TAKEN
+        account.invented += [(board, int(n)) for n in np.flatnonzero(((on_bus > 0) | (in_log > 0)) & ~known) if n]
+        account.sensed += count - 1
+
+        places = {
+            BOTH: (on_bus > 0) & (in_log > 0),
+            LOG_ALONE: (on_bus == 0) & (in_log > 0),
+            BUS_ALONE: (on_bus > 0) & (in_log == 0),
+            NOWHERE: (on_bus == 0) & (in_log == 0),
+        }
+        for mask in places.values():
+            mask[0] = False
+        account.lines[BOTH, "all is well"] += int(places.pop(BOTH).sum())
+        for early, reason in _BEFORE.items():
+            gone = places[NOWHERE] & (fate == early)
+            account.lines[NOWHERE, reason] += int(gone.sum())
+            places[NOWHERE] &= ~gone
+        refused = places[NOWHERE] & (read > 0)
+        account.lines[NOWHERE, "read, counted in states_ignored"] += int(refused.sum())
+        account.read_but_no_sample[board] += int(refused.sum())
+        places[NOWHERE] &= ~refused
+        for place, mask in places.items():
+            _explain(account, place, mask, board, at_ns, [o for o in happened if _concerns(o, board, gateways)])
+        _add_counts(account, board, logged)
+    return account
+
+
+def _times(numbers: NDArray[np.int64], count: int, board: int, account: Account) -> NDArray[np.int64]:
+    """Return how often each sample is there."""
+    account.invented += [(board, int(n)) for n in numbers[(numbers >= count) | (numbers < 1)]]
+    times = np.bincount(numbers[(numbers < count) & (numbers > 0)], minlength=count)
+    account.twice += [(board, int(n)) for n in np.flatnonzero(times > 1)]
+    return times
+
+
+def _concerns(occurrence: Occurrence, board: int, gateways: int) -> bool:
+    match occurrence.name:
+        case "router killed":
+            return True
+        case "gateway killed":
+            return board % gateways == 0
+        case "disk full":
+            return board % gateways == occurrence.target
+        case _:
+            return board == occurrence.target
+
+
+def _explain(
+    account: Account, place: str, mask: Mask, board: int, at_ns: NDArray[np.int64], happened: Sequence[Occurrence]
+) -> None:
+    if place == NOWHERE:
+        neither = [np.logical_or.reduce([w for _, w in _windows(p, at_ns, happened)]) for p in (BUS_ALONE, LOG_ALONE)]
+        explained = mask & neither[0] & neither[1]
+        account.lines[place, "neither on the bus nor on the disk: the gateway killed, or both away"] += int(
+            explained.sum()
+        )
+        mask = mask & ~explained
+    for cost, window in _windows(place, at_ns, happened):
+        explained = mask & window
+        account.lines[place, cost.reason] += int(explained.sum())
+        if cost.reason == IGNORED_UNSEEN:
+            account.read_but_no_sample[board] += int(explained.sum())
+        mask = mask & ~explained
+    account.lines[place, "UNEXPLAINED"] += int(mask.sum())
+    account.unexplained += [(place, board, int(n), int(at_ns[n])) for n in np.flatnonzero(mask)]
+
+
+def _windows(place: str, at_ns: NDArray[np.int64], happened: Sequence[Occurrence]) -> Iterator[tuple[Cost, Mask]]:
+    for cost in _COSTS:
+        for occurrence in happened:
+            if (cost.place, cost.fault) == (place, occurrence.name):
+                begin_ns = occurrence.begin_ns - round(cost.before_s * 1e9)
+                yield cost, (at_ns >= begin_ns) & (at_ns <= occurrence.end_ns + round(cost.after_s * 1e9))
+
+
+def _add_counts(account: Account, board: int, logged: Logged) -> None:
+    for status in logged.last:
+        account.counted_no_sample[board] += sum(status.states_ignored.values())
+        account.counted_dropped["bus"] += status.publish_dropped
+    if board < 2:  # one count for all boards of a gateway
+        account.counted_dropped["log"] += sum(status.log_dropped for status in logged.last)

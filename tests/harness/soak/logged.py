@@ -1,0 +1,56 @@
+"""What the log of a gateway says: samples, the STATE frames in the bytes it read, and the last counts of each run."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import LogReader
+from protocol.wire.decoder import State, StreamDecoder
+from tests.harness.soak.numbered_board import number_of, numbers_of
+
+
+@dataclass(slots=True)
+class Logged:
+    """The log of one board."""
+
+    samples: list[tuple[float, float]] = field(default_factory=list)  # i_c in A, x in m
+    read: list[int] = field(default_factory=list)  # numbers of the STATE frames in the bytes from the board
+    last: list[pb.Status] = field(default_factory=list)  # the last one of each run of the gateway
+
+    @property
+    def numbers(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """The numbers of the samples."""
+        i_c_a, x_m = np.array(self.samples, np.float64).reshape(-1, 2).T
+        return numbers_of(i_c_a, x_m)
+
+
+def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
+    """Read the parts of one gateway's log, which may have been killed many times; by the number of the board."""
+    found: dict[int, Logged] = defaultdict(Logged)
+    begun = [part for part in parts if part.stat().st_size]  # a gateway may be killed before its first flush
+    for _, run in groupby(begun, lambda path: path.stem.rsplit("-", 1)[0]):
+        decoders: dict[str, StreamDecoder] = {}
+        last: dict[int, pb.Status] = {}
+        for record in LogReader(list(run)).raw(topics_=["state", "status", "event", "raw"]):
+            logged = found[number := int(record.board.removeprefix("rig"))]
+            if record.topic == "state":
+                state = pb.State.FromString(record.data)
+                logged.samples.append((state.i_c_a, state.x_m))
+            elif record.topic == "status":
+                last[number] = pb.Status.FromString(record.data)
+            elif record.topic == "event":
+                if pb.Event.FromString(record.data).name == "port-opened":
+                    decoders[record.board] = StreamDecoder()  # as the session does
+            elif not (raw := pb.RawBytes.FromString(record.data)).to_board:
+                events = decoders.setdefault(record.board, StreamDecoder()).feed(raw.data)
+                logged.read += [number_of(event.i_c, event.x) for event in events if isinstance(event, State)]
+        for number, status in last.items():
+            found[number].last.append(status)
+    return found

@@ -1,0 +1,170 @@
+"""What a soak runs on: emulated boards in this process, two gateways on one router, subscribers, small disks."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from gateway.emulator.faults import parse
+from gateway.emulator.line import BoardLine
+from gateway.emulator.pty_port import PtyPort
+from gateway.emulator.serve import Server
+from tests.harness.ports import free_port
+from tests.harness.soak.numbered_board import Ledger, LedgerPort, NumberedBoard
+from tests.harness.soak.processes import Service, looked_at
+from tests.patience import HANG_S
+
+GATEWAYS = 2
+_ROOM = 1 << 34  # bytes that a disk may take, of memory
+_CONFIG = """
+[zenoh]
+mode = "client"
+connect = ["{endpoint}"]
+[log]
+directory = "{logs}"
+rotate_s = 60.0
+queue = {queue}
+min_free_bytes = 0
+"""
+_BOARD = """
+[[board]]
+name = "rig{number}"
+port = "{port}*"
+reconnect_s = 0.05
+stale_s = 0.3
+"""
+
+
+class Disk:
+    """A file system in memory that can be made full; without the right to mount, a folder that cannot."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir()
+        words = ["mount", "-t", "tmpfs", "-o", f"size={_ROOM}", "tmpfs", str(folder)]
+        self.mounted = subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+    def fill(self) -> None:
+        """Leave no room but for one or two chunks."""
+        used = sum(file.stat().st_size for file in self.folder.iterdir())
+        self._resize(used + 65536)
+
+    def free(self) -> None:
+        """Give the room back."""
+        self._resize(_ROOM)
+
+    def close(self) -> None:
+        """Unmount it."""
+        if self.mounted:
+            subprocess.run(["umount", "-l", str(self.folder)], check=True)
+
+    def _resize(self, size: int) -> None:
+        subprocess.run(["mount", "-o", f"remount,size={size}", str(self.folder)], check=False, capture_output=True)
+
+
+class Stage:
+    """All of it.  The first gateway is the one that dies; the other runs from begin to end.
+
+    Args:
+        folder: For everything that is written.
+        boards: How many; every other one is served by the first gateway.
+        seed: Of the faults of the lines.
+        log_queue: Messages that may wait for the disk.
+    """
+
+    def __init__(self, folder: Path, boards: int, seed: int, log_queue: int) -> None:
+        self.ledgers = [Ledger() for _ in range(boards)]
+        self.lines = []
+        for n, ledger in enumerate(self.ledgers):
+            port = LedgerPort(PtyPort(folder / f"tty{n:02d}-"), ledger)
+            self.lines.append(BoardLine(NumberedBoard(ledger, board_id=n + 1), port, seed=seed + n))
+        self._server = Server(self.lines)
+        self._thread = threading.Thread(target=self._server.run)
+        self.endpoint, self.published = f"tcp/127.0.0.1:{free_port()}", folder / "published.npy"
+        module = ("-m", "tests.harness.soak.witness", self.endpoint)
+        self.router = Service(
+            "router", folder, "-m", "board51", "router", "--listen", self.endpoint, ready="listens on"
+        )
+        self.witness = Service("witness", folder, *module, str(self.published), ready="ready")
+        self.slow = Service("slow", folder, *module, "--slow", ready="ready")
+        self.stopped = Service("stopped", folder, *module, "--slow", ready="ready")
+        self.disks = [Disk(folder / f"disk{n}") for n in range(GATEWAYS)]
+        self.gateways = [self._gateway(folder, n, log_queue) for n in range(GATEWAYS)]
+
+    @property
+    def services(self) -> list[Service]:
+        """The processes, in the order of their start."""
+        return [self.router, self.witness, self.slow, self.stopped, *self.gateways]
+
+    def logs(self, gateway: int) -> list[Path]:
+        """The parts of a gateway's log in their order."""
+        return sorted(self.disks[gateway].folder.glob("*.mcap"))
+
+    def do(self, board: int, action: Callable[[BoardLine], None]) -> None:
+        """Let something happen to a board, between two of its ticks; it has happened on return."""
+        done = threading.Event()
+
+        def act() -> None:
+            action(self.lines[board])
+            done.set()
+
+        self._server.call(act)
+        assert done.wait(HANG_S), "the emulator's thread has ended"
+
+    def inject(self, board: int, fault: str) -> None:
+        """Let a fault of the line begin now."""
+        self.do(board, lambda line: line.inject(parse(fault)))
+
+    def run_boards(self) -> None:
+        """Switch the boards on."""
+        self._thread.start()
+
+    def end(self) -> None:
+        """End everything in good order: what is under way arrives.
+
+        Raises:
+            AssertionError: a gateway ends with another exit code than 0.
+        """
+        self._server.stop()
+        self._thread.join(HANG_S)
+        time.sleep(1.0)  # the last bytes are read
+        assert [gateway.end() for gateway in self.gateways] == [0] * GATEWAYS
+        time.sleep(1.0)
+        assert self.witness.end() == 0
+
+    def close(self) -> None:
+        """Release all of it, whatever became of the test."""
+        self._server.stop()
+        if self._thread.ident is not None:
+            self._thread.join(HANG_S)
+        self._server.close()
+        for disk in self.disks:
+            disk.close()
+
+    def _gateway(self, folder: Path, n: int, log_queue: int) -> Service:
+        boards = "".join(
+            _BOARD.format(number=board, port=folder / f"tty{board:02d}-")
+            for board in range(len(self.lines))
+            if board % GATEWAYS == n
+        )
+        config = folder / f"gateway{n}.toml"
+        text = _CONFIG.format(endpoint=self.endpoint, logs=self.disks[n].folder, queue=log_queue)
+        config.write_text(boards + text, encoding="utf-8")
+        return Service(f"gateway{n}", folder, "-m", "board51", "gateway", "--config", str(config))
+
+
+@contextmanager
+def staged(folder: Path, *, boards: int, seed: int, log_queue: int) -> Iterator[Stage]:
+    """Everything runs, the boards last, so that a sample's way is open before there is one."""
+    with ExitStack() as stack:
+        stage = Stage(folder, boards, seed, log_queue)
+        stack.callback(stage.close)
+        stack.enter_context(looked_at(stage.services))
+        for service in stage.services:
+            service.start()
+        stage.run_boards()
+        yield stage

@@ -1,0 +1,137 @@
+"""Weeks of faults in a minute: after it, every sample that a board has taken is accounted for, once.
+
+    BOARD51_SOAK_MINUTES=10 BOARD51_SOAK_BOARDS=16 BOARD51_SOAK_SEED=3 pytest -n0 -s tests/system/test_soak.py
+
+`make soak` is the long form: ten minutes, 16 boards.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gateway.emulator.firmware_model.flash import CURRENT, POSITION
+from tests.harness.soak.account import BUS_ALONE, DISK_FULL, LOG_ALONE, NOWHERE, Account, account_of
+from tests.harness.soak.faults import Occurrence, Weather
+from tests.harness.soak.logged import Logged, read_logs
+from tests.harness.soak.numbered_board import Fate, Ledger
+from tests.harness.soak.processes import BLOCKS, Held, Service, slope
+from tests.harness.soak.stage import GATEWAYS, Stage, staged
+
+MINUTES = float(os.environ.get("BOARD51_SOAK_MINUTES", "0.5"))
+BOARDS = int(os.environ.get("BOARD51_SOAK_BOARDS", "4"))
+SEED = int(os.environ.get("BOARD51_SOAK_SEED", "1"))
+LOG_QUEUE = 1000 * max(BOARDS, 2)  # messages, of a second or two: a disk is full for longer
+LONG_MIN = 5.0  # from so many minutes on the slopes count
+NEAR_NS = 3_000_000_000
+CALM_S = 4.0  # before the first fault, and after the last
+
+
+@pytest.mark.slow
+def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path: Path) -> None:
+    with staged(tmp_path, boards=BOARDS, seed=SEED, log_queue=LOG_QUEUE) as stage:
+        time.sleep(CALM_S)
+        weather = Weather(stage, SEED, per_s=BOARDS / 4.0)
+        weather.blow(60.0 * MINUTES)
+        faults = weather.counts
+        time.sleep(CALM_S)
+        now_ns = time.monotonic_ns()  # a board that is switched off takes what is in its cable with it
+        weather.happened += [Occurrence("unplugged", board, now_ns, now_ns) for board in range(BOARDS)]
+        stage.end()
+        logs = {n: logged for g in range(GATEWAYS) for n, logged in read_logs(stage.logs(g)).items()}
+        account = account_of(stage.ledgers, np.load(stage.published), logs, weather.happened, GATEWAYS)
+        print(report(stage, weather, faults, account))
+
+        assert account.unexplained == []
+        assert account.twice == []
+        assert account.invented == []
+        assert account.lines.total() == account.sensed
+        for board in range(1, BOARDS, GATEWAYS):  # the counts of a gateway that is killed die with it
+            assert account.read_but_no_sample[board] <= account.counted_no_sample[board]
+        assert account.lines[BUS_ALONE, DISK_FULL] <= account.counted_dropped["log"]
+        if MINUTES >= LONG_MIN:
+            assert [text for text in map(too_much, stage.services) if text] == []
+
+
+def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
+    ledger, other = Ledger(), Ledger()
+    for at_s in range(1, 7):
+        ledger.sense()
+        ledger.came(at_s, Fate.TAKEN if at_s < 6 else Fate.SENT)
+        ledger.at_ns[at_s] = at_s * 1_000_000_000
+    logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in (1, 2, 3, 3, 9)])
+    published = np.array([(0, 1, 0), (0, 4, 0)], np.int64)
+    cut = Occurrence("unplugged", 0, 5_000_000_000, 5_100_000_000)
+
+    account = account_of([ledger, other], published, {0: logged}, [cut], GATEWAYS)
+
+    assert [(place, number) for place, _, number, _ in account.unexplained] == [
+        (LOG_ALONE, 2), (LOG_ALONE, 3), (BUS_ALONE, 4),
+    ]  # fmt: skip
+    assert (account.twice, account.invented) == ([(0, 3)], [(0, 9)])
+    assert account.lines[NOWHERE, "in the cable when it was unplugged"] == 1
+    assert account.lines.total() == account.sensed == 6
+
+
+def report(stage: Stage, weather: Weather, faults: Counter[str], account: Account) -> str:
+    """What a person wants to see of a soak."""
+    lines = [
+        f"seed {SEED}, {BOARDS} boards, {MINUTES:g} min",
+        "",
+        *(f"{name:<72}{count:>10}" for name, count in faults.items()),
+    ]
+    lines += ["", account.table(), "", f"read but no sample {dict(account.read_but_no_sample)}"]
+    lines += [f"counted {dict(account.counted_no_sample)}, dropped {dict(account.counted_dropped)}", ""]
+    for (place, board), (count, begin_ns, end_ns) in unexplained(account).items():
+        near = [o for o in weather.happened if o.begin_ns < end_ns + NEAR_NS and o.end_ns > begin_ns - NEAR_NS]
+        lines.append(
+            f"UNEXPLAINED, {place}, rig{board}: {count}, from {begin_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s, near"
+        )
+        lines += [f"    {o.name}, {o.target}: {o.begin_ns / 1e9:.3f} to {o.end_ns / 1e9:.3f} s" for o in near]
+    for service in stage.services:
+        lines.append(f"{service.name}: {growth(service)}")
+    return "\n".join(lines)
+
+
+def unexplained(account: Account) -> dict[tuple[str, int], tuple[int, int, int]]:
+    """Place and board -> how many, and the times of the first and the last."""
+    found: dict[tuple[str, int], list[int]] = defaultdict(list)
+    for place, board, _, at_ns in account.unexplained:
+        found[place, board].append(at_ns)
+    return {key: (len(times), min(times), max(times)) for key, times in found.items()}
+
+
+def late_in_life(service: Service) -> list[Held]:
+    """The longest life of a process without its first third, in which it takes what it will need."""
+    held = max(service.held, key=len)
+    return held[len(held) // 3 :]
+
+
+def growth(service: Service) -> str:
+    """What it holds at the end, and the slopes."""
+    held = late_in_life(service)
+    if len(held) < 2 * BLOCKS:
+        return "too short a life"
+    texts = [f"{what} {getattr(held[-1], what):.0f} ({slope(held, what)}/min)" for what in Held._fields[1:]]
+    whole = [h.resident_mb for h in max(service.held, key=len)]
+    means = " ".join(f"{block.mean():.0f}" for block in np.array_split(np.array(whole), BLOCKS))
+    return f"{', '.join(texts)}; resident_mb by tenths {means}"
+
+
+def too_much(service: Service) -> str:
+    """What a process holds more and more of, if that is certain; the subscribers keep what they get."""
+    held = late_in_life(service)
+    limits = {
+        "resident_mb": 0.5 if service.name.startswith(("gateway", "router")) else np.inf,
+        "handles": 0.2,
+        "threads": 0.2,
+    }
+    if len(held) < 60.0 * LONG_MIN / 3.0:
+        return ""  # killed too often to tell
+    grows = [what for what, limit in limits.items() if (s := slope(held, what)).value - s.half_width > limit]
+    return f"{service.name}: {', '.join(grows)}" if grows else ""
