@@ -17,5 +17,6 @@ void b51_dac_start(void);
 bool b51_dac_write(uint16_t u);
 uint16_t b51_dac_store_zero(void);
 void b51_store_load(void);
+void b51_store_go_on(void);
 
 #endif

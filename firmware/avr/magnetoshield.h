@@ -1,6 +1,6 @@
 /* A MagnetoShield (R3, R4), by gateway/emulator/firmware_model/magnetoshield.py, `header`; numbers
  * are explained there and in ../magnetoshield.md. */
-#define B51_PROFILE_FIRMWARE 1, 3, 10, 12
+#define B51_PROFILE_FIRMWARE 1, 4, 10, 12
 #define B51_PROFILE_SCALINGS \
     0x00, 0x00, 0x00, 0x00, 0xAE, 0x47, 0xE1, 0x37, \
     0x6F, 0x12, 0x83, 0xB9, 0xCD, 0xCC, 0xCC, 0x35, \

@@ -136,6 +136,9 @@ bool b51_hal_tick_due(void) {
     for (; due > 1U; due--) {
         b51_board_late();
     }
+    if (due != 0U) {
+        b51_store_go_on();
+    }
     return due != 0U;
 }
 

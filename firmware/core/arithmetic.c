@@ -88,6 +88,17 @@ int32_t b51_scaled_product(int16_t mantissa, uint8_t shift, int32_t operand) {
     return negative ? -(int32_t)high : (int32_t)high;
 }
 
+/* a b / 2^16, to the nearest integer, halves upwards; a is a count, b has 15 bits. */
+uint16_t b51_fraction_of(uint16_t a, uint16_t b) {
+    uint8_t a_0 = (uint8_t)a, a_1 = (uint8_t)(a >> 8);
+    uint8_t b_0 = (uint8_t)b, b_1 = (uint8_t)(b >> 8);
+    uint16_t middle = PRODUCT(a_0, b_0);
+
+    middle = (uint16_t)(PRODUCT(a_0, b_1) + (middle >> 8));
+    middle = (uint16_t)(middle + PRODUCT(a_1, b_0) + 0x80U);
+    return (uint16_t)(PRODUCT(a_1, b_1) + (middle >> 8));
+}
+
 /* The nearest integer, halves upwards; denominator > 0, and 2 numerator + denominator fits 32 bits. */
 int32_t b51_divide_rounded(int32_t numerator, int32_t denominator) B51_ON_STACK {
     int32_t dividend = 2 * numerator + denominator;

@@ -16,6 +16,7 @@ void b51_board_boot(void) {
     b51_output_boot();
     b51_board.ticks_since_overrun = B51_TICKS_PER_S;
     field = b51_settings_boot();
+    b51_calibration_boot();
     b51_loop_boot();
     b51_host_boot();
     b51_emit(b51_hal_reset_cause(), b51_hal_resets());
@@ -70,7 +71,7 @@ static void queue_state(uint16_t i, uint16_t x, uint8_t flags) B51_ON_STACK {
 /* The order is that of rule 4: the law first, whatever else waits. */
 static void tick(void) {
     uint16_t i = b51_hal_read_current();
-    uint16_t x = b51_hal_read_position();
+    uint16_t x = b51_calibrated(b51_hal_read_position());
     uint8_t flags;
 
     b51_hal_feed_watchdog();

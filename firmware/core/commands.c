@@ -1,4 +1,4 @@
-/* What commands do, when they are refused, and their answers: rules 2, 6 to 8, 12 and 15.
+/* What commands do, when they are refused, and their answers: rules 2, 6 to 8, 12, 15 and 17.
  *
  * A refused command changes nothing.  An answer is composed when its command is executed, and is then only copied: what
  * it says is what was in force at that tick, however long it waits for the line, and in each repetition (rule 3).
@@ -91,6 +91,34 @@ void b51_answer_parameters(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
 /* In a frame of its own, as a message never changes its length: a host that does not know it does not ask for it. */
 static void answer_health(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
     (void)b51_put_u16(b51_put_u16(begin(B51_HEALTH, body), b51_hal_stack_free()), b51_hal_input_at_power_on());
+}
+
+static void answer_calibration(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
+    const B51_STATE_MEMORY struct b51_calibration_state *of = &b51_board.calibration;
+    B51_STATE_MEMORY uint8_t *at = b51_put_u16(b51_put_u16(begin(B51_CALIBRATION, body), of->low_read), of->low_true);
+
+    at = b51_put_u16(b51_put_u16(at, of->high_read), of->high_true);
+    *at = b51_hal_calibration_is_kept() ? 1U : 0U;
+}
+
+/* Not while the coil is driven: x would jump. */
+static uint8_t set_calibration(const B51_STATE_MEMORY uint8_t *body, uint16_t *detail) B51_ON_STACK {
+    if (b51_board.loop.fault) {
+        return B51_FAULT_ACTIVE;
+    }
+    if (b51_board.capture.running) {
+        return B51_BUSY;
+    }
+    if (b51_board.loop.mode != B51_MODE_IDLE) {
+        *detail = b51_board.loop.mode;
+        return B51_WRONG_MODE;
+    }
+    *detail = b51_calibration_set(body + 2);
+    if (*detail != 0U) {
+        return B51_OUT_OF_RANGE;
+    }
+    b51_hal_keep_calibration(body + 2);
+    return B51_ACCEPTED;
 }
 
 static uint8_t set_mode(const B51_STATE_MEMORY uint8_t *body) B51_ON_STACK {
@@ -236,6 +264,9 @@ uint8_t b51_command_execute(const B51_STATE_MEMORY uint8_t *body, uint16_t *deta
         case B51_GET_HEALTH:
             answer_health(body);
             return B51_ACCEPTED;
+        case B51_GET_CALIBRATION:
+            answer_calibration(body);
+            return B51_ACCEPTED;
         case B51_READ_CAPTURE:
             return read_capture(body);
         case B51_SET_MODE:
@@ -252,6 +283,9 @@ uint8_t b51_command_execute(const B51_STATE_MEMORY uint8_t *body, uint16_t *deta
             break;
         case B51_CAPTURE:
             reason = capture(body, detail);
+            break;
+        case B51_SET_CALIBRATION:
+            reason = set_calibration(body, detail);
             break;
         case B51_SET_STREAM:
             b51_board.host.divider = b51_get_u16(body + 2);

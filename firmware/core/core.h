@@ -1,8 +1,8 @@
 /* The firmware of a Board51 board: types, state and functions of the core.
  *
  * protocol/README.md is the specification; the rules in the comments are those of its 'Behaviour of the board'.
- * Reading order: this file, arithmetic.c, law.c, excitation.c, reference.c, output.c, capture.c, loop.c (the control
- * loop), then frames.c, receiver.c, queues.c, fields.c, commands.c, settings.c, host.c (the link), and board.c, which
+ * Reading order: this file, arithmetic.c, law.c, excitation.c, reference.c, output.c, calibration.c, capture.c, loop.c
+ * (the control loop), then frames.c, receiver.c, queues.c, fields.c, commands.c, settings.c, host.c (the link), and board.c, which
  * joins the two.
  *
  * All state is in one variable.  There is one board in a program, so nothing is passed by pointer: an 8051 would look
@@ -57,6 +57,8 @@ enum {
     B51_GET_PARAMETERS,
     B51_RESET,
     B51_GET_HEALTH,
+    B51_SET_CALIBRATION,
+    B51_GET_CALIBRATION,
     B51_STATE = 0x40,
     B51_IDENTITY,
     B51_PONG,
@@ -65,7 +67,8 @@ enum {
     B51_PARAMETERS,
     B51_EVENT,
     B51_CAPTURE_BLOCK,
-    B51_HEALTH
+    B51_HEALTH,
+    B51_CALIBRATION
 };
 
 enum {
@@ -122,6 +125,7 @@ enum {
 #define B51_ANSWER_BODY 54U /* IDENTITY, the longest answer but CAPTURE_BLOCK */
 #define B51_EVENT_BODY 9U
 #define B51_BLOCK_BODY 58U
+#define B51_CALIBRATION_SIZE 8U /* of the fields of SET_CALIBRATION */
 #define B51_MAX_FRAME (B51_BLOCK_BODY + 5U) /* the longest that the board sends */
 #define B51_BLOCK_SAMPLES 32U
 
@@ -225,6 +229,13 @@ struct b51_output_state {
     uint8_t unconfirmed_ticks, current_ticks; /* in a row, saturating */
 };
 
+struct b51_calibration_state {
+    uint16_t low_read, low_true, high_read, high_true; /* counts of x */
+    int16_t shift; /* at the lower one */
+    bool flatter;  /* the slope is below 1 */
+    uint16_t slope; /* what it differs by from 1, in 2^-16 */
+};
+
 struct b51_receiver_state {
     uint8_t data[B51_MAX_ENCODED];
     uint8_t size;
@@ -284,6 +295,7 @@ struct b51_board {
     struct b51_capture_state capture;
     struct b51_loop_state loop;
     struct b51_output_state output;
+    struct b51_calibration_state calibration;
     struct b51_receiver_state receiver;
     struct b51_queues_state queues;
     struct b51_host_state host;
@@ -301,6 +313,7 @@ int32_t b51_shift_down(int32_t value, uint8_t bits);
 int32_t b51_saturated_sum(int32_t a, int32_t b);
 int32_t b51_saturated_difference(int32_t a, int32_t b);
 int32_t b51_scaled_product(int16_t mantissa, uint8_t shift, int32_t operand);
+uint16_t b51_fraction_of(uint16_t a, uint16_t b);
 int32_t b51_divide_rounded(int32_t numerator, int32_t denominator) B51_ON_STACK;
 int16_t b51_sine_q15(uint32_t phase) B51_ON_STACK;
 uint16_t b51_distance(uint16_t a, uint16_t b);
@@ -341,6 +354,11 @@ void b51_output_write(uint16_t u);
 bool b51_output_is_unconfirmed(void);
 bool b51_output_is_bypassed(uint16_t i);
 void b51_output_rearm(void);
+
+/* calibration.c */
+void b51_calibration_boot(void);
+uint16_t b51_calibration_set(const B51_STATE_MEMORY uint8_t *at) B51_ON_STACK;
+uint16_t b51_calibrated(uint16_t x) B51_ON_STACK;
 
 /* loop.c */
 void b51_loop_boot(void);

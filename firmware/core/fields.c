@@ -36,6 +36,7 @@ static const B51_TABLE_MEMORY struct field EXCITE_FIELDS[] = {{U8, 0, 6},  {U8, 
 static const B51_TABLE_MEMORY struct field CAPTURE_FIELDS[] = {COUNT, COUNT, {U16, 0, 2000}, {U16, 1, 2000}};
 static const B51_TABLE_MEMORY struct field READ_CAPTURE_FIELDS[] = {{U16, 0, 1999}};
 static const B51_TABLE_MEMORY struct field SET_STREAM_FIELDS[] = {{U16, 0, 1000}};
+static const B51_TABLE_MEMORY struct field SET_CALIBRATION_FIELDS[] = {COUNT, COUNT, COUNT, COUNT};
 static const B51_TABLE_MEMORY struct field SET_HOST_LOSS_FIELDS[] = {{U8, 0, 2}, {U16, 50, 60000}};
 
 #define ROW(size, fields) {(size), sizeof(fields) / sizeof((fields)[0]), (fields)}
@@ -56,9 +57,11 @@ static const B51_TABLE_MEMORY struct row ROWS[] = {
     /* GET_PARAMETERS */ ID_ONLY,
     /* RESET */ ID_ONLY,
     /* GET_HEALTH */ ID_ONLY,
+    /* SET_CALIBRATION */ ROW(10, SET_CALIBRATION_FIELDS),
+    /* GET_CALIBRATION */ ID_ONLY,
 };
 
-B51_STATIC_ASSERT(b51_each_command_has_its_row, sizeof ROWS / sizeof ROWS[0] == B51_GET_HEALTH - B51_HELLO + 1);
+B51_STATIC_ASSERT(b51_each_command_has_its_row, sizeof ROWS / sizeof ROWS[0] == B51_GET_CALIBRATION - B51_HELLO + 1);
 
 /* Of a bound of a field. */
 static uint16_t magnitude(uint8_t type, uint16_t bound) B51_ON_STACK {
@@ -103,7 +106,7 @@ uint8_t b51_fields_check(const B51_STATE_MEMORY uint8_t *body, uint8_t size, uin
     const B51_TABLE_MEMORY struct row *row;
 
     *detail = 0;
-    if (body[0] < B51_HELLO || body[0] > B51_GET_HEALTH) {
+    if (body[0] < B51_HELLO || body[0] > B51_GET_CALIBRATION) {
         return B51_UNKNOWN_TYPE;
     }
     row = &ROWS[body[0] - B51_HELLO];
@@ -115,13 +118,13 @@ uint8_t b51_fields_check(const B51_STATE_MEMORY uint8_t *body, uint8_t size, uin
 
 /* A line with an echo must not make the board talk to itself. */
 bool b51_is_sent_by_board(uint8_t type) {
-    return type >= B51_STATE && type <= B51_HEALTH;
+    return type >= B51_STATE && type <= B51_CALIBRATION;
 }
 
 /* From STATE on. */
 static const B51_TABLE_MEMORY uint8_t SIZES[] = {B51_STATE_BODY, B51_ANSWER_BODY, 10, 7, 6, 40, B51_EVENT_BODY,
-                                                 B51_BLOCK_BODY, 6};
-B51_STATIC_ASSERT(b51_each_message_has_its_size, sizeof SIZES == B51_HEALTH - B51_STATE + 1);
+                                                 B51_BLOCK_BODY, 6, 11};
+B51_STATIC_ASSERT(b51_each_message_has_its_size, sizeof SIZES == B51_CALIBRATION - B51_STATE + 1);
 
 /* Of a message to the host. */
 uint8_t b51_body_size(uint8_t type) {

@@ -9,6 +9,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "config.h"
+
 struct b51_identity;
 struct b51_settings;
 
@@ -52,5 +54,11 @@ uint16_t b51_hal_input_at_power_on(void);
 const struct b51_identity *b51_hal_identity(void);  /* 5 us */
 const struct b51_settings *b51_hal_settings(void);  /* 1 ms, once after a reset */
 const struct b51_settings *b51_hal_program_settings(void);  /* 1 ms; in place of the others, which are then gone */
+
+/* The calibration of x: CALIBRATION_SIZE bytes, kept through resets and without power where the target can, with a CRC.
+ * To write them may take longer, while the loop goes on. */
+const B51_STATE_MEMORY uint8_t *b51_hal_calibration(void);  /* 1 ms, once after a reset; NULL: none, or a wrong CRC */
+void b51_hal_keep_calibration(const B51_STATE_MEMORY uint8_t *bytes);  /* 100 us */
+bool b51_hal_calibration_is_kept(void);  /* what was given last has been written, and reads so; 200 us */
 
 #endif

@@ -115,6 +115,20 @@ uint16_t b51_hal_input_at_power_on(void) {
     return UINT16_MAX;
 }
 
+/* Its memory keeps a calibration without power, at once. */
+const uint8_t *b51_hal_calibration(void) {
+    return here->calibration_is_kept ? here->calibration : NULL;
+}
+
+void b51_hal_keep_calibration(const uint8_t *bytes) {
+    (void)memcpy(here->calibration, bytes, sizeof here->calibration);
+    here->calibration_is_kept = true;
+}
+
+bool b51_hal_calibration_is_kept(void) {
+    return here->calibration_is_kept;
+}
+
 const struct b51_identity *b51_hal_identity(void) {
     return &here->identity;
 }

@@ -31,6 +31,7 @@ struct b51_posix_board {
     struct b51_board state;
     struct b51_identity identity;
     struct b51_settings settings, settings_of_program;
+    uint8_t calibration[B51_CALIBRATION_SIZE];
     const uint8_t *received;
     uint32_t received_count;
     uint8_t *sent;
@@ -38,7 +39,7 @@ struct b51_posix_board {
     uint16_t i, x, u;
     uint16_t resets;
     uint8_t cause, hung_ticks, dead_ticks, room, sent_count, delimiters;
-    bool tick_due, restart, stack_broken;
+    bool tick_due, restart, stack_broken, calibration_is_kept;
     uint8_t output_fault; /* OUTPUT_DEAF, OUTPUT_STUCK, or 0 */
 };
 

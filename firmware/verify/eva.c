@@ -125,6 +125,27 @@ const struct b51_settings *b51_hal_program_settings(void) {
     return &OF_PROGRAM;
 }
 
+static uint8_t calibration[B51_CALIBRATION_SIZE];
+
+const uint8_t *b51_hal_calibration(void) {
+    fill(calibration, sizeof calibration);
+    return any_bool() ? calibration : 0;
+}
+
+void b51_hal_keep_calibration(const uint8_t *bytes) {
+    (void)bytes;
+}
+
+bool b51_hal_calibration_is_kept(void) {
+    return any_bool();
+}
+
+/* calibration.c: all fields, all readings. */
+void eva_calibration(void) {
+    b51_calibration_boot();
+    (void)b51_calibrated(count());
+}
+
 /* arithmetic.c */
 void eva_arithmetic(void) {
     int32_t a = any32(INT32_MIN, INT32_MAX);
@@ -136,6 +157,7 @@ void eva_arithmetic(void) {
     (void)b51_scaled_product((int16_t)any32(-32767, 32767), any8(0, 30), any32(-8388608, 8388607));
     (void)b51_sine_q15(any_u32());
     (void)b51_distance(any16(0, UINT16_MAX), any16(0, UINT16_MAX));
+    (void)b51_fraction_of(count(), any16(0, INT16_MAX));
 }
 
 /* law.c, reference.c, loop.c up to the output: gains, limits and state within their ranges. */
@@ -270,8 +292,8 @@ void eva_queues(void) {
     uint8_t type;
 
     for (;;) {
-        //@ loop unroll 8;
-        for (type = B51_STATE; type <= B51_HEALTH; type++) {
+        //@ loop unroll 10;
+        for (type = B51_STATE; type <= B51_CALIBRATION; type++) {
             fill(body, sizeof body);
             body[0] = type;
             b51_queue_put(body);

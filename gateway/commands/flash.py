@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.link.port import PortProblem, open_port
-from protocol.arguments import quantity
 from protocol.errors import InstallError, ServiceError, UsageError, single_line
 from protocol.files import writing
 
 if TYPE_CHECKING:
-    from gateway.emulator.firmware_model.magnetoshield import HallCurve, MagnetoShieldProfile
+    from gateway.emulator.firmware_model.magnetoshield import MagnetoShieldProfile
 
 BOARDS = ("magnetoshield",)
 _HANG_S = 120.0  # writing and reading back 32 kB takes 10 s
@@ -36,8 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "examples:\n"
         "  board51 flash --board magnetoshield --dry-run\n"
-        "  board51 flash --board magnetoshield --port /dev/ttyACM0\n"
-        "  board51 flash --board magnetoshield --port /dev/ttyACM0 --x-ground -0.00008 --x-ceiling 0.00471\n\n"
+        "  board51 flash --board magnetoshield --port /dev/ttyACM0\n\n"
         "needs avr-gcc with avr-libc, and avrdude (Debian: apt-get install gcc-avr avr-libc avrdude);\n"
         "--out writes the image for another programmer, without avrdude and port\n\n"
         "fuses stay as they are, as no boot loader can write them; the image needs those of an Uno (low 0xFF:\n"
@@ -47,15 +45,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--board", choices=BOARDS, required=True, help="board of the firmware")
     parser.add_argument("--port", metavar="DEVICE", help="serial device of the Uno: /dev/ttyACM0")
     parser.add_argument("--baud", type=int, default=115200, help="speed of the firmware's UART (default: %(default)s)")
-    parser.add_argument(
-        "--x-ground",
-        type=quantity("x"),
-        metavar="M",
-        help="x of the magnet on the ground, read with an image without calibration",
-    )
-    parser.add_argument(
-        "--x-ceiling", type=quantity("x"), metavar="M", help="x of the magnet at the ceiling, read in the same way"
-    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the image (Intel HEX) there and stop")
     parser.add_argument("--dry-run", action="store_true", help="compile, print the command of avrdude, touch no port")
     parser.add_argument("--json", action="store_true", help="print the command and the size as JSON")
@@ -71,11 +60,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("No port is given", remedy="Give --port /dev/ttyACM0, --dry-run, or --out FILE")
     if not 300 <= args.baud <= 4_000_000:
         raise UsageError(f"--baud {args.baud} is out of range", remedy="Give 57600, 115200 or 250000")
-    curve = _calibrated(args.x_ground, args.x_ceiling)
     if not args.dry_run and args.out is None:
         _check_avrdude()
         _check_port(args.port)
-    image = _image(magnetoshield(curve), args.baud)
+    image = _image(magnetoshield(), args.baud)
     size = _size(image)
     if size > _FLASH_BYTES:
         raise ServiceError(f"The image has {size} bytes, the chip {_FLASH_BYTES}", remedy="Report it")
@@ -115,17 +103,6 @@ def _size(image: Path) -> int:
     """Return how many bytes a file in Intel's hexadecimal format has: the sum of its records' first bytes."""
     records = (line for line in image.read_text(encoding="ascii").splitlines() if line[7:9] == "00")
     return sum(int(line[1:3], 16) for line in records)
-
-
-def _calibrated(ground_m: float | None, ceiling_m: float | None) -> HallCurve | None:
-    """The curve of the Hall sensor through two readings; None: that of the authors' examples."""
-    from gateway.emulator.firmware_model.magnetoshield import HallCurve
-
-    if ground_m is None and ceiling_m is None:
-        return None
-    if ground_m is None or ceiling_m is None:
-        raise UsageError("One of the two readings is missing", remedy="Give --x-ground and --x-ceiling")
-    return HallCurve.through(ground_m, ceiling_m)
 
 
 def _command(port: str | None, image: Path) -> list[str]:

@@ -35,6 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 selftest --board /dev/ttyUSB0\n"
         "  board51 selftest --board /dev/ttyACM0 --rig magnetoshield --only link --only converters\n"
+        "  board51 selftest --board /dev/ttyACM0 --rig magnetoshield --only calibration --calibrate\n"
         "  board51 selftest --board tcp://127.0.0.1:5100 --yes --quick --json\n\n"
         f"checks:\n{_listing()}\n\n"
         "exit code: 0 no fault, 1 faults, 2 it could not run"
@@ -45,6 +46,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", action="append", choices=_NAMES, metavar="CHECK", help="only this; repeatable")
     parser.add_argument("--skip", action="append", choices=_NAMES, metavar="CHECK", help="not this; repeatable")
     parser.add_argument("--list", action="store_true", help="list the checks and end")
+    parser.add_argument(
+        "--calibrate", action="store_true", help="correct x in the board, so that the stops read 0 and the travel"
+    )
     parser.add_argument("--quick", action="store_true", help="fewer repetitions: 15 s instead of 50 s")
     parser.add_argument("--yes", action="store_true", help="do not ask before current flows")
     parser.add_argument("--json", action="store_true", help="print one JSON object per line")
@@ -65,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     checks = [check for check in CHECKS if check.name in (args.only or _NAMES) and check.name not in (args.skip or ())]
     if not checks:
         raise UsageError("No check is left", remedy="Leave out a --skip")
+    if args.calibrate and "calibration" not in {check.name for check in checks}:
+        raise UsageError("--calibrate belongs to the check calibration", remedy="Add --only calibration")
     _confirm(checks, assent=args.yes)
     wire = open_wire(args.board, args.baud)
     console = Console(as_json=args.json)
@@ -74,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         port=args.board,
         baud=args.baud,
         quick=args.quick,
+        calibrate=args.calibrate,
         progress=console.progress,
     )
     started_s = time.time()

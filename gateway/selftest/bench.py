@@ -65,6 +65,7 @@ class Bench:
         port: As it was given, for commands to copy.
         baud: Speed of the line, bit/s.
         quick: Fewer repetitions.
+        calibrate: Correct the board's position sensor where it is off.
         lift_input_v: Input that has lifted the ball, V; 0: that of the rig.
         faults: Names of those found so far: what follows from one is skipped, not found again.
         progress: Called with what goes on and its share done, 0 to 1.
@@ -75,6 +76,7 @@ class Bench:
     port: str = ""
     baud: int = 115200
     quick: bool = False
+    calibrate: bool = False
     progress: Callable[[str, float], None] = lambda _text, _share: None
     begin: Begin = field(default_factory=Begin)
     parameters: Message | None = None
@@ -143,6 +145,10 @@ class Bench:
             i_a, x_m = self.currents(samples), self.positions(samples)
             self._rest = Rest(*mean_and_deviation(i_a), *mean_and_deviation(x_m), samples)
         return self._rest
+
+    def forget_rest(self) -> None:
+        """Let `rest` measure anew: the board reads otherwise from now on."""
+        self._rest = None
 
     def no_current(self) -> Exception:
         """Return what to raise where no current flows: a fault, unless it is known."""

@@ -29,7 +29,7 @@ class RigNumbers:
     position_noise_m: tuple[float, float]
     dead_zone_v: tuple[float, float]
     magnet: bool  # lifted by a permanent magnet: the coil has a polarity
-    flash_board: str = ""  # of `board51 flash`, which writes its calibration; "": none does
+    flash_board: str = ""  # of `board51 flash`; "": it flashes none
 
 
 RIGS: Mapping[str, RigNumbers] = {

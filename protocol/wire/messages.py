@@ -175,6 +175,13 @@ _OPERATING_POINT = (
     _u16_counts("u_0", "operating point (13): input"),
 )
 
+_CALIBRATION = (
+    _u16_counts("low_read", "a reading without calibration"),
+    _u16_counts("low_true", "what it should have been"),
+    _u16_counts("high_read", "another reading without calibration"),
+    _u16_counts("high_true", "what it should have been"),
+)
+
 ROWS: tuple[Row, ...] = (
     Row(0x01, "HELLO", True, (
         _ID,
@@ -220,6 +227,8 @@ ROWS: tuple[Row, ...] = (
     Row(0x0C, "GET_PARAMETERS", True, (_ID,), "answered by PARAMETERS"),
     Row(0x0D, "RESET", True, (_ID,), "restart the firmware; the ACK goes out before"),
     Row(0x0E, "GET_HEALTH", True, (_ID,), "answered by HEALTH; firmware 1.3"),
+    Row(0x0F, "SET_CALIBRATION", True, (_ID, *_CALIBRATION), "correct the position sensor; idle; firmware 1.4"),
+    Row(0x10, "GET_CALIBRATION", True, (_ID,), "answered by CALIBRATION; firmware 1.4"),
     Row(0x40, "STATE", False, (
         _u16("sequence", "tick", "number of the control tick, modulo 65536"),
         _counts("i_c", "coil current"),
@@ -299,6 +308,11 @@ ROWS: tuple[Row, ...] = (
         _u16("stack_free", "byte", "of the stack, never used since the reset; 0 overwritten, 65535 not watched"),
         _u16("u_power_on", "count", "u_c that the input converter wakes up with; 65535 not known"),
     ), "answer to GET_HEALTH"),
+    Row(0x49, "CALIBRATION", False, (
+        _ID,
+        *_CALIBRATION,
+        _u8("kept", "", "1: a reset leaves it in force; 0: it does not, or nothing was written yet", 0, 1),
+    ), "answer to GET_CALIBRATION"),
 )  # fmt: skip
 
 ROW_OF_TYPE = {row.type: row for row in ROWS}

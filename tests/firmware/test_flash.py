@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,14 +11,12 @@ import pytest
 
 import board51
 from firmware.sim.avr.board import AvrBoard
-from firmware.sim.avr.build import compile_image, hex_of, load
+from firmware.sim.avr.build import hex_of
 from gateway.commands import flashed
 from gateway.emulator.firmware_model.board import Firmware
-from gateway.emulator.firmware_model.flash import BoardProfile
-from gateway.emulator.firmware_model.magnetoshield import HallCurve, header, magnetoshield
-from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
+from gateway.emulator.firmware_model.magnetoshield import magnetoshield
 from gateway.emulator.serve import Emulator
-from protocol.errors import ServiceError, UsageError
+from protocol.errors import ServiceError
 from tests.harness.firmware.avr_bench import skip_without_avr
 
 PROFILE = magnetoshield()
@@ -172,8 +169,6 @@ def test_the_image_can_be_had_for_another_programmer(flash: Flash) -> None:
         (["--port", "/dev/ttyNobody"], "There is no /dev/ttyNobody"),
         (["--port", "/dev/null"], "/dev/null"),
         (["--port", "socket://10.0.0.5:4001"], "not a device of this computer"),
-        (["--dry-run", "--x-ground", "0"], "One of the two readings is missing"),
-        (["--dry-run", "--x-ground", "0", "--x-ceiling", "0.5"], "range of the converter"),
         (["--dry-run", "--baud", "230400"], "within 2.5 %"),
         (["--dry-run", "--baud", "7"], "out of range"),
     ],
@@ -201,36 +196,3 @@ def test_without_compiler_or_avrdude_it_says_what_to_install(
     assert (without_avrdude[0], without_compiler[0]) == (2, 2)
     assert "apt-get install avrdude" in without_avrdude[2]
     assert "gcc-avr" in without_compiler[2]
-
-
-def test_two_readings_calibrate_a_shield_whose_sensor_differs() -> None:
-    # Another Hall sensor, nearer and less sensitive: what it makes of the position is 4 % less and 0.1 mm more.
-    plant = EmulatedMagnetoShield(effects={"position-sensor-gain": 0.96, "position-sensor-offset": 1e-4})
-
-    def read(profile: BoardProfile, x_m: float) -> float:
-        plant.set_state(x_m)
-        pins = [plant.sense()[1] for _ in range(400)]
-        return statistics.mean(profile.position.to_si(profile.position_count(pin)) for pin in pins)
-
-    ground, ceiling = read(PROFILE, 0.0), read(PROFILE, 5e-3)
-    assert abs(ceiling - 5e-3) > 8e-5
-    calibrated = magnetoshield(HallCurve.through(ground, ceiling))
-    for x_m in (0.0, 1e-3, 2.5e-3, 4e-3, 5e-3):
-        assert read(calibrated, x_m) == pytest.approx(x_m, abs=3e-5)
-
-
-def test_readings_that_calibrate_nothing_are_refused() -> None:
-    for ground, ceiling, said in ((2e-3, 2.1e-3, "hardly moved"), (-0.3e-3, 5e-3, "range of the converter")):
-        with pytest.raises(UsageError, match=said):
-            HallCurve.through(ground, ceiling)
-
-
-def test_a_calibration_is_in_the_image(tmp_path: Path) -> None:
-    skip_without_avr()
-    profile = magnetoshield(HallCurve.through(-1e-4, 4.7e-3))
-    (tmp_path / "profile.h").write_text(header(profile))
-
-    compile_image(tmp_path / "avr.elf", profile=str(tmp_path / "profile.h"))
-
-    table = b"".join(count.to_bytes(2, "little") for count in profile.positions)
-    assert table in load(tmp_path / "avr.elf").code

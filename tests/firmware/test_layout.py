@@ -46,5 +46,5 @@ def test_the_linker_keeps_room_for_the_stack(tmp_path: Path) -> None:
     skip_without_avr()
 
     with pytest.raises(ServiceError, match="avr-gcc fails"):
-        compile_image(tmp_path / "avr.elf", options=("-UB51_CAPTURE_SIZE", "-DB51_CAPTURE_SIZE=214U"))
-    compile_image(tmp_path / "avr.elf", options=("-UB51_CAPTURE_SIZE", "-DB51_CAPTURE_SIZE=210U"))
+        compile_image(tmp_path / "avr.elf", options=("-UB51_CAPTURE_SIZE", "-DB51_CAPTURE_SIZE=206U"))
+    compile_image(tmp_path / "avr.elf", options=("-UB51_CAPTURE_SIZE", "-DB51_CAPTURE_SIZE=202U"))

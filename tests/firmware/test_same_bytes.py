@@ -20,7 +20,7 @@ from tests.harness.protocol.port import take_output
 MINUTE = 30_000  # ticks
 EVERYTHING = (
     {row.name for row in ROWS if not row.to_board and row.name != "STATE"}
-    | {code.name for code in EventCode if code != EventCode.STACK_FAULT}  # neither has a stack of its own
+    | {code.name for code in EventCode}
     | {reason.name for reason in Reason}
 )
 

@@ -14,11 +14,14 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
+from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.commands import (
     HANDLERS,
     Acceptance,
     Nack,
     acknowledge,
+    calibrate,
+    calibration,
     identity,
     parameters,
     refuse_range,
@@ -87,6 +90,7 @@ class Firmware:
         self._profile = profile
         self._board_id = board_id
         self._stored = profile.settings
+        self._calibration: Calibration | None = None  # in memory
         self._converter = InputConverter()
         self.outbox = Outbox()
         self._resets = 0
@@ -114,7 +118,7 @@ class Firmware:
         self._dead_ticks = 0
         field = self._stored.first_bad_field()
         settings = self._profile.settings if field else self._stored
-        self.loop = ControlLoop(self._emit, settings, self._converter)
+        self.loop = ControlLoop(self._emit, settings, self._converter, self._calibration or Calibration())
         self._host = HostWatch(self.loop, self._emit)
         self._emit(cause, self._resets)
         if field:
@@ -313,6 +317,12 @@ class Firmware:
             case "GET_HEALTH":  # a model has no stack of its own, and its converter no memory
                 free = 0 if self.loop.stack_broken else NOT_KNOWN
                 return Acceptance("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
+            case "SET_CALIBRATION":
+                answer = calibrate(self.loop, message, tick)
+                self._calibration = self.loop.calibration if isinstance(answer, Acceptance) else self._calibration
+                return answer
+            case "GET_CALIBRATION":
+                return calibration(self.loop, is_stored=self._calibration is not None)
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:

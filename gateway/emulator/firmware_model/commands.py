@@ -1,4 +1,4 @@
-"""Execution of commands on the control loop, and their refusals: rules 6 to 8, 12 and 15 of protocol/README.md.
+"""Execution of commands on the control loop, and their refusals: rules 6 to 8, 12, 15 and 17 of protocol/README.md.
 
 A handler takes the loop, the message and the next tick, and returns a `Nack` or an `Acceptance`.  A refused command
 changes nothing.  `board.py` executes the commands of session, stream and host loss.
@@ -7,8 +7,9 @@ changes nothing.  `board.py` executes the commands of session, stream and host l
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
+from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.capture import FirmwareCapture
 from gateway.emulator.firmware_model.control_loop import TARGET_U, ControlLoop
 from gateway.emulator.firmware_model.excitation import Excitation, Signal
@@ -99,6 +100,26 @@ def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: in
     values = Settings(gains=loop.law.gains, limits=loop.limits).in_parameters()
     values |= {"divider": divider, "policy": int(policy), "timeout": timeout_ms, "tick": loop.gains_tick}
     return Acceptance("PARAMETERS", values)
+
+
+def calibration(loop: ControlLoop, *, is_stored: bool) -> Acceptance:
+    """Return the answer to GET_CALIBRATION: what is in force, and whether a reset leaves it so."""
+    return Acceptance("CALIBRATION", {**asdict(loop.calibration), "kept": int(is_stored)})
+
+
+def calibrate(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
+    """Correct x from now on, unless the coil is driven."""
+    if loop.fault:
+        return Nack(Reason.FAULT_ACTIVE)
+    if loop.capturing:
+        return Nack(Reason.BUSY)
+    if loop.mode != Mode.IDLE:
+        return Nack(Reason.WRONG_MODE, loop.mode)
+    points = Calibration(**{name: message.int(name) for name in asdict(loop.calibration)})
+    if bound := points.bound_in_the_way():
+        return Nack(Reason.OUT_OF_RANGE, bound)
+    loop.calibration = points
+    return acknowledge(0x0F, tick)
 
 
 def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.capture import FirmwareCapture
 from gateway.emulator.firmware_model.excitation import Excitation
 from gateway.emulator.firmware_model.flash import T_S_US, TICKS_PER_S, FlashLimits, Settings
@@ -69,9 +70,17 @@ class ControlLoop:
         emit: Called with each event: (code, detail).
         settings: In force after the reset.
         converter: Of u_c.
+        calibration: Of x, in force after the reset.
     """
 
-    def __init__(self, emit: Callable[[EventCode, int], None], settings: Settings, converter: InputConverter) -> None:
+    def __init__(
+        self,
+        emit: Callable[[EventCode, int], None],
+        settings: Settings,
+        converter: InputConverter,
+        calibration: Calibration,
+    ) -> None:
+        self.calibration = calibration
         self.limits = settings.limits
         self.law = ControlLaw(settings.gains)
         self.reference = Reference(settings.gains.x_0, settings.limits)
@@ -159,7 +168,8 @@ class ControlLoop:
         self.reference.jump(x_ref)
 
     def run(self, i: int, x: int) -> Tick:
-        """Run one tick: from the counts of current and position to the count of the input."""
+        """Run one tick: from the counts of current and position, as read, to the count of the input."""
+        x = self.calibration.corrected(x)
         self._watch(i, x)
         self._play()
         limited = False

@@ -28,7 +28,7 @@ CAPTURE_US = 40  # 25 kHz
 CAPTURE_SIZE = 2000  # samples; 3 kB of external RAM
 CAPTURE_SETTLE_US = 20_000  # u_from before the first sample
 ADC_BITS = DAC_BITS = 12
-FIRMWARE = (1, 3)
+FIRMWARE = (1, 4)
 BUILD = b"emulated"
 WATCHDOG_TICKS = 25  # 50 ms
 BOOT_TICKS = 5  # 10 ms from reset to tick 0

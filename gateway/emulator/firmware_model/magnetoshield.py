@@ -22,7 +22,6 @@ from gateway.emulator.firmware_model.flash import (
     FlashLimits,
     gains_in_counts,
 )
-from protocol.errors import UsageError
 from protocol.wire.messages import COUNTS_MAX, Law
 
 _ADC_BITS = 10
@@ -57,33 +56,6 @@ class HallCurve:
     power: float = 0.220571
     zero_v: float = 2.5
     gauss_per_v: float = 800.0
-
-    @classmethod
-    def through(cls, ground_m: float, ceiling_m: float) -> HallCurve:
-        """The curve of a shield on which the usual one reads these two positions at gaps of 17 and 12 mm.
-
-        Raises:
-            UsageError: the readings are not those of a magnet that lies on the ground and one at the ceiling.
-        """
-        low, high = POSITION.offset, POSITION.to_si(COUNTS_MAX)
-        for x_m in (ground_m, ceiling_m):
-            if not low < x_m < high:
-                raise UsageError(
-                    f"x = {x_m:g} m is not within the range of the converter, {low:g} to {high:g} m",
-                    remedy="At its end: turn the magnet over, and see that it lies in the tube",
-                )
-        if ceiling_m - ground_m < 2e-3:
-            raise UsageError(
-                f"From x = {ground_m:g} to {ceiling_m:g} m the magnet has hardly moved",
-                remedy="Read x with the magnet on the ground and at the ceiling, in metres",
-            )
-        ground, ceiling = cls().gauss(ground_m), cls().gauss(ceiling_m)
-        power = math.log(_GAP_BOTTOM_MM / _GAP_TOP_MM) / math.log(ground / ceiling)
-        return cls(scale_mm=_GAP_TOP_MM / ceiling**power, power=power)
-
-    def gauss(self, x_m: float) -> float:
-        """The field of the magnet at a position."""
-        return float(((_GAP_BOTTOM_MM - x_m * 1e3) / self.scale_mm) ** (1.0 / self.power))
 
     def x_m(self, pin_v: float) -> float:
         """The position, up from the ground; infinite where the field is not that of the magnet."""

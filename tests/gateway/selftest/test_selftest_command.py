@@ -77,6 +77,7 @@ def test_faults_are_exit_code_1_and_each_line_of_json_is_one_object(
         (["--board", "tcp://127.0.0.1:1", "--yes"], "is the serial server running"),
         (["--board", "/dev/null"], "Current is to flow, and nobody can be asked"),
         (["--board", "/dev/null", "--only", "link", "--skip", "link"], "No check is left"),
+        (["--board", "/dev/null", "--only", "link", "--calibrate"], "Add --only calibration"),
     ],
 )
 def test_what_cannot_run_is_exit_code_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -76,6 +76,7 @@ class Script:
         self._sent: deque[bytes] = deque(maxlen=12)
         self._id = self._session = 1
         self._left = 0
+        self._broken = 0  # ticks with a broken stack, before a reset
         self._temper = "calm"
         self.taken = 64  # frames that the line takes at a tick
 
@@ -99,7 +100,13 @@ class Script:
         times = sorted(chance.randrange(2500) for _ in frames)
         actions = [("feed", data, time) for data, time in zip(frames, times, strict=True)]
         what = chance.random()
-        if what < 2e-4:
+        self._broken = max(self._broken - 1, 0)
+        if self._broken == 1:
+            actions.append(("reset", b"", chance.choice((1, 2, 3))))
+        elif what > 1 - 2e-4:
+            actions.append(("break", b"", 0))
+            self._broken = chance.randrange(2, 400)
+        elif what < 2e-4:
             actions.append(("hang", b"", 0))
         elif what < 5e-4:
             actions.append(("reset", b"", chance.choice((1, 2, 3))))
@@ -187,6 +194,10 @@ class Script:
             "timeout": (50, 300),
             "version_min": (0, 2),
             "version_max": (0, 2),
+            "low_read": (0, 300),
+            "low_true": (0, 600),
+            "high_read": (3500, 4095),
+            "high_true": (3500, 4095),
         }.get(item.name, (low, high))
         return chance.choice((low, high)) if chance.random() < 0.06 else chance.randint(*typical)
 
@@ -256,6 +267,8 @@ def _run_tick(board: Firmware | NativeFirmware, actions: list[tuple[str, bytes, 
             board.hang()
         elif name == "overrun":
             board.overrun()
+        elif name == "break":
+            board.break_stack()
         elif name == "output":
             board.fail_output(OutputFault(number))
         elif name == "store":
