@@ -6,7 +6,7 @@ that is stopped).  A service has less time: its parent kills it.
 
 from __future__ import annotations
 
-import _thread
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Protocol
@@ -24,16 +24,14 @@ class Session(Protocol):
 
 def close(session: Session) -> None:
     """Close a session; what its peer has not taken within CLOSE_S is lost."""
-    closed = _thread.allocate_lock()  # a thread of `threading` is no business of this package, and would be waited for
-    closed.acquire()
 
     def work() -> None:
         with suppress(Exception):  # its own limit has passed, and nobody waits any longer
             session.close()
-        closed.release()
 
-    _thread.start_new_thread(work, ())
-    closed.acquire(timeout=CLOSE_S)
+    closer = threading.Thread(target=work, name="close-bus", daemon=True)
+    closer.start()
+    closer.join(CLOSE_S)
 
 
 @contextmanager
