@@ -9,8 +9,12 @@ board; the last quarter of the flights is used to judge.
 from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
+from protocol.arguments import whole_number
 from protocol.errors import UsageError
 from twin.commands import progress_printer
 from twin.inference.budget import FULL, MILLION, QUICK
@@ -24,6 +28,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 diagnose runs/monday --out diagnosis\n"
         "  board51 diagnose runs/monday --model model.json --quick --out diagnosis\n"
+        "  board51 diagnose --all runs --out diagnoses                       every campaign below a folder\n"
+        "  board51 diagnose --all runs --out diagnoses --scheduler tcp://10.0.0.5:8786\n"
         "  board51 diagnose --live 2 --board rig1 --out diagnosis --hand-over    the last two minutes of a board\n"
         "\nexit code 0: causes found, possibly for a part, or the model is adequate; 1: the model is wrong and no\n"
         "known cause explains it, or the search ended by its budget; 2: bad input"
@@ -74,6 +80,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--figures", choices=("png", "pdf", "svg"), help="also write each figure of the report into --out"
     )
+    parser.add_argument(
+        "--all", action="store_true", help="CAMPAIGN is a folder: diagnose each campaign below it, into --out"
+    )
+    parser.add_argument(
+        "--processes", type=whole_number, default=2, metavar="N", help="with --all: how many at a time (2)"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="with --all: of a Dask cluster whose workers see the same folders"
+    )
     parser.add_argument("--json", action="store_true", help="print diagnosis.json instead of a summary")
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
     configure_live(parser)
@@ -89,6 +104,8 @@ def run(args: argparse.Namespace) -> int:
     check_options(args)
     if args.figures is not None and args.out is None:
         raise UsageError("--figures without --out", remedy="Give the folder of the report with --out")
+    if args.all:
+        return _run_all(args, progress)
     board = ""
     if args.live is not None:
         args.campaign, board = record_live(args, progress)
@@ -119,3 +136,35 @@ def run(args: argparse.Namespace) -> int:
     elif args.hand_over:
         progress("no model of this diagnosis is significantly better than the reference: the twin keeps its model")
     return 1 if result.verdict in ("unknown-cause", "unfinished") else 0
+
+
+def _run_all(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
+    """Diagnose each campaign below a folder, and print a line for each."""
+    from twin.api.many import diagnose_all
+
+    if args.campaign is None or args.out is None:
+        raise UsageError("--all needs a folder of campaigns and --out", remedy="Give both")
+    if args.live is not None or args.hand_over or args.figures is not None:
+        raise UsageError("--all excludes --live, --hand-over and --figures", remedy="Leave those out")
+    if args.processes < 1:
+        raise UsageError(f"--processes {args.processes}", remedy="Give a number from 1")
+    answers = diagnose_all(
+        args.campaign,
+        args.out,
+        scheduler=args.scheduler,
+        processes=args.processes,
+        data=args.data and args.data.resolve(),
+        model=args.model,
+        quick=args.quick,
+        share=args.share,
+        experiments=args.next_experiment or None,
+        free_form=args.free_form or None,
+        without=args.without,
+        seed=args.seed,
+        budget=args.budget,
+        progress=progress,
+    )
+    for answer in answers:
+        causes = ", ".join(answer.causes) or answer.error or "-"
+        print(json.dumps(asdict(answer)) if args.json else f"{answer.campaign}: {answer.verdict}: {causes}")
+    return 1 if any(answer.verdict in ("unknown-cause", "unfinished", "failed") for answer in answers) else 0
