@@ -40,9 +40,9 @@ def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path:
         weather.blow(60.0 * MINUTES)
         faults = weather.counts
         time.sleep(CALM_S)
-        now_ns = time.monotonic_ns()  # a board that is switched off takes what is in its cable with it
-        weather.happened += [Occurrence("unplugged", board, now_ns, now_ns) for board in range(BOARDS)]
+        off_ns = time.monotonic_ns()  # a board that is switched off takes what is in its cable with it
         stage.end()
+        weather.happened += [Occurrence("unplugged", board, off_ns, time.monotonic_ns()) for board in range(BOARDS)]
         logs = {n: logged for g in range(GATEWAYS) for n, logged in read_logs(stage.logs(g)).items()}
         account = account_of(stage.ledgers, np.load(stage.published), logs, weather.happened, GATEWAYS)
         print(report(stage, weather, faults, account))
