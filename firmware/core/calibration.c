@@ -34,7 +34,7 @@ uint16_t b51_calibration_set(const B51_STATE_MEMORY uint8_t *at) B51_ON_STACK {
     to->low_true = b51_get_u16(at + 2);
     to->high_read = b51_get_u16(at + 4);
     to->high_true = b51_get_u16(at + 6);
-    to->shift = low;
+    to->corrects = low != 0 || high != 0;
     to->flatter = high < low;
     to->slope = (uint16_t)b51_divide_rounded((to->flatter ? low - high : high - low) * INT32_C(65536), span);
     return 0;
@@ -53,17 +53,17 @@ void b51_calibration_boot(void) {
     }
 }
 
-/* A reading at an end of the converter stays there: it is no position.  Without a calibration it takes no time. */
+/* A reading at an end of the converter stays there: it is no position. */
 uint16_t b51_calibrated(uint16_t x) B51_ON_STACK {
     const B51_STATE_MEMORY struct b51_calibration_state *of = &b51_board.calibration;
     bool below = x < of->low_read;
     int16_t more;
 
-    if (x == 0U || x == B51_COUNTS_MAX || (of->slope == 0U && of->shift == 0)) {
+    if (x == 0U || x == B51_COUNTS_MAX) {
         return x;
     }
     more = (int16_t)b51_fraction_of(below ? of->low_read - x : x - of->low_read, of->slope);
     more = below != of->flatter ? -more : more;
-    more = (int16_t)(more + (int16_t)x + of->shift);
+    more = (int16_t)(more + (int16_t)(x - of->low_read) + (int16_t)of->low_true);
     return more < 0 ? 0U : more > B51_COUNTS_MAX ? (uint16_t)B51_COUNTS_MAX : (uint16_t)more;
 }

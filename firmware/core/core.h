@@ -231,7 +231,7 @@ struct b51_output_state {
 
 struct b51_calibration_state {
     uint16_t low_read, low_true, high_read, high_true; /* counts of x */
-    int16_t shift; /* at the lower one */
+    bool corrects; /* not each reading as it is */
     bool flatter;  /* the slope is below 1 */
     uint16_t slope; /* what it differs by from 1, in 2^-16 */
 };

@@ -144,15 +144,18 @@ static void advance_multisine(void) B51_ON_STACK {
 
 static int32_t sum_of_sines(uint16_t seed) B51_ON_STACK {
     uint32_t phase = b51_board.excitation.of.multisine.phase + ((uint32_t)(seed >> 7) << 23);
-    uint32_t angle = 0;
+    uint32_t angle = 0; /* h phase - h (h - 1) / 16 of a turn */
     int32_t total = 0;
+    uint8_t flips = (uint8_t)(seed << 1); /* its last bit is that of harmonic h: never of the first */
     uint8_t h;
 
     for (h = 1; h <= HARMONICS; h++) {
         int16_t value;
-        angle += phase - ((uint32_t)(h - 1U) << 29); /* h phase - h (h - 1) / 16 of a turn */
+        angle += phase;
+        phase -= UINT32_C(1) << 29;
         value = b51_sine_q15(angle);
-        total += h > 1U && (seed >> (h - 2U) & 1U) != 0U ? -value : value;
+        total += (flips & 1U) != 0U ? -value : value;
+        flips >>= 1;
     }
     return total;
 }

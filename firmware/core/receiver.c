@@ -18,7 +18,7 @@ uint8_t b51_receiver_take(uint8_t byte) {
             b51_board.receiver.overflow = true; /* this frame is lost, the next is not */
         } else {
             b51_board.receiver.data[size] = byte;
-            b51_board.receiver.size++;
+            b51_board.receiver.size = (uint8_t)(size + 1U);
         }
         return 0;
     }

@@ -202,8 +202,17 @@ void eva_reference(void) {
     }
 }
 
-/* receiver.c: any bytes, for ever; what `b51_frame_decode` does with them is the next entry's. */
+/* Where the receiver hands its bytes over: `eva_receiver` shows what is required and takes the rest for granted;
+ * `eva_frames` shows the rest for each size. */
+/*@ requires 1 <= size <= 67;
+  @ requires \valid(encoded + (0 .. size - 1));
+  @ assigns \result, encoded[0 .. size - 1] \from encoded[0 .. size - 1], size;
+  @ ensures \result <= 64; */
+uint8_t b51_frame_decode(uint8_t *encoded, uint8_t size);
+
+/* receiver.c: any bytes, for ever. */
 void eva_receiver(void) {
+    //@ loop widen_hints b51_board.receiver.size, 67;
     for (;;) {
         (void)b51_receiver_take(any8(0, 255));
     }

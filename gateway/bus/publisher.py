@@ -33,6 +33,7 @@ from protocol.bus.endpoint import has_subscriber
 GATHER_S = 0.02  # of `states`
 LOOK_NS = 20_000_000  # how often a board asks whether `state` has a subscriber
 BATCH = 16  # entries at a time: what a stalled bus can hold beside the queue
+RAW_USES = 1000  # of one message for the bytes of the line
 LONGEST_BATCH = 256  # payloads; what waited for a router would else be one message, larger than a router's queue
 
 _logger = logging.getLogger("gateway.publish")
@@ -199,7 +200,9 @@ class BoardSink:
         log_raw: bool,
     ) -> None:
         self._session, self._recorder, self._log_raw = session, recorder, log_raw
-        self._raw_message = pb.RawBytes()  # reused: half the time of a new one for each read
+        # Reused: half the time of a new one for each read.  Not for ever: whatever bytes it is given stay in its memory
+        # until it is gone, 16 of them for a read, 1.4 MB a minute with four boards.
+        self._raw_message, self._raw_uses = pb.RawBytes(), 0
         self._messages, self._samples, self._batches = publishers
         self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}
         targets = {
@@ -262,6 +265,9 @@ class BoardSink:
     def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
         """Write bytes of the UART to the log."""
         if self._recorder is not None and self._log_raw:
+            self._raw_uses += 1
+            if self._raw_uses == RAW_USES:
+                self._raw_message, self._raw_uses = pb.RawBytes(), 0
             m = self._raw_message
             m.host_time_ns, m.to_board, m.data = host_time_ns, to_board, data
             self._recorder.put(self._raw_key, m.SerializeToString(), host_time_ns)

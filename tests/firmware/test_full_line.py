@@ -21,7 +21,7 @@ from tests.harness.firmware.full_line import Fate, fill_line
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.board_host import Bench
 
-MOST_OF_A_TICK = 0.96  # cycles awake; of which tick they count as moves with the length of the boot, by 1 %
+MOST_OF_A_TICK = 0.95  # cycles awake; moves with when in a tick the frames end, and that with the length of the boot
 MOST_OF_A_TURN = 0.8  # of the main loop
 MOST_DELAY = 0.05  # of the first conversion of a tick
 CASES = [(name, fields) for name, fields in COMMANDS if name != "CAPTURE"]

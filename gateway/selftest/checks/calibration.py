@@ -26,18 +26,18 @@ def calibration(bench: Bench) -> Iterator[Verdict]:
         yield _travel(bench, top_m)
         yield _both(bench, ground_m, top_m, corrects=corrects)
         return
-    is_stored = _correct(bench, ground_m, top_m)
+    is_stored, before = _correct(bench, ground_m, top_m), _pair(ground_m, top_m)
     bench.forget_rest()
     ground_m, top_m = bench.rest().x_m, _ceiling_m(bench)
     yield _travel(bench, top_m)
     yield _both(bench, ground_m, top_m, corrects=corrects)
     if is_stored:
-        yield passed("calibration-kept", "the board has the calibration", "in its memory")
+        yield passed("calibration-kept", "the board corrects x for good, before that", before)
     else:
         yield warning(
             "calibration-kept",
-            "the board has the calibration",
-            "until its next reset",
+            "the board corrects x until its next reset, before that",
+            before,
             remedy="this chip keeps none: calibrate again after each reset",
         )
 
@@ -64,7 +64,7 @@ def _correct(bench: Bench, ground_m: float, top_m: float) -> bool:
             fault(
                 "calibration-refused",
                 "calibration of x",
-                f"{1e3 * ground_m:.3f} and {1e3 * top_m:.3f} mm: further off than the board corrects",
+                f"{_pair(ground_m, top_m)}: further off than the board corrects",
                 remedy="look at the sensor, its place and its supply, and whether this is the right --rig",
             )
         )
@@ -102,6 +102,10 @@ def _ceiling_m(bench: Bench) -> float:
     return top_m
 
 
+def _pair(ground_m: float, top_m: float) -> str:
+    return f"{1e3 * ground_m:.3f} and {1e3 * top_m:.3f} mm"
+
+
 def _is_right(bench: Bench, ground_m: float, top_m: float) -> bool:
     return abs(ground_m) <= _CLOSE_M and abs(top_m - bench.rig.travel_m) <= _CLOSE_M
 
@@ -120,7 +124,7 @@ def _travel(bench: Bench, top_m: float) -> Verdict:
 
 
 def _both(bench: Bench, ground_m: float, top_m: float, *, corrects: bool) -> Verdict:
-    value = f"{1e3 * ground_m:.3f} and {1e3 * top_m:.3f} mm"
+    value = _pair(ground_m, top_m)
     if _is_right(bench, ground_m, top_m):
         return passed("calibration", "calibration of x", f"{value}: nothing to do")
     repeat = "put the ball at the bottom and repeat with --only calibration --calibrate: the board then corrects x"

@@ -40,6 +40,7 @@ def test_a_board_starts_without_a_calibration() -> None:
 @pytest.mark.parametrize(
     ("points", "readings"),
     [
+        (NONE | {"high_read": 4000}, {1: 1, 2000: 2047, 3999: 4094, 4001: 4095}),
         (POINTS, {40: 100, 3900: 4000, 2000: 2080, 1: 61, 0: 0, 4095: 4095, 4094: 4095}),
         (
             {"low_read": 300, "low_true": 0, "high_read": 2348, "high_true": 2848},
@@ -78,6 +79,8 @@ def test_the_law_gets_the_corrected_position() -> None:
         ({"low_read": 2048, "low_true": 2048}, 4096),
         ({"low_read": 4095, "high_read": 0}, 4095 + 2048),
         ({"low_true": 501}, 500),
+        ({"low_read": 600}, 500),
+        ({"high_read": 3000, "high_true": 3600}, 500),
         ({"high_true": 3594}, 500),
         ({"high_true": 4096}, 4095),
         ({"low_read": 0xFFFF}, 4095),

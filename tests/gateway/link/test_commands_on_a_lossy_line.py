@@ -16,7 +16,7 @@ STALL = 1e-3  # per tick: every 2 s on average the line stands, for up to 1.5 s,
     [
         ("python", 2_000, STALL),
         ("c", 2_000, STALL),
-        pytest.param("python", 100_000, 0.0, marks=pytest.mark.slow),  # 75 minutes of the board's time
+        pytest.param("python", 100_000, 0.0, marks=pytest.mark.sample),  # 75 minutes of the board's time
         pytest.param("c", 100_000, STALL, marks=pytest.mark.slow),
     ],
 )

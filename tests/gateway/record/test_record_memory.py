@@ -7,8 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from gateway.bus.publisher import BoardSink, Publisher, Publishers
+from gateway.record.recorder import Recorder, RecorderOptions
 from gateway.record.writer import LogWriter
+from tests.harness.gateway.bus_peers import played_gateway
 
+READS = 300_000  # those of ten minutes of one board
 CHUNKS = 4000  # at 10 a second: those of 7 minutes
 
 
@@ -50,3 +54,16 @@ def test_a_part_that_is_closed_leaves_no_index_behind(tmp_path: Path) -> None:
     assert min(indexes) > 100 * CHUNKS  # what is held is seen here
     assert max(indexes) < 1000 * CHUNKS  # gateway/README.md states it
     assert closed[-1] - closed[0] < min(indexes)  # three would have stayed; other threads allocate some, too
+
+
+def test_the_bytes_of_the_line_leave_nothing_behind(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, RecorderOptions(prefix="rig", rotate_bytes=1 << 30, rotate_s=3600.0, queue=10))
+    publishers = Publishers(*(Publisher(name, 10) for name in Publishers._fields))
+    with played_gateway() as bus:
+        sink = BoardSink(bus.session, "board51", "rig", publishers, recorder, log_raw=True)
+        sink.raw(bytes(14), 0, to_board=False)
+        before = allocated()
+        for n in range(READS):
+            sink.raw(bytes(14), n, to_board=False)
+
+    assert allocated() - before < READS  # bytes; it was 16 for each read

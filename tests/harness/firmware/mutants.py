@@ -41,7 +41,7 @@ SWAPS = {
 RULES = [
     *(
         f"tests/gateway/emulator/test_firmware_{part}.py"
-        for part in ("rules", "law", "output", "excitation", "overload")
+        for part in ("rules", "law", "output", "excitation", "overload", "calibration")
     ),
     "tests/firmware/test_modes.py",
 ]

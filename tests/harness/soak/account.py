@@ -44,6 +44,8 @@ class Cost:
 _COSTS = (
     # A pty holds what its host has not read; it is gone with the pty, or with the host.
     Cost(NOWHERE, "unplugged", 0.5, 0.1, "in the cable when it was unplugged"),
+    # Whoever opens a serial port discards what waits in it (pyserial).
+    Cost(NOWHERE, "port opened", 0.1, 0.5, "in the cable when the port was opened"),
     # Such as come before the end of a handshake; where the log has the bytes, they are seen in it.
     Cost(NOWHERE, "disk full", 0.5, 1.0, IGNORED_UNSEEN),
     # gateway/README.md: at most 250 ms of log.
@@ -124,7 +126,9 @@ def account_of(
         account.read_but_no_sample[board] += int(refused.sum())
         places[NOWHERE] &= ~refused
         for place, mask in places.items():
-            _explain(account, place, mask, board, at_ns, [o for o in happened if _concerns(o, board, gateways)])
+            concerns = [o for o in happened if _concerns(o, board, gateways)]
+            concerns += [Occurrence("port opened", board, ns, ns) for ns in ledger.opened_ns]
+            _explain(account, place, mask, board, at_ns, concerns)
         _add_counts(account, board, logged)
     return account
 

@@ -49,6 +49,7 @@ class Ledger:
 
     def __init__(self) -> None:
         self.fate, self.at_ns = array("B", [Fate.SENSED]), array("q", [0])
+        self.opened_ns: list[int] = []  # when a host came
 
     def sense(self) -> int:
         """Begin a new sample and return its number."""
@@ -100,6 +101,7 @@ class LedgerPort:
     def __init__(self, port: EmulatedPort, ledger: Ledger) -> None:
         self._port, self._ledger = port, ledger
         self._offered, self._taken = StreamDecoder(), StreamDecoder()
+        self._read = False  # by a host
 
     @property
     def url(self) -> str:
@@ -121,6 +123,9 @@ class LedgerPort:
         for number in _numbers(self._offered, data):
             self._ledger.came(number, Fate.INTACT)
         count = self._port.write(data, wait_s)
+        if count and not self._read:
+            self._ledger.opened_ns.append(time.monotonic_ns())
+        self._read = count > 0
         for number in _numbers(self._taken, data[:count]):
             self._ledger.came(number, Fate.TAKEN)
         if count < len(data):  # the next host begins anew; for the same one, the next frame has its own delimiter
