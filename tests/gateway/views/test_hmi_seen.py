@@ -286,7 +286,7 @@ def test_the_cause_that_the_twin_names_is_on_the_page_as_long_as_it_is_named(pag
 
     with site.live():
         wait_for(lambda: sentence in shows(diagnosis), "name")
-        words = rf"For 40 s of flight {sentence} \(0\.9\), since \d\d:\d\d:\d\d\. A diagnosis decides\."
+        words = rf"For 40 s of flight {sentence} \(0\.9\), since 2023-11-1\d \d\d:\d\d:\d\d\. A diagnosis decides\."
         assert re.fullmatch(words, shows(diagnosis))
 
         wait_for(lambda: shows(pb.TwinDiagnosis()) == "", "end of the name")
