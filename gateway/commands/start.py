@@ -23,7 +23,7 @@ from gateway.commands.gateway import RETENTION, add_log_options, log_options
 from gateway.commands.gateway import VIEWS as GATEWAY_VIEWS
 from gateway.config import LogConfig
 from gateway.link.port import closed_problem
-from gateway.processes.command import emulated_line
+from gateway.processes.command import EmulatedLine, emulated_line
 from gateway.processes.supervisor import END_S, Service, running
 from gateway.views.listen import ADDRESSES, address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
@@ -35,6 +35,7 @@ from protocol.viewer import open_viewer
 PAGE = "127.0.0.1:8051"
 READY_S = 90.0  # includes the first compilation of the kernels on a slow machine
 POLL_S = 0.1
+TELL_S = 2.0  # of waiting, then it says for what
 VIEWS = ("opcua", "foxglove")  # beside the web page
 MB_PER_MINUTE = {False: 11.0, True: 10.0}  # of a board in flight and its twin, T_s = 2 ms; by lean
 
@@ -122,25 +123,25 @@ def run(args: argparse.Namespace) -> int:
     hang_up = (signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()
     with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, *hang_up):
         _warn_of_ports(args.board or [])
-        services = _services(args)
+        line = emulated_line(Path(tempfile.gettempdir())) if args.emulated else None
+        services = _services(args, line)
         with running(services, end_s=END_S + 5.0):  # the gateway waits for its views
-            if _answers(page, stopped):
+            if _answers(page, stopped) and (line is None or _emulates(line, stopped)):
                 _print_services(args, services)
                 wait_for_end(stopped)
             elif not stopped.is_set():
                 outputs = ", ".join(str(service.output) for service in services)
                 raise ServiceError(
-                    f"the control room did not appear at {args.page} within {READY_S:.0f} s",
+                    f"the control room at {args.page} or the emulated board did not appear within {READY_S:.0f} s",
                     remedy=f"The output of the processes is in {outputs}",
                 )
     print("everything stopped", file=sys.stderr)
     return 0
 
 
-def _services(args: argparse.Namespace) -> list[Service]:
+def _services(args: argparse.Namespace, line: EmulatedLine | None) -> list[Service]:
     commands: list[tuple[str, list[str]]] = []
-    if args.emulated:
-        line = emulated_line(Path(tempfile.gettempdir()))
+    if line is not None:
         boards = [f"rig1={line.url}"]
         rig = ["--rig", str(args.rig)] if args.rig is not None else []
         commands.append(("emulate", [*line.options, *rig, *_repeated("--effect", args.effect)]))
@@ -213,6 +214,18 @@ def _answers(address: tuple[str, int], stopped: threading.Event) -> bool:
     for _ in range(round(READY_S / POLL_S)):
         with contextlib.suppress(OSError), socket.create_connection(address, timeout=1.0):
             return True
+        if stopped.wait(POLL_S):
+            return False
+    return False
+
+
+def _emulates(line: EmulatedLine, stopped: threading.Event) -> bool:
+    """Wait until the emulated board is there; False after READY_S, or when stopped."""
+    for look in range(round(READY_S / POLL_S)):
+        if line.served():
+            return True
+        if look == round(TELL_S / POLL_S):
+            print("the emulated board is compiled, once after an installation", file=sys.stderr, flush=True)
         if stopped.wait(POLL_S):
             return False
     return False

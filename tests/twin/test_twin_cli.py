@@ -195,6 +195,16 @@ def test_a_picture_is_drawn_from_a_log_with_and_without_twin_topics(
         assert picture.stat().st_size > 30_000
 
 
+def test_a_picture_without_a_name_has_that_of_its_log(
+    right_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    assert board51.main(["plot", str(right_log)]) == 0
+
+    assert (tmp_path / f"{right_log.stem}.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_log_of_two_boards_asks_which(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "two.mcap"
     with TwinLog(path) as log:

@@ -32,13 +32,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = (
         "examples:\n"
-        "  board51 plot run.mcap --out run.png --show\n"
+        "  board51 plot run.mcap --show\n"
         "  board51 plot run.mcap --out run.png --board rig1 --from 2 --to 8\n"
         "  board51 plot run.mcap --out run.png --model identified.json\n"
         "  board51 plot run.mcap --out run.png --span 2:12=before --span 60:70=after    side by side"
     )
     parser.add_argument("log", type=Path, metavar="LOG", help="MCAP log")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture file; it is overwritten")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="picture file, overwritten (default: the log's name with .png, here)"
+    )
     parser.add_argument("--board", help="board (default: the only one)")
     parser.add_argument("--from", dest="from_s", type=float, metavar="S", help="board time, s (default: coil on)")
     parser.add_argument("--to", dest="to_s", type=float, metavar="S", help="board time, s (default: coil off)")
@@ -70,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     """Draw."""
     if args.span and (args.from_s is not None or args.to_s is not None):
         raise UsageError("--span and --from, --to exclude each other", remedy="Use --span alone")
+    args.out = args.out or Path(f"{args.log.stem}.png")
     if args.out.suffix.lower() not in SUFFIXES:
         raise UsageError(f"--out {args.out}: unknown kind of picture", remedy=f"End it in {', '.join(SUFFIXES)}")
     if args.board:

@@ -25,8 +25,10 @@ from protocol.errors import UsageError
 
 LINES, WIDTH = 200, 400
 _STEP = re.compile(r"\[(\d+)/(\d+)\]")  # of a line: the step that has begun, and their number
+_SHARE = re.compile(r"^\[[ \d.]+ s\] +(\d+) %")  # of a diagnosis
 _JUDGES = ("bode", "compare", "diagnose", "validate")  # a no is their answer, which the page shows
-END_S = 15.0  # a campaign parks the ball in this time
+_PATIENT = ("campaign", "record")  # park the ball, and write what they have
+END_S, QUICK_END_S = 15.0, 3.0  # a campaign parks the ball in the first
 
 
 @dataclass(slots=True, kw_only=True)
@@ -65,9 +67,12 @@ class Job:
 
     @property
     def progress(self) -> float | None:
-        """Return the share of its steps that are done; None if it does not count steps."""
+        """Return the share of its work that is done; None if it says nothing of it."""
         steps = (_STEP.search(line) for line in reversed(list(self.lines)))
         step = next(filter(None, steps), None)
+        share = next(filter(None, map(_SHARE.search, reversed(list(self.lines)))), None)
+        if step is None and share is not None:
+            return int(share[1]) / 100.0
         return (int(step[1]) - 1) / max(int(step[2]), 1) if step is not None else None
 
 
@@ -114,7 +119,7 @@ class Jobs:
         job = self._jobs.get((kind, board))
         if job is None or not job.running:
             return False
-        if kind in ("campaign", "record"):
+        if kind in _PATIENT:
             order(job.process, signal.SIGINT)
         else:
             threading.Thread(target=end, args=([job.process], signal.SIGINT, END_S), daemon=True).start()
@@ -133,8 +138,13 @@ class Jobs:
         return True
 
     def close(self) -> None:
-        """End them all."""
-        end([job.process for job in self._jobs.values()], signal.SIGINT, END_S)
+        """End them all; those that leave nothing undone within QUICK_END_S."""
+        patient = [job.process for (kind, _), job in self._jobs.items() if kind in _PATIENT]
+        others = [job.process for (kind, _), job in self._jobs.items() if kind not in _PATIENT]
+        thread = threading.Thread(target=end, args=(others, signal.SIGINT, QUICK_END_S))
+        thread.start()
+        end(patient, signal.SIGINT, END_S)
+        thread.join()
         for job in self._jobs.values():
             job.listener.join(1.0)
 

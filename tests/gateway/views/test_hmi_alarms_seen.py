@@ -151,6 +151,7 @@ def test_the_journal_says_what_became_of_an_alarm_and_by_whom_and_is_sifted(
     raise_alarm(served[0], "other")
     rows = page.locator('[data-live="journal"] .entry')
     expect(rows.first).to_contain_text("other")
+    expect(rows.first.locator(".at")).to_have_text(re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d"))
 
     page.get_by_label("Filter the journal").fill("WRITTEN")
 

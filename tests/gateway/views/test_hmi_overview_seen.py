@@ -11,6 +11,7 @@ from playwright.sync_api import Browser, Page, expect
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
 from tests.patience import HANG_MS
 
@@ -96,23 +97,18 @@ def test_words_at_the_edge_are_three_at_most_once_each_and_go_except_those_about
     expect(words).to_have_count(0)
 
 
-@pytest.mark.parametrize(
-    ("base", "drawn"),
-    [(30, 30), (95, 95), (45, 36), (65, 82), (82, 82)],  # above the band, below it; else beside it, on the nearer side
-)
-def test_the_name_of_the_alarm_line_is_not_in_the_band_of_the_other_axis(page: Page, base: int, drawn: int) -> None:
+def test_the_alarm_line_has_its_name_in_the_legend_where_it_lies_on_no_line(
+    page: Page, served: tuple[PlayedGateway, str]
+) -> None:
     page.goto("/rig/rig")
+    name = page.locator(".plot-d .u-legend .alarm-line")
+    expect(name).to_have_text("")
 
-    at = page.evaluate(
-        """(base) => import('/static/plot.js').then(({ Plot }) => {
-            const u = { valToPos: (value) => 55 - 7.5 * value, bbox: { top: 0, height: 100 } };  // the band: 40 to 70
-            const plot = { options: { noise: { scale: 'sigma', low: -2, high: 2 } } };
-            return Plot.prototype.beside.call(plot, u, base, 12);
-        })""",
-        base,
-    )
+    def named() -> bool:
+        served[0].send("twin/divergence", pb.Divergence(sync="in-step", nis_mean=2.0, nis_on=2.4512))
+        return name.inner_text() == "alarm line, NIS 2.45"
 
-    assert at == drawn
+    wait_for(named, "the name")
 
 
 def test_from_eight_rigs_on_each_has_a_row_and_thirty_fit_one_screen(

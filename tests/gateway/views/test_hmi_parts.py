@@ -250,6 +250,9 @@ def test_a_job_that_cannot_go_on_says_its_error_and_one_that_counts_steps_its_pr
     assert job.progress is None
     job.lines.extend(["[2/4] steps, 12 s", "    the ball is at rest"])
     assert job.progress == 0.25
+    job.lines.clear()
+    job.lines.append("[ 14.2 s]   5 %  selected: air-gap-offset")
+    assert job.progress == 0.05
 
 
 def test_a_job_is_on_the_bus_as_the_person_who_started_it(tmp_path: Path) -> None:

@@ -284,7 +284,7 @@ def test_the_cause_that_the_twin_names_is_on_the_page_as_long_as_it_is_named(pag
 
     with site.live():
         wait_for(lambda: sentence in shows(diagnosis), "name")
-        words = rf"For 40 s of flight {sentence} \(0\.9\), since \d\d:\d\d:\d\d\. A diagnosis decides\."
+        words = rf"For 40 s of flight {sentence} \(0\.9\), since 2023-11-1\d \d\d:\d\d:\d\d\. A diagnosis decides\."
         assert re.fullmatch(words, shows(diagnosis))
 
         wait_for(lambda: shows(pb.TwinDiagnosis()) == "", "end of the name")
@@ -424,3 +424,24 @@ def test_every_text_can_be_read(page: Page, site: Site, scheme: Literal["light",
     look("lost")
 
     assert low == []
+
+
+def test_a_link_says_the_span_of_the_plots_and_the_pointer_reads_time_and_values(page: Page, site: Site) -> None:
+    with site.live():
+        page.goto(f"{site.url}/rig/rig#span=60")
+        expect(page.locator('[data-span="60"]')).to_have_attribute("aria-pressed", "true")
+        expect(page.locator('[data-live="plots-zone"]')).to_have_text(re.compile(r"Times: \S+\."))
+        plot = page.locator(".plot-x .u-over")
+        legend = page.locator(".plot-x .u-legend .u-value")
+
+        def read() -> bool:
+            box = plot.bounding_box()
+            assert box is not None
+            page.mouse.move(box["x"] + box["width"] - 4, box["y"] + 20)
+            page.mouse.move(box["x"] + box["width"] - 3, box["y"] + 20)
+            return re.fullmatch(r"\d\d:\d\d:\d\d[.,]\d\d", legend.first.inner_text()) is not None
+
+        wait_for(read, "the time under the pointer")
+        page.locator('[data-span="5"]').click()
+
+    assert page.url.endswith("#span=5")

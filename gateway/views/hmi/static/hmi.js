@@ -11,7 +11,7 @@ import { Line } from "./line.js";
 import { History } from "./history.js";
 import { remember, showBoards } from "./overview.js";
 import { Plots } from "./plots.js";
-import { standAt, standing, still } from "./replay.js";
+import { isRunning, standAt, standing, still } from "./replay.js";
 import { may, page } from "./server.js";
 import { IN_DOUBT, Stop } from "./stop.js";
 import { textOf, textsOf } from "./texts.js";
@@ -193,7 +193,7 @@ function overview() {
   if (page.board) return;
   const gap = line.gap(), gone = gap > FRAME_LIMIT_S;
   put("lost", gone ? textOf("line.no_server", { seconds: gap.toFixed(0) }) : "", gone ? "bad" : "none");
-  showBoards(boards, gone, NOBODY, (board) => {
+  showBoards(boards, gone, isRunning() ? textOf("replay_state.starting") : NOBODY, (board) => {
     const live = (board.link === "live" || stands()) && !gone, link = gone ? LINK["no-server"] : linkWords(board.link);
     if (live) {
       const state = { x_ref: shown(board.x_ref_m, 1e3, 3), mode: modeWords(board.mode), coil: COILS[board.coil] };

@@ -87,7 +87,7 @@ export function showBoards(boards, isGone, nobody, words) {
     cards.delete(name);
   }
   if (!boards?.length) {
-    if (!place.childElementCount) place.append(cell("div", nobody, "empty"));
+    if (place.textContent !== nobody) place.replaceChildren(cell("div", nobody, "empty"));
     return;
   }
   place.querySelector(".empty")?.remove();

@@ -9,6 +9,7 @@ import { textOf } from "./texts.js";
 /* global uPlot */
 
 const GAP_S = 0.25, COARSE_GAP_S = 5;
+const MOMENT = { hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false, fractionalSecondDigits: 2 };
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
 export class Plot {
@@ -57,7 +58,7 @@ export class Plot {
         stroke: () => css("muted"), grid: { show: n === 0, stroke: () => css("edge"), width: 1 }, ticks: { show: false },
         ...(axis.log ? { values: (u, at) => at.map((v) => (Math.abs(Math.log10(v) % 1) < 1e-6 ? `${v}` : "")) } : {}),
       }))],
-      series: [{ label: title, value: (u, t) => (t == null ? "" : new Date(t * 1000).toLocaleTimeString([], { hour12: false, fractionalSecondDigits: 2 })) },
+      series: [{ label: title, value: (u, t) => (t == null ? "" : new Date(t * 1000).toLocaleTimeString([], MOMENT)) },
                ...series.flatMap((one) => this.lines(one))],
       bands: series.map((one, n) => ({ series: [2 * n + 2, 2 * n + 1], fill: () => css(one.style) + (one.fill ?? "55") })),
       cursor: { sync: { key: "rig" }, drag: { x: true, y: false }, points: { size: 5 }, focus: { prox: -1 } },

@@ -12,9 +12,10 @@ const HOLD_MS = 2000, NEAR_S = 1; // after a seek the handle waits for frames fr
 const STATES = textsOf("replay_state"), PAUSE = textOf("replay.pause"), PLAY = textOf("replay.play"), ACT = textOf("replay.act");
 const clock = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
 
-let log = "", line = null, state = { state: "", speed: 1 }, held = 0;
+let running = false, log = "", line = null, state = { state: "", speed: 1 }, held = 0;
 
 // "" while samples come, or none may; else why what is shown stands still: "paused", "ended" or "over".
+export const isRunning = () => running;
 export const standing = () => STATES[state.state];
 export const still = () => (["paused", "ended", "over"].includes(state.state) ? state.state : "");
 
@@ -33,6 +34,7 @@ function said(lines) {
 document.addEventListener("board51-jobs", ({ detail: { replay } }) => {
   if (!place || !replay) return;
   place.hidden = false;
+  running = replay.running;
   if (replay.title !== log) read((log = replay.title));
   state = { ...said(replay.lines), ...(replay.running ? {} : { state: "over" }) };
   const { state: word } = state;
