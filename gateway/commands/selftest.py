@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calibrate", action="store_true", help="correct x in the board, so that the stops read 0 and the travel"
     )
-    parser.add_argument("--quick", action="store_true", help="fewer repetitions: 15 s instead of 50 s")
+    parser.add_argument("--quick", action="store_true", help="fewer repetitions: 15 s instead of 70 s")
     parser.add_argument("--yes", action="store_true", help="do not ask before current flows")
     parser.add_argument("--json", action="store_true", help="print one JSON object per line")
     parser.add_argument(

@@ -58,7 +58,11 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
         present, unfinished, unreadable, read = set[str](), [], [], 0
         paths = sorted(folder.rglob("*.mcap"))
         for number, path in enumerate(paths, 1):
-            name, status = path.relative_to(folder).as_posix(), path.stat()
+            name = path.relative_to(folder).as_posix()
+            try:
+                status = path.stat()
+            except OSError:  # deleted meanwhile
+                continue
             present.add(name)
             if known.get(name) == (status.st_size, status.st_mtime_ns):
                 continue

@@ -114,7 +114,7 @@ def _pings(bench: Bench) -> Iterator[Verdict]:
 
 
 def _stream(bench: Bench) -> Iterator[Verdict]:
-    line, duration_s = bench.line, 2.0 if bench.quick else 10.0
+    line, duration_s = bench.line, 2.0 if bench.quick else 30.0
     line.order("SET_STREAM", divider=1)
     bad_before = sum(line.session.counters.bad_frames.values())
     first = len(line.samples)

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from gateway.emulator.firmware_model.board import Firmware
-from gateway.emulator.firmware_model.flash import CURRENT, INPUT, POSITION, gains_in_counts
+from gateway.emulator.firmware_model.flash import CE152_BOARD, CURRENT, INPUT, POSITION, gains_in_counts
 from gateway.emulator.plant.constants import CE152, PlantConstants
 from gateway.emulator.plant.levitation import EmulatedPlant
+from gateway.emulator.wiring import FaultyWiring
 from protocol.campaign import Campaign, Kind, parse
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
@@ -68,7 +69,8 @@ class Lab:
     def __init__(self, rig: PlantConstants, *, effects: dict[str, float] | None = None, seed: int = 0) -> None:
         self.rig = rig
         self.plant = EmulatedPlant(rig, effects or {}, seed=seed)
-        self.firmware = Firmware(self.plant)
+        self.wiring = FaultyWiring(self.plant, CE152_BOARD, seed=seed)
+        self.firmware = Firmware(self.wiring)
         self._decoder = StreamDecoder()
         self._id = 0
         self._states: list[State] = []
