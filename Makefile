@@ -41,8 +41,8 @@ $(INSTALLED): requirements.lock pyproject.toml
 demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
-# What guards a change, MINUTES on two idle cores.  Four processes: some of these tests wait for a board or a bus.
-# test-slow, the rest, twenty-five minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
+# What guards a change, eight minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
+# test-slow, the rest, twenty minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
 # browsers.  WHICH="not sample" runs both, the slow ones first, so that no process waits for another at the end.
 WHICH ?= not slow and not sample
 test-slow: WHICH = slow and not sample

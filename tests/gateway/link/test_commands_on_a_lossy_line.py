@@ -17,7 +17,8 @@ STALL = 1e-3  # per tick: every 2 s on average the line stands, for up to 1.5 s,
         ("python", 2_000, STALL),
         ("c", 2_000, STALL),
         pytest.param("python", 100_000, 0.0, marks=pytest.mark.sample),  # 75 minutes of the board's time
-        pytest.param("c", 100_000, STALL, marks=pytest.mark.slow),
+        pytest.param("c", 20_000, STALL, marks=pytest.mark.slow),
+        pytest.param("c", 100_000, STALL, marks=pytest.mark.sample),
     ],
 )
 def test_no_command_acts_twice_and_no_answer_is_untrue(firmware: str, count: int, stall: float) -> None:
