@@ -92,13 +92,14 @@ def _answer(name: str, campaign: str, out: str, data: Path | None, key: str, opt
     """Diagnose one campaign and write its answer; runs on a worker."""
     from twin.api.functions import diagnose
 
+    path = Path(out) / RECORD
+    path.unlink(missing_ok=True)  # of another question: its answer is overwritten now
     try:
         result = diagnose(campaign, data=data, workers=1, **options)
         result.save(Path(out))
     except Board51Error as error:
         return Answer(campaign=name, verdict="failed", error=str(error))
     answer = Answer(campaign=name, verdict=result.verdict, causes=result.causes, sentence=result.sentence)
-    path = Path(out) / RECORD
     with writing(path):
         path.write_text(json.dumps({"key": key, **asdict(answer)}, indent=1) + "\n", encoding="utf-8")
     return answer
@@ -124,7 +125,7 @@ def _known(out: Path, key: str) -> Answer | None:
     """Return the answer in a folder, if the same was asked."""
     try:
         record = json.loads((out / RECORD).read_text(encoding="utf-8"))
-        if record.pop("key") == key:
+        if record.pop("key") == key and (out / "diagnosis.json").is_file():
             return Answer(**record | {"causes": tuple(record["causes"])})
     except (OSError, ValueError, KeyError, TypeError):
         pass  # none, or not whole: it is computed again

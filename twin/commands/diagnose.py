@@ -13,6 +13,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from protocol.arguments import whole_number
 from protocol.errors import UsageError
@@ -109,20 +110,7 @@ def run(args: argparse.Namespace) -> int:
     board = ""
     if args.live is not None:
         args.campaign, board = record_live(args, progress)
-    result = diagnose(
-        args.campaign,
-        data=args.data,
-        model=args.model,
-        quick=args.quick,
-        share=args.share,
-        experiments=args.next_experiment or None,
-        free_form=args.free_form or None,
-        without=args.without,
-        seed=args.seed,
-        workers=args.workers,
-        budget=args.budget,
-        progress=progress,
-    )
+    result = diagnose(args.campaign, data=args.data, workers=args.workers, progress=progress, **_options(args))
     if args.out is not None:
         result.save(args.out)
         if args.figures is not None:
@@ -136,6 +124,20 @@ def run(args: argparse.Namespace) -> int:
     elif args.hand_over:
         progress("no model of this diagnosis is significantly better than the reference: the twin keeps its model")
     return 1 if result.verdict in ("unknown-cause", "unfinished") else 0
+
+
+def _options(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of a diagnosis that its answer depends on."""
+    return {
+        "model": args.model,
+        "quick": args.quick,
+        "share": args.share,
+        "experiments": args.next_experiment or None,
+        "free_form": args.free_form or None,
+        "without": args.without,
+        "seed": args.seed,
+        "budget": args.budget,
+    }
 
 
 def _run_all(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
@@ -154,15 +156,8 @@ def _run_all(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
         scheduler=args.scheduler,
         processes=args.processes,
         data=args.data and args.data.resolve(),
-        model=args.model,
-        quick=args.quick,
-        share=args.share,
-        experiments=args.next_experiment or None,
-        free_form=args.free_form or None,
-        without=args.without,
-        seed=args.seed,
-        budget=args.budget,
         progress=progress,
+        **_options(args),
     )
     for answer in answers:
         causes = ", ".join(answer.causes) or answer.error or "-"

@@ -15,7 +15,7 @@ import pytest
 import board51
 from protocol.errors import ServiceError, UsageError
 from twin.api.functions import diagnose
-from twin.api.many import RECORD, diagnose_all
+from twin.api.many import RECORD, Answer, _known, diagnose_all
 
 REST = """
 [plant]
@@ -73,6 +73,7 @@ def test_a_killed_worker_loses_nothing_and_the_answers_are_those_of_one_by_one(t
     def kill_once(line: str) -> None:
         """The only worker, as soon as the first answer is here: the other two are its tasks."""
         if not killed:
+            assert not (out / "c" / "deep" / RECORD).exists(), "too late to kill"
             killed.extend(workers())
             for pid in killed:
                 os.kill(pid, signal.SIGKILL)
@@ -115,6 +116,16 @@ def test_only_what_changed_is_computed_again_and_what_fails_costs_no_other(
     assert not [row for row in second if row["error"]]
     assert (out / "a" / RECORD).stat().st_mtime_ns == written["a"]
     assert (out / "b" / RECORD).stat().st_mtime_ns != written["b"]
+
+
+def test_a_record_of_another_question_or_without_its_answer_is_none(tmp_path: Path) -> None:
+    answer = {"campaign": "a", "verdict": "model-adequate", "causes": [], "sentence": "", "error": ""}
+    (tmp_path / RECORD).write_text(json.dumps({"key": "k", **answer}), encoding="utf-8")
+
+    assert _known(tmp_path, "k") is None
+    (tmp_path / "diagnosis.json").write_text("{}", encoding="utf-8")
+    assert _known(tmp_path, "other") is None
+    assert _known(tmp_path, "k") == Answer(campaign="a", verdict="model-adequate")
 
 
 def test_a_folder_without_campaigns_and_a_scheduler_that_is_not_there_are_said(tmp_path: Path) -> None:
