@@ -26,12 +26,29 @@ document.addEventListener("board51-rest", (event) => {
   if (document.querySelector("[data-stated]").dataset.stated !== String(event.detail.plant_ms)) renew();
 });
 
-// A part that says the same stays, so that no button is replaced under a finger and no form loses what was typed.
+// A button that is replaced between press and release is never clicked: parts wait until it is let go, which a page
+// does not hear of where the pointer has left it.
+const HELD_MS = 2000;
+let letGo = Promise.resolve(), release = null;
+document.addEventListener("pointerdown", () => {
+  letGo = new Promise((resolve) => {
+    release = resolve;
+    setTimeout(resolve, HELD_MS);
+  });
+}, true);
+document.addEventListener("pointerup", () => setTimeout(() => release?.()), true); // the click comes first
+
+// One after another: an answer that was asked for earlier never replaces a later one.
+let renewal = Promise.resolve();
+const renew = () => (renewal = renewal.then(fetched).catch(() => null));
+
+// A part that says the same stays, so that no form loses what was typed.
 const said = (part) => part.innerHTML.replace(/ (data-refused="\w*"|hidden="")/g, ""); // of what hmi.js changes: no news
-async function renew() {
-  const answer = await fetch(location.href).catch(() => null);
-  if (!answer?.ok || answer.redirected) return;
+async function fetched() {
+  const answer = await fetch(location.href);
+  if (!answer.ok || answer.redirected) return;
   const made = new DOMParser().parseFromString(await answer.text(), "text/html");
+  await letGo;
   for (const fresh of made.querySelectorAll("[data-part]")) {
     const present = document.querySelector(`[data-part="${fresh.dataset.part}"]`);
     if (present && said(present) !== said(fresh)) present.replaceWith(document.adoptNode(fresh));
