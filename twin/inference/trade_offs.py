@@ -35,7 +35,7 @@ class TradeOff:
     stds: tuple[float, float]  # standard errors, in their units
     correlation: float
     weights: tuple[float, float] | None  # of relative changes in the combination that is known best; unit length
-    contour: FloatArray  # of the 95 % region, in their units, shape (points, 2)
+    contour: FloatArray  # of the 95 % region, in their units, shape (points, 2), finite
     drops: tuple[float, float]  # of log-likelihood at both ends of the long axis; END_DROP for a parabola
 
     @property
@@ -100,7 +100,8 @@ def _trade_off(criterion: Criterion, fit: Fit, pair: tuple[int, int]) -> TradeOf
         stds=stds,
         correlation=correlation,
         weights=_best_known(values, stds, correlation),
-        contour=contour,
+        # A limit that may be beyond all numbers has a region without end: what can be drawn of it is.
+        contour=contour[np.isfinite(contour).all(axis=1)],
         drops=(here - low, here - high),
     )
 

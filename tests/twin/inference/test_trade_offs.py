@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.harness.diagnose.simulated_rig import PLANT, criterion_of, narrow, strong
-from twin.diagnosis.report.trade_offs import trade_off_sentences
+from twin.diagnosis.report.trade_offs import trade_off_cards, trade_off_sentences
 from twin.inference.fisher_scoring import Fit, climb, with_covariance
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import BASE, coordinates_of
@@ -83,6 +83,19 @@ def test_a_noise_level_that_the_recordings_do_not_show_and_a_pair_that_is_one_do
     assert first.names == pair.names
     assert np.isfinite(first.contour).all()
     assert np.isfinite(first.narrowing)
+
+
+def test_a_limit_that_may_be_beyond_all_numbers_is_drawn_as_far_as_it_goes(criterion: Criterion, fit: Fit) -> None:
+    limit = coordinates_of("current-limit")[0]
+    free, covariance = ("K_A", limit), np.array([[1e-4, 0.99e-2], [0.99e-2, 1.0]])
+    wide = replace(fit, theta=fit.theta.having(limit, 1.2), free=free, covariance=covariance)
+
+    (pair,) = trade_offs(criterion, wide)
+    (card,) = trade_off_cards((pair,))
+
+    assert len(pair.contour) > 10
+    assert np.isfinite(pair.contour).all()
+    assert "inf" not in " ".join(card["sentences"])
 
 
 def test_relative_changes_of_a_value_that_may_be_zero_are_not_spoken_of(criterion: Criterion, fit: Fit) -> None:
