@@ -32,8 +32,19 @@ from twin.estimation.prepare import CONTACT_SHARE
 from twin.estimation.propagate import copy
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
-from twin.model.causes import amplifier_gain_drift, magnetic_hysteresis
-from twin.model.extended import FIELD, I_C, LOOP, WARMTH, Base, X, current_of_reading, position_of_reading
+from twin.model.causes import amplifier_gain_drift, eddy_current_lag, magnetic_hysteresis, second_time_constant
+from twin.model.extended import (
+    CORE,
+    FIELD,
+    I_C,
+    LOOP,
+    WARMTH,
+    WINDING,
+    Base,
+    X,
+    current_of_reading,
+    position_of_reading,
+)
 from twin.model.parameters import Noise
 from twin.model.simulate import PlantNumbers
 
@@ -93,7 +104,10 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
         start_recording(f, True, i, u)
         f.y[WARMTH] = current * current  # of a coil that has carried this for long
     else:
+        before = f.y[I_C]
         measure_current(f, i)
+        f.y[WINDING] = second_time_constant.lagged(f.c[:], f.y[WINDING], before, f.y[I_C], o.sample_time_s)
+        f.y[CORE] = eddy_current_lag.late(f.c[:], f.y[CORE], before, f.y[I_C], o.sample_time_s)
         f.y[LOOP] = magnetic_hysteresis.turned(f.c[:], f.y[LOOP], f.y[FIELD], f.y[I_C])
         f.y[FIELD] = f.y[I_C]
         f.y[WARMTH] += o.sample_time_s * amplifier_gain_drift.warmth_rate(f.c[:], current, f.y[WARMTH])

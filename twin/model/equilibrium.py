@@ -19,7 +19,6 @@ from scipy.optimize import brentq
 from twin.compiled import Packed, kernel
 from twin.model.causes.cause import Vector
 from twin.model.extended import (
-    FIELD,
     I_C,
     SENSOR,
     STATES,
@@ -33,6 +32,7 @@ from twin.model.extended import (
     drive,
     position_of_reading,
     position_reading,
+    settle_current,
 )
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
@@ -95,7 +95,7 @@ def at_rest(p: Base, c: Vector, x_m: float, *, as_reading: bool = False) -> tupl
     u = holding_input(p, c, i)
     i = i if math.isfinite(i) else 0.0
     y = np.zeros(STATES)
-    y[I_C] = y[FIELD] = i
+    settle_current(y, i)
     y[X] = position_of_reading(p, c, x_m, i) if as_reading else x_m
     y[SENSOR], y[WARMTH] = position_reading(p, c, y[X], i), i * i
     return y, u
@@ -115,7 +115,7 @@ def steady_current(p: Base, c: Vector, u_v: float) -> float:
     """
     packed = tuple(p)
     y = np.zeros(STATES)
-    y[I_C] = y[FIELD] = drive(p, c, u_v, 0.0)
+    settle_current(y, drive(p, c, u_v, 0.0))
     for _ in range(_SETTLING):
         before = float(y[I_C])
         y[X], y[V], y[WARMTH] = 0.0, 0.0, before**2

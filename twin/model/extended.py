@@ -4,7 +4,8 @@
     i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
 The state y has shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2),
-rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1).  Then follows how far each of `OFFSETS` has
+rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1), lagging current of a second winding (A) and of a
+solid core (A).  Then follows how far each of `OFFSETS` has
 wandered, in its unit; the caller adds it to c.  Then comes the coloured noise of the readings of i_c (A) and x (m), and
 last their lines, a pair for each harmonic.  The caller advances these and adds them to the readings.
 
@@ -51,6 +52,7 @@ from twin.model.causes import (
     position_sensor_offset,
     quadratic_drag,
     residual_magnetism,
+    second_time_constant,
     sensor_crosstalk,
     slew_rate_limit,
 )
@@ -58,8 +60,8 @@ from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import Vector
 from twin.model.causes.sensor_line import HARMONICS
 
-I_C, X, V, FIELD, SENSOR, WARMTH, RATE, LOOP = range(8)
-WANDER = 8  # of the first of `OFFSETS`
+I_C, X, V, FIELD, SENSOR, WARMTH, RATE, LOOP, WINDING, CORE = range(10)
+WANDER = 10  # of the first of `OFFSETS`
 I_COLOUR, X_COLOUR = WANDER + len(OFFSETS), WANDER + len(OFFSETS) + 1
 I_LINES = X_COLOUR + 1
 X_LINES = I_LINES + 2 * HARMONICS
@@ -125,6 +127,12 @@ def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
     bent = position_sensor_nonlinearity.bent(c, x, p.travel_m) + p.travel_m * curve.value(c, curve.SENSOR_OVER_X, x)
     shifted = position_sensor_offset.shifted(c, position_sensor_gain.scaled(c, bent))
     return sensor_crosstalk.disturbed(c, shifted, i)
+
+
+@inlined
+def settle_current(y: NDArray[np.float64], i: float) -> None:
+    """Set the current of the coil, and all that follows it, to i, A, as after a long time."""
+    y[I_C], y[FIELD], y[WINDING], y[CORE] = i, i, i, i
 
 
 @inlined
@@ -210,11 +218,13 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         or c[slew_rate_limit.RATE] < math.inf
     )
     rubs = c[coulomb_friction.FORCE] != 0.0
+    coupled = c[second_time_constant.SHARE] > 0.0
     coarse = short(p, c, duration)
     for part in range(1 if coarse else len(PARTS)):
         h = duration if coarse else duration * PARTS[part]
-        i, x, v, f, s, z = y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[LOOP]
-        a1 = acceleration(p, c, magnetic_hysteresis.field(c, f, z), x, v, t)
+        i, x, v, f, s, z, winding, core = y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[LOOP], y[WINDING], y[CORE]
+        mixed = eddy_current_lag.mixed(c, f, core)
+        a1 = acceleration(p, c, magnetic_hysteresis.field(c, mixed, z), x, v, t)
         free, brake, held = a1, 0.0, False
         if rubs:
             brake = coulomb_friction.brakes(c, p.mass_kg, v, free)
@@ -224,6 +234,8 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
         gap, T_A = plane - x, p.T_A
         half_decay, pressed = 0.0, False
+        if coupled and shaped:  # the winding's part changes little within half a substep
+            target += c[second_time_constant.SHARE] * (winding - i)
         if shaped:
             gap = max(gap, GAP_MIN_SHARE * p.travel_m)
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
@@ -231,23 +243,33 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
                 target = max(target, 0.0)
             pressed = stops and v == 0.0 and (a1 < 0.0 if x <= 0.0 else x >= p.travel_m)
             i_half = _driven(p, c, i, target, T_A, v, 0.0 if pressed else a1, gap, 0.0, 0.5 * h)
+        elif coupled:
+            i_half, winding = second_time_constant.driven(c, i, winding, target, T_A, 0.5 * h)
         else:
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
         w = eddy_current_lag.weight(c, plane - x, gap_mid)
         w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
         f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
-        z_half = magnetic_hysteresis.turned(c, z, f, f_half)
-        felt_half = magnetic_hysteresis.field(c, f_half, z_half)
+        core = eddy_current_lag.late(c, core, i, i_half, 0.5 * h)
+        mixed_half = eddy_current_lag.mixed(c, f_half, core)
+        z_half = magnetic_hysteresis.turned(c, z, mixed, mixed_half)
+        felt_half = magnetic_hysteresis.field(c, mixed_half, z_half)
         a2 = 0.0 if held else acceleration(p, c, felt_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
             i_next = _driven(p, c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, 0.5 * h, 0.5 * h)
+            if coupled:
+                winding = second_time_constant.lagged(c, winding, i, i_next, h)
+        elif coupled:
+            i_next, winding = second_time_constant.driven(c, i_half, winding, target, T_A, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
         w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
         f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
-        z_next = magnetic_hysteresis.turned(c, z_half, f_half, f_next)
-        felt_next = magnetic_hysteresis.field(c, f_next, z_next)
+        core = eddy_current_lag.late(c, core, i_half, i_next, 0.5 * h)
+        mixed_next = eddy_current_lag.mixed(c, f_next, core)
+        z_next = magnetic_hysteresis.turned(c, z_half, mixed_half, mixed_next)
+        felt_next = magnetic_hysteresis.field(c, mixed_next, z_next)
         v3 = v + 0.5 * h * a2
         a3 = acceleration(p, c, felt_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
         v4 = v + h * a3
@@ -274,6 +296,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         )
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z_next
+        y[WINDING], y[CORE] = winding, core
         t += h
 
 
@@ -287,7 +310,7 @@ def short(p: Base, c: Vector, duration: float) -> bool:
 def has_first_order_current(c: Vector) -> bool:
     """Return whether the current of a held ball responds as a first-order lag, which needs no integration."""
     straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0
-    return straight and c[freewheel_diode.DROP] == 0.0
+    return straight and c[freewheel_diode.DROP] == 0.0 and c[second_time_constant.SHARE] == 0.0
 
 
 @kernel

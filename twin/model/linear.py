@@ -5,7 +5,7 @@ The states are sensor readings, because these are what the board measures and fe
 Rule 1: (14) is the matrix logarithm of differences of `extended.advance` over a short time, so there is no second set
         of equations.
 Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale.  The states
-        that causes add follow (field current of `eddy-current-lag`, settled reading of `position-sensor-lag` and its
+        that causes add follow (currents that lag behind the coil's, settled reading of `position-sensor-lag` and its
         rate).
 Rule 3: warmth stays at its equilibrium value, as it changes over minutes.  A periodic force is left out.  So are
         dry friction, as its linearisation at rest is a ball that sticks, and the loop of the iron.
@@ -29,15 +29,29 @@ from twin.model.causes import (
     periodic_disturbance,
     position_sensor_lag,
     sampling_delay,
+    second_time_constant,
 )
 from twin.model.causes.cause import Vector
 from twin.model.equilibrium import at_rest
-from twin.model.extended import FIELD, I_C, RATE, SENSOR, Base, V, X, advance, current_reading, position_reading
+from twin.model.extended import (
+    CORE,
+    FIELD,
+    I_C,
+    RATE,
+    SENSOR,
+    WINDING,
+    Base,
+    V,
+    X,
+    advance,
+    current_reading,
+    position_reading,
+)
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
-_DELTA = np.array([1e-5, 1e-7, 1e-5, 1e-5, 1e-7, np.nan, 1e-5])  # A, m, m/s, A, m; warmth is held; m/s
+_DELTA = {I_C: 1e-5, X: 1e-7, V: 1e-5, FIELD: 1e-5, SENSOR: 1e-7, RATE: 1e-5, WINDING: 1e-5, CORE: 1e-5}  # SI units
 _DELTA_U = 1e-4  # V
 
 
@@ -63,14 +77,16 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = c[magnetic_hysteresis.HALF_WIDTH] = 0.0
     eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
     y0, u0 = at_rest(p, c, x_m, as_reading=True)
-    places = [I_C, X, V, *([FIELD] if eddy > 0.0 else []), *([SENSOR] if lag > 0.0 else [])]
+    lags = {FIELD: eddy, SENSOR: lag, WINDING: c[second_time_constant.TAU] * (c[second_time_constant.SHARE] > 0.0)}
+    lags[CORE] = eddy * c[eddy_current_lag.TIMES] * (c[eddy_current_lag.SLOW] > 0.0)
+    places = [I_C, X, V, *(state for state, tau in lags.items() if tau > 0.0)]
     if lag > 0.0 and c[position_sensor_lag.SECOND] > 0.0:
         places.append(RATE)
     n = len(places)
     if not math.isfinite(u0):
         return np.full((n, n), np.nan), np.full((n, 1), np.nan)
     c[amplifier_gain_drift.TAU] = math.inf
-    h = min([LONGEST_S, p.T_A, *(tau for tau in (eddy, lag) if tau > 0.0)])
+    h = min([LONGEST_S, p.T_A, *(tau for tau in lags.values() if tau > 0.0)])
 
     def after(state: int, delta: float) -> NDArray[np.float64]:
         y, u = y0.copy(), u0
@@ -85,7 +101,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
 
     block = np.eye(n + 1)
     for column, state in enumerate(places):
-        delta = float(_DELTA[state])
+        delta = _DELTA[state]
         block[:n, column] = (after(state, delta) - after(state, -delta)) / (2.0 * delta)
     block[:n, n] = (after(-1, _DELTA_U) - after(-1, -_DELTA_U)) / (2.0 * _DELTA_U)
     rates = _logarithm(block) / h
@@ -98,13 +114,12 @@ def measured(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (15) for the readings of i_c and x and the speed, (3, 3) and (3, 1), without delays and sensor lag.
 
-    A lagging field, which is not measured, is assumed settled at the measured current.
+    Currents that lag behind the coil's, which are not measured, are assumed settled at the measured one.
     """
     c = c.copy()
     c[position_sensor_lag.TAU] = 0.0
     phi, gamma = discretised(*linearised(p, c, x_m), 0.0, sample_time_s)
-    if len(phi) > 3:
-        phi[:, 0] += phi[:, 3] / c[current_sensor_gain.GAIN]
+    phi[:, 0] += phi[:, 3:].sum(axis=1) / c[current_sensor_gain.GAIN]
     return phi[:3, :3], gamma[:3]
 
 

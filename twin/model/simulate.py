@@ -24,7 +24,6 @@ from twin.compiled import Packed, kernel
 from twin.model.causes import actuation_delay, periodic_disturbance, sampling_delay
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.extended import (
-    FIELD,
     I_C,
     RATE,
     SENSOR,
@@ -38,6 +37,7 @@ from twin.model.extended import (
     over,
     position_of_reading,
     position_reading,
+    settle_current,
 )
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
@@ -128,7 +128,8 @@ def begin(
     p, c = Base(*plant.base), plant.c
     current = current_of_reading(c, i)
     position = min(max(position_of_reading(p, c, x, current), 0.0), p.travel_m)
-    memory[I_C], memory[X], memory[V], memory[FIELD] = current, position, v, current
+    settle_current(memory, current)
+    memory[X], memory[V] = position, v
     memory[SENSOR], memory[RATE] = position_reading(p, c, position, current), v
     memory[WARMTH] = current * current if warmth < 0.0 else warmth
     memory[I_READ], memory[X_READ] = current_reading(c, current), memory[SENSOR]

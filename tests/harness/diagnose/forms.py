@@ -134,5 +134,14 @@ FORMS: Mapping[str, Form] = MappingProxyType({
     "drag-cubic": _form(
         "quadratic-drag", (6.0, 25.0), "N (s/m)^3", "drag c v^3",
         "dampers beyond their linear range", held_out=True),
+    "current-two-times": _form(
+        "slew-rate-limit", (5e-3, 15e-3), "s", "75 % of the current with T_A, 25 % with this time",
+        "a second winding", held_out=True),
+    "current-sensor-filter": _form(
+        "slew-rate-limit", (1e-3, 4e-3), "s", "i_c is read through a low pass",
+        "RC", held_out=True),
+    "eddy-fractional": _form(
+        "eddy-current-lag", (1e-3, 3e-3), "s", "eight time constants",
+        "diffusion", held_out=True),
 })
 # fmt: on

@@ -28,7 +28,6 @@ from twin.evidence import sample_loss
 from twin.inference.theta import Theta
 from twin.model.equilibrium import at_rest, holding_current, steady_current
 from twin.model.extended import (
-    FIELD,
     I_C,
     RATE,
     SENSOR,
@@ -40,6 +39,7 @@ from twin.model.extended import (
     current_reading,
     position_of_reading,
     position_reading,
+    settle_current,
 )
 
 PLATFORM_SHARE = 0.06  # of the travel: a ball that begins a ramp higher rests on a support
@@ -89,7 +89,7 @@ def simulate(rig: Rig, schedule: Schedule, *, seed: int) -> list[Record]:
             s = integral_at(numbers, theta, y, first, u)
         else:
             y[X] = theta.stop_low_m if clamped is None else clamped
-            y[I_C] = y[FIELD] = steady_current(theta.base(plant), theta.vector(), first)
+            settle_current(y, steady_current(theta.base(plant), theta.vector(), first))
             y[WARMTH] = y[I_C] ** 2
         course = Course(t=t, command=command, law=numbers, clamped=clamped is not None)
         out = run(rig, course, y, rng, s=s)
@@ -175,7 +175,7 @@ def _capture(
     n = np.arange(count, dtype=np.float64)
     y = np.zeros(STATES)
     y[X] = rig.theta.stop_low_m if clamped_m is None else clamped_m
-    y[I_C] = y[FIELD] = steady_current(rig.theta.base(rig.plant), rig.theta.vector(), u_from)
+    settle_current(y, steady_current(rig.theta.base(rig.plant), rig.theta.vector(), u_from))
     y[WARMTH] = y[I_C] ** 2
     course = Course(t=sample_s * n, command=np.where(n < pre, u_from, u_to), clamped=True, captured=True)
     out = run(rig, course, y, rng)
@@ -196,7 +196,7 @@ def _start(
     head = slice(piece.start, min(piece.start + _HEAD, piece.stop))
     y, speed = np.zeros(STATES), 0.0
     i = record.i_c[head][np.isfinite(record.i_c[head])]
-    y[I_C] = y[FIELD] = current_of_reading(c, float(i[0])) if len(i) else steady_current(p, c, 0.0)
+    settle_current(y, current_of_reading(c, float(i[0])) if len(i) else steady_current(p, c, 0.0))
     y[X] = theta.stop_low_m
     known = np.isfinite(record.x[head])
     if known.sum() >= 3:

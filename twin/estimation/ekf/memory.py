@@ -23,12 +23,14 @@ from twin.model.causes import (
     magnetic_hysteresis,
     position_sensor_lag,
     position_sensor_offset,
+    second_time_constant,
 )
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import PLACES
 from twin.model.causes.sensor_line import HARMONICS, MEMORY_S, harmonics
 from twin.model.causes.wander import MINUTE_S
 from twin.model.extended import (
+    CORE,
     FIELD,
     I_C,
     I_COLOUR,
@@ -39,6 +41,7 @@ from twin.model.extended import (
     STATES,
     WANDER,
     WARMTH,
+    WINDING,
     X_COLOUR,
     X_LINES,
     Base,
@@ -52,6 +55,8 @@ _NAMED = {
     "field": FIELD,
     "sensor": SENSOR,
     "rate": RATE,
+    "winding": WINDING,
+    "core": CORE,
     "warmth": WARMTH,
     "loop": LOOP,
     "x_offset": _WANDERS[position_sensor_offset.OFFSET],
@@ -83,16 +88,18 @@ class Memory(Protocol):
     high_m: float  # at the upper stop
     m: int
     places: NDArray[np.int64]  # indices of the m states in the state, I_C, X, V first
-    field: int  # place in the covariance; -1: not in it (likewise the next eight)
+    field: int  # place in the covariance; -1: not in it (likewise the next ten)
     sensor: int
     rate: int
+    winding: int
+    core: int
     warmth: int
     loop: int  # of the iron's hysteresis
     x_offset: int  # of the states that wander
     i_offset: int
     i_colour: int  # of coloured noise
     x_colour: int
-    lasting: int  # place of the first state that a flight leaves as it is: warmth, loop, what wanders, coloured noise
+    lasting: int  # place of the first state that a flight leaves as it is: lagging currents, warmth, loop, noise
     wandering: int  # place of the first that wanders
     coloured: int  # place of the first of coloured noise
     lines: int  # place of the first of the lines, which are last
@@ -145,6 +152,8 @@ def active_states(c: Floats) -> list[int]:
         (FIELD, c[eddy_current_lag.TAU] > 0.0),
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
         (RATE, c[position_sensor_lag.TAU] > 0.0 and c[position_sensor_lag.SECOND] > 0.0),
+        (WINDING, c[second_time_constant.SHARE] > 0.0),
+        (CORE, c[eddy_current_lag.TAU] > 0.0 and c[eddy_current_lag.SLOW] > 0.0),
         (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
         (LOOP, c[magnetic_hysteresis.HALF_WIDTH] > 0.0),
         *((WANDER + k, c[wander] > 0.0) for k, (_, wander) in enumerate(OFFSETS)),
@@ -196,7 +205,7 @@ def memory_for(system: System) -> Memory:
     for name, state in _NAMED.items():
         record[name] = places.index(state) if state in places else -1
     record["wandering"], record["coloured"] = sum(state < WANDER for state in places), coloured
-    record["lasting"] = record["wandering"] - (WARMTH in places) - (LOOP in places)
+    record["lasting"] = record["wandering"] - sum(state in places for state in (WINDING, CORE, WARMTH, LOOP))
     for k, state in enumerate(places[record["wandering"] : coloured]):
         offset, wander = OFFSETS[state - WANDER]
         record["offsets"][k], record["q_w"][k] = offset, c[wander] ** 2 / MINUTE_S

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from twin.compiled import inlined, kernel
-from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_covariance, turn_state
+from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.ekf.transition import moments, transit
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
@@ -33,7 +33,7 @@ from twin.model.extended import (
 )
 
 # For the Jacobian; coloured noise needs none.
-_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5, 1e-4] + [1e-6] * len(OFFSETS))
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5, 1e-4, 1e-5, 1e-5] + [1e-6] * len(OFFSETS))
 
 
 @inlined
@@ -203,55 +203,51 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
 def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float) -> None:
     """Predict current, warmth and loop with the ball held at its last `reading`, m; other arguments as `propagate`."""
     wandered(f, f.y)
-    base, c, y, P, moved = base_of(f), f.c[:], f.y[:], f.P, f.moved[:]
+    base, c, y, F, moved = base_of(f), f.c[:], f.y[:], f.F, f.moved[:]
     p = Base(*base)
     held = min(max(reading, 0.0), p.travel_m)
     i_before, loop_before = y[I_C], y[LOOP]
-    copy(moved, y)
-    y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
+    y[X], y[V] = held, 0.0
+    copy(f.previous, y)
+    for row in range(f.m):
+        for column in range(f.m):
+            F[row, column] = 1.0 if row == column else 0.0
     if f.closed_form:
-        f_ii = math.exp(-T_s / p.T_A)
-        y[I_C] = p.K_A * inputs[n - 1] + (y[I_C] - p.K_A * inputs[n - 1]) * f_ii
+        F[0, 0] = math.exp(-T_s / p.T_A)
+        y[I_C] = p.K_A * inputs[n - 1] + (y[I_C] - p.K_A * inputs[n - 1]) * F[0, 0]
     # Without a lag or warmth the current alone is integrated, at a quarter of the cost of the whole state.
     elif f.wandering == 3:
         i = y[I_C]
         y[I_C] = current_held(base, c, i, inputs, n, f.first, T_s, y[WARMTH], held)
         if has_first_order_current(c):
-            f_ii = math.exp(-T_s / p.T_A)
+            F[0, 0] = math.exp(-T_s / p.T_A)
         else:
             moved_i = current_held(base, c, i + _DELTA[I_C], inputs, n, f.first, T_s, y[WARMTH], held)
-            f_ii = (moved_i - y[I_C]) / _DELTA[I_C]
+            F[0, 0] = (moved_i - y[I_C]) / _DELTA[I_C]
     else:
         # A huge mass without gravity keeps the ball in place within the interval.
         held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
         rubs = c[coulomb_friction.FORCE]
         c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
-        moved[I_C] += _DELTA[I_C]
-        propagate(held_base, c, moved, inputs, n, f.first, t, T_s, False)
         propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
+        for column in (0, f.winding, f.core):
+            if column < 0:
+                continue
+            a = f.places[column]
+            copy(moved, f.previous[:])
+            moved[a] += _DELTA[a]
+            propagate(held_base, c, moved, inputs, n, f.first, t, T_s, False)
+            for row in (0, f.winding, f.core):
+                if row >= 0:
+                    F[row, column] = (moved[f.places[row]] - y[f.places[row]]) / _DELTA[a]
         c[coulomb_friction.FORCE] = rubs
-        f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
-    P[0, 0] = f_ii * f_ii * P[0, 0] + f.q_i * T_s
-    f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - f_ii)
     if f.warmth >= 0:
-        P[0, 0] += f_iw * f_iw * P[f.warmth, f.warmth] + 2.0 * f_ii * f_iw * P[0, f.warmth]
-    for k in range(f.lasting, f.m):
-        P[0, k] *= f_ii
-        if f.warmth >= 0:
-            P[0, k] += f_iw * P[f.warmth, k]
-        P[k, 0] = P[0, k]
+        F[0, f.warmth] = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - F[0, 0])
     if f.loop >= 0:
         moved_loop = magnetic_hysteresis.turned(c, loop_before + _DELTA[LOOP], i_before, y[I_C])
-        left = (moved_loop - magnetic_hysteresis.turned(c, loop_before, i_before, y[I_C])) / _DELTA[LOOP]
-        for j in range(f.m):
-            P[f.loop, j] *= left
-            P[j, f.loop] *= left
-    for k in range(f.coloured, f.lines):
-        left = remembered(f.tau_i if k == f.i_colour else f.tau_x, T_s)
-        for j in range(f.m):
-            P[k, j] *= left
-            P[j, k] *= left
-    if f.lines_count > 0:
-        turn_covariance(f, T_s)
+        F[f.loop, f.loop] = (moved_loop - magnetic_hysteresis.turned(c, loop_before, i_before, y[I_C])) / _DELTA[LOOP]
+    slopes_of_colour(f, T_s)
+    carry(F, f.P, f.G, f.m)
+    f.P[0, 0] += f.q_i * T_s
     fade(f, y, T_s)
     wander_on(f, T_s)

@@ -38,6 +38,7 @@ from twin.model.causes import (
     quadratic_drag,
     residual_magnetism,
     sampling_delay,
+    second_time_constant,
     sensor_crosstalk,
     slew_rate_limit,
 )
@@ -54,6 +55,7 @@ CATALOGUE: tuple[Cause, ...] = (
     freewheel_diode.CAUSE,
     position_dependent_inductance.CAUSE,
     motional_emf.CAUSE,
+    second_time_constant.CAUSE,
     actuation_delay.CAUSE,
     air_gap_offset.CAUSE,
     force_exponent.CAUSE,

@@ -2,7 +2,8 @@
 
     tau z' + z = (i_c / gap^p)^a,   F_m = K_c (z^(1/a) gap^p)^2 / gap^2
 
-The current lags (p = 0, a = 1), the flux (p = 1, a = 1) or the force (p = 1, a = 2).
+The current lags (p = 0, a = 1), the flux (p = 1, a = 1) or the force (p = 1, a = 2).  A share s of the current may lag
+with a longer time n tau, too: eddy currents of a solid core decay with many time constants, of which these are two.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import OSCILLOSCOPE
 
-TAU, FLUX, ORDER = 13, 34, 37
+TAU, FLUX, ORDER, SLOW, TIMES = 13, 34, 37, 125, 126
 MIN_GAP_SHARE = 0.02  # of the middle gap: nearer to the coil the weight stays
 
 CAUSE = Cause(
@@ -22,13 +23,17 @@ CAUSE = Cause(
     title="the force follows the current late",
     sentence="the force follows the current {tau_s} late",
     acts_on="magnetic force (3)",
-    equation="tau z' + z = (i_c / gap^p)^a, F_m = K_c z^(2/a) gap^(2p - 2)",
+    equation="tau z' + z = (i_c / gap^p)^a, F_m = K_c z^(2/a) gap^(2p - 2); a share s lags by n tau",
     source="eddy currents in a solid core hold the field back",
     parameters=(
         CauseParameter(name="tau_s", symbol="tau", unit="s", index=TAU, low=0.0, high=0.02, probes=(0.0002, 0.002)),
         CauseParameter(name="flux", symbol="p", index=FLUX, low=0.0, high=1.5, probes=(0.3,), spread=0.7),
         CauseParameter(
             name="order", symbol="a", index=ORDER, neutral=1.0, low=0.5, high=2.5, probes=(1.3,), spread=0.7
+        ),
+        CauseParameter(name="slow", symbol="s", index=SLOW, low=0.0, high=0.9, probes=(0.2,), spread=0.3),
+        CauseParameter(
+            name="times", symbol="n", index=TIMES, neutral=20.0, low=2.0, high=200.0, probes=(20.0,), spread=20.0
         ),
     ),
     signature="the acceleration lags the measured current, the more the faster the current changes",
@@ -49,6 +54,12 @@ CAUSE = Cause(
             name="lag of the force",
             values={"flux": 1.0, "order": 2.0},
             source="the force follows its static value with one time constant, as servo models have it",
+            probed=True,
+        ),
+        Form(
+            name="two time constants",
+            values={"slow": 0.3},
+            source="R. L. Stoll, The Analysis of Eddy Currents, 1974: the field diffuses into a solid core",
             probed=True,
         ),
     ),
@@ -72,3 +83,19 @@ def lagged(c: Vector, f: float, i: float, i_next: float, w: float, w_next: float
     slope = (end - begin) / h
     after = end - slope * c[TAU] + (before - begin + slope * c[TAU]) * math.exp(-h / c[TAU])
     return (after if a == 1.0 else max(after, 0.0) ** (1.0 / a)) / w_next
+
+
+@inlined
+def mixed(c: Vector, f: float, late: float) -> float:
+    """The field current that the ball feels, A, of the one that lags a little and the one that lags long."""
+    return f if c[SLOW] == 0.0 or c[TAU] <= 0.0 else (1.0 - c[SLOW]) * f + c[SLOW] * late
+
+
+@inlined
+def late(c: Vector, z: float, i: float, i_next: float, h: float) -> float:
+    """The field current that lags long after h s while the current goes from i to i_next, A."""
+    tau = c[TAU] * c[TIMES]
+    if c[SLOW] == 0.0 or tau <= 0.0:
+        return z
+    slope = (i_next - i) / h
+    return i_next - slope * tau + (z - i + slope * tau) * math.exp(-h / tau)
