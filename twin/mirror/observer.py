@@ -38,11 +38,12 @@ from twin.model.extended import (
     FIELD,
     I_C,
     LOOP,
+    SECOND,
     WARMTH,
-    WINDING,
     Base,
     X,
     current_of_reading,
+    lasting_warmth,
     position_of_reading,
 )
 from twin.model.parameters import Noise
@@ -102,12 +103,12 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
     if first:
         forget(f)
         start_recording(f, True, i, u)
-        f.y[WARMTH] = current * current  # of a coil that has carried this for long
+        f.y[WARMTH] = lasting_warmth(f.c[:], current)  # of a coil that has carried this for long
     else:
         before = f.y[I_C]
         measure_current(f, i)
-        f.y[WINDING] = second_time_constant.lagged(f.c[:], f.y[WINDING], before, f.y[I_C], o.sample_time_s)
-        f.y[CORE] = eddy_current_lag.late(f.c[:], f.y[CORE], before, f.y[I_C], o.sample_time_s)
+        f.y[SECOND] = second_time_constant.settled(f.c[:], f.y[SECOND], f.y[I_C], o.sample_time_s)
+        f.y[CORE] = eddy_current_lag.slow(f.c[:], f.y[CORE], before, f.y[I_C], o.sample_time_s)
         f.y[LOOP] = magnetic_hysteresis.turned(f.c[:], f.y[LOOP], f.y[FIELD], f.y[I_C])
         f.y[FIELD] = f.y[I_C]
         f.y[WARMTH] += o.sample_time_s * amplifier_gain_drift.warmth_rate(f.c[:], current, f.y[WARMTH])

@@ -30,6 +30,7 @@ from twin.model.extended import (
     advance,
     current_reading,
     drive,
+    lasting_warmth,
     position_of_reading,
     position_reading,
     settle_current,
@@ -74,7 +75,7 @@ def holding_input(p: Base, c: Vector, i_a: float) -> float:
         c: the causes' parameters, shape (PLACES,).
         i_a: the coil current, A, which has warmed the amplifier.
     """
-    packed, w = tuple(p), i_a * i_a
+    packed, w = tuple(p), lasting_warmth(c, i_a)
     if _surplus(0.0, packed, c, i_a, w) > 0.0:
         return math.nan
     high = _MAX_V
@@ -95,9 +96,9 @@ def at_rest(p: Base, c: Vector, x_m: float, *, as_reading: bool = False) -> tupl
     u = holding_input(p, c, i)
     i = i if math.isfinite(i) else 0.0
     y = np.zeros(STATES)
-    settle_current(y, i)
+    settle_current(c, y, i)
     y[X] = position_of_reading(p, c, x_m, i) if as_reading else x_m
-    y[SENSOR], y[WARMTH] = position_reading(p, c, y[X], i), i * i
+    y[SENSOR] = position_reading(p, c, y[X], i)
     return y, u
 
 
@@ -115,10 +116,10 @@ def steady_current(p: Base, c: Vector, u_v: float) -> float:
     """
     packed = tuple(p)
     y = np.zeros(STATES)
-    settle_current(y, drive(p, c, u_v, 0.0))
+    settle_current(c, y, drive(p, c, u_v, 0.0))
     for _ in range(_SETTLING):
         before = float(y[I_C])
-        y[X], y[V], y[WARMTH] = 0.0, 0.0, before**2
+        y[X], y[V], y[WARMTH] = 0.0, 0.0, lasting_warmth(c, before)
         advance(packed, c, y, u_v, 0.0, _SETTLING_STEP_S, True)
         if abs(y[I_C] - before) <= 1e-12:
             break

@@ -4,8 +4,8 @@
     i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
 The state y has shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2),
-rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1), lagging current of a second winding (A) and of a
-solid core (A).  Then follows how far each of `OFFSETS` has
+rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1), share of the current with a
+second time constant (A), field of a solid core (A).  Then follows how far each of `OFFSETS` has
 wandered, in its unit; the caller adds it to c.  Then comes the coloured noise of the readings of i_c (A) and x (m), and
 last their lines, a pair for each harmonic.  The caller advances these and adds them to the readings.
 
@@ -60,7 +60,7 @@ from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import Vector
 from twin.model.causes.sensor_line import HARMONICS
 
-I_C, X, V, FIELD, SENSOR, WARMTH, RATE, LOOP, WINDING, CORE = range(10)
+I_C, X, V, FIELD, SENSOR, WARMTH, RATE, LOOP, SECOND, CORE = range(10)
 WANDER = 10  # of the first of `OFFSETS`
 I_COLOUR, X_COLOUR = WANDER + len(OFFSETS), WANDER + len(OFFSETS) + 1
 I_LINES = X_COLOUR + 1
@@ -130,9 +130,16 @@ def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
 
 
 @inlined
-def settle_current(y: NDArray[np.float64], i: float) -> None:
-    """Set the current of the coil, and all that follows it, to i, A, as after a long time."""
-    y[I_C], y[FIELD], y[WINDING], y[CORE] = i, i, i, i
+def lasting_warmth(c: Vector, i: float) -> float:
+    """Return the warmth of a coil that has carried i, A, for a long time, A^2."""
+    return amplifier_gain_drift.load(c, i)
+
+
+@inlined
+def settle_current(c: Vector, y: NDArray[np.float64], i: float) -> None:
+    """Set the current of the coil to i, A, and what follows it, its warmth too, to that of a long time."""
+    y[I_C], y[FIELD], y[SECOND], y[CORE] = i, i, i, i
+    y[WARMTH] = lasting_warmth(c, i)
 
 
 @inlined
@@ -218,11 +225,11 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         or c[slew_rate_limit.RATE] < math.inf
     )
     rubs = c[coulomb_friction.FORCE] != 0.0
-    coupled = c[second_time_constant.SHARE] > 0.0
+    shared = c[second_time_constant.SHARE] != 0.0
     coarse = short(p, c, duration)
     for part in range(1 if coarse else len(PARTS)):
         h = duration if coarse else duration * PARTS[part]
-        i, x, v, f, s, z, winding, core = y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[LOOP], y[WINDING], y[CORE]
+        i, x, v, f, s, z, second, core = y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[LOOP], y[SECOND], y[CORE]
         mixed = eddy_current_lag.mixed(c, f, core)
         a1 = acceleration(p, c, magnetic_hysteresis.field(c, mixed, z), x, v, t)
         free, brake, held = a1, 0.0, False
@@ -234,39 +241,38 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
         gap, T_A = plane - x, p.T_A
         half_decay, pressed = 0.0, False
-        if coupled and shaped:  # the winding's part changes little within half a substep
-            target += c[second_time_constant.SHARE] * (winding - i)
         if shaped:
             gap = max(gap, GAP_MIN_SHARE * p.travel_m)
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
             if c[freewheel_diode.DROP] == 0.0:
                 target = max(target, 0.0)
+            if shared:  # i_2 changes little within a substep
+                end, target = target, target + second_time_constant.pull(c, second, target, T_A)
+                second = second_time_constant.settled(c, second, end, h)
             pressed = stops and v == 0.0 and (a1 < 0.0 if x <= 0.0 else x >= p.travel_m)
             i_half = _driven(p, c, i, target, T_A, v, 0.0 if pressed else a1, gap, 0.0, 0.5 * h)
-        elif coupled:
-            i_half, winding = second_time_constant.driven(c, i, winding, target, T_A, 0.5 * h)
+        elif shared:
+            i_half, second = second_time_constant.driven(c, i, second, target, T_A, 0.5 * h)
         else:
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
         w = eddy_current_lag.weight(c, plane - x, gap_mid)
         w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
         f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
-        core = eddy_current_lag.late(c, core, i, i_half, 0.5 * h)
+        core = eddy_current_lag.slow(c, core, i, i_half, 0.5 * h)
         mixed_half = eddy_current_lag.mixed(c, f_half, core)
         z_half = magnetic_hysteresis.turned(c, z, mixed, mixed_half)
         felt_half = magnetic_hysteresis.field(c, mixed_half, z_half)
         a2 = 0.0 if held else acceleration(p, c, felt_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
             i_next = _driven(p, c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, 0.5 * h, 0.5 * h)
-            if coupled:
-                winding = second_time_constant.lagged(c, winding, i, i_next, h)
-        elif coupled:
-            i_next, winding = second_time_constant.driven(c, i_half, winding, target, T_A, 0.5 * h)
+        elif shared:
+            i_next, second = second_time_constant.driven(c, i_half, second, target, T_A, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
         w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
         f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
-        core = eddy_current_lag.late(c, core, i_half, i_next, 0.5 * h)
+        core = eddy_current_lag.slow(c, core, i_half, i_next, 0.5 * h)
         mixed_next = eddy_current_lag.mixed(c, f_next, core)
         z_next = magnetic_hysteresis.turned(c, z_half, mixed_half, mixed_next)
         felt_next = magnetic_hysteresis.field(c, mixed_next, z_next)
@@ -296,7 +302,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         )
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z_next
-        y[WINDING], y[CORE] = winding, core
+        y[SECOND], y[CORE] = second, core
         t += h
 
 

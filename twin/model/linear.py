@@ -38,8 +38,8 @@ from twin.model.extended import (
     FIELD,
     I_C,
     RATE,
+    SECOND,
     SENSOR,
-    WINDING,
     Base,
     V,
     X,
@@ -51,7 +51,7 @@ from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
-_DELTA = {I_C: 1e-5, X: 1e-7, V: 1e-5, FIELD: 1e-5, SENSOR: 1e-7, RATE: 1e-5, WINDING: 1e-5, CORE: 1e-5}  # SI units
+_DELTA = {I_C: 1e-5, X: 1e-7, V: 1e-5, FIELD: 1e-5, SENSOR: 1e-7, RATE: 1e-5, SECOND: 1e-5, CORE: 1e-5}  # SI units
 _DELTA_U = 1e-4  # V
 
 
@@ -75,9 +75,9 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     """Linearise by (14), for parameters and causes in the form of the kernels; c has shape (PLACES,)."""
     c = c.copy()
     c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = c[magnetic_hysteresis.HALF_WIDTH] = 0.0
-    eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
+    eddy, lag = float(eddy_current_lag.quick(c)), float(c[position_sensor_lag.TAU])
     y0, u0 = at_rest(p, c, x_m, as_reading=True)
-    lags = {FIELD: eddy, SENSOR: lag, WINDING: c[second_time_constant.TAU] * (c[second_time_constant.SHARE] > 0.0)}
+    lags = {FIELD: eddy, SENSOR: lag, SECOND: c[second_time_constant.TAU] * (c[second_time_constant.SHARE] != 0.0)}
     lags[CORE] = eddy * c[eddy_current_lag.TIMES] * (c[eddy_current_lag.SLOW] > 0.0)
     places = [I_C, X, V, *(state for state, tau in lags.items() if tau > 0.0)]
     if lag > 0.0 and c[position_sensor_lag.SECOND] > 0.0:

@@ -128,10 +128,11 @@ def begin(
     p, c = Base(*plant.base), plant.c
     current = current_of_reading(c, i)
     position = min(max(position_of_reading(p, c, x, current), 0.0), p.travel_m)
-    settle_current(memory, current)
+    settle_current(c, memory, current)
     memory[X], memory[V] = position, v
     memory[SENSOR], memory[RATE] = position_reading(p, c, position, current), v
-    memory[WARMTH] = current * current if warmth < 0.0 else warmth
+    if warmth >= 0.0:
+        memory[WARMTH] = warmth
     memory[I_READ], memory[X_READ] = current_reading(c, current), memory[SENSOR]
     lines_end = LINES + plant.act_whole + 2
     for k in range(LINES, lines_end):

@@ -10,7 +10,7 @@ import numpy as np
 from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
-from twin.model.extended import I_C, SENSOR, STATES, WARMTH, V, X, current_of_reading, current_reading, settle_current
+from twin.model.extended import I_C, SENSOR, STATES, V, X, current_of_reading, current_reading, settle_current
 from twin.model.extension import base
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
@@ -55,8 +55,7 @@ def current(
     c, p = plant_numbers(model, 1e-3).c, tuple(base(model))
     see_delays(c, c, captured)
     y = np.zeros(STATES)
-    settle_current(y, current_of_reading(c, start_a))
-    y[WARMTH] = y[I_C] ** 2
+    settle_current(c, y, current_of_reading(c, start_a))
     readings = np.empty(len(u))
     readings[0] = start_a
     for k in range(1, len(u)):

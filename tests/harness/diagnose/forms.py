@@ -135,13 +135,13 @@ FORMS: Mapping[str, Form] = MappingProxyType({
         "quadratic-drag", (6.0, 25.0), "N (s/m)^3", "drag c v^3",
         "dampers beyond their linear range", held_out=True),
     "current-two-times": _form(
-        "slew-rate-limit", (5e-3, 15e-3), "s", "75 % of the current with T_A, 25 % with this time",
-        "a second winding", held_out=True),
-    "current-sensor-filter": _form(
-        "slew-rate-limit", (1e-3, 4e-3), "s", "i_c is read through a low pass",
-        "RC", held_out=True),
-    "eddy-fractional": _form(
-        "eddy-current-lag", (1e-3, 3e-3), "s", "eight time constants",
-        "diffusion", held_out=True),
+        "second-time-constant", (5e-3, 15e-3), "s", "75 % of the current with T_A, 25 % with this time, side by side",
+        "two loops of a magnet with a solid core, as in a step response of its current"),
+    "current-creeps": _form(
+        "second-time-constant", (0.1, 0.4), "s", "75 % of the current with T_A, 25 % with this time, side by side",
+        "a power stage whose supply and core settle late"),
+    "eddy-diffusion": _form(
+        "eddy-current-lag", (2e-3, 5e-3), "s", "field: i lagging by tau / n^2 with weight 1 / n^2, n = 1, 3, 5, 7",
+        "R. L. Stoll, The Analysis of Eddy Currents, 1974: diffusion into a plate", held_out=True),
 })
 # fmt: on

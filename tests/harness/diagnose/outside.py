@@ -58,7 +58,10 @@ OUTSIDE: Mapping[str, Outside] = MappingProxyType(
             strength=5.0, unit="N/m", about="the cable of the rig hangs on the ball: a force down, in proportion to x"
         ),
         "supply-sag": Outside(
-            strength=0.08, unit="1/A", about="the supply gives in under load, within 1.5 s: K_A falls with the current"
+            strength=0.08,
+            unit="1/A",
+            about="the supply gives in under load, within 1.5 s: K_A falls with the current",
+            cause="amplifier-gain-drift",
         ),
         "supply-ripple": Outside(
             strength=0.04, unit="", about="the amplifier's gain swings by this share at 100 Hz, twice the mains"

@@ -42,7 +42,7 @@ HEATS, SOFT_ZONE, SOFT_LIMIT, INDUCTANCE, CUBIC, SECOND_ORDER, DRAG, JITTER = ra
 TANH, LANGEVIN, GAP_POLYNOMIAL, TWO_SIDED, FOLDBACK, SQUARE_ZONE, INDUCTANCE_EXP, SINE, THIRD_ORDER, CUBE = range(
     17, 27
 )
-CURRENT_TWO, CURRENT_SENSOR, FRACTIONAL = range(27, 30)
+CURRENT_TWO, CREEPS, DIFFUSION = range(27, 30)
 assert len(FORMS) == 30
 KINDS = {name: kind for kind, name in enumerate(FORMS)}
 HEATING_S = 28.0
@@ -50,10 +50,12 @@ FOLDS_BACK = 0.3
 REACH_OF_EXP = 0.6  # of the middle gap
 STRIBECK_M_S, BRISTLE_M = 5e-3, 5e-6
 SENSOR_DAMPING = 0.7
-# i_c, what is held back (two), x, v, warmth, sensor and its rate, bristle, filters before the sensor (two)
+CREEPING_SHARE = 0.25
+DIFFUSED = 1.0 + 1.0 / 9.0 + 1.0 / 25.0 + 1.0 / 49.0  # all of the current, when it has settled
+# i_c, what is held back (two), x, v, warmth, sensor and its rate, bristle, filters before the sensor (two), then layers
 COIL, SLOW, FAST, X, V, W, S, SV, Z, S1, S2 = range(11)
-READ = 11
-LADDER = 12  # eight
+LAYER = 11
+LAYERS = 4
 
 
 class Constants(NamedTuple):
@@ -130,13 +132,13 @@ def magnet(y: FloatArray, x: float, c: Constants) -> float:
         y[SLOW] += (i - y[SLOW]) * (1.0 - math.exp(-h / c.size))
         y[FAST] += (i - y[FAST]) * (1.0 - math.exp(-5.0 * h / c.size))
         i = 0.65 * y[SLOW] + 0.35 * y[FAST]
-    if c.kind == FRACTIONAL:
-        total = 0.0
-        for n in range(8):
-            tau = c.size * 4.0 ** (n - 4)
-            y[LADDER + n] += (i - y[LADDER + n]) * (1.0 - math.exp(-h / tau))
-            total += y[LADDER + n] / 8.0
-        i = total
+    if c.kind == DIFFUSION:
+        field = 0.0
+        for n in range(LAYERS):
+            order = (2.0 * n + 1.0) ** 2
+            y[LAYER + n] += (i - y[LAYER + n]) * (1.0 - math.exp(-h * order / c.size))
+            field += y[LAYER + n] / order
+        i = field / DIFFUSED
     return float(law_of_gap(gap, c) * i * i)
 
 
@@ -148,14 +150,10 @@ def rest_of(y: FloatArray, c: Constants) -> None:
         y[SLOW] = law_of_gap(gap, c) * i * i
     elif c.kind == EDDY_FLUX:
         y[SLOW] = i / gap
-    elif c.kind == EDDY_TWO:
+    elif c.kind in (EDDY_TWO, CURRENT_TWO, CREEPS):
         y[SLOW], y[FAST] = i, i
-    elif c.kind == CURRENT_TWO:
-        y[SLOW], y[FAST] = i, i
-    elif c.kind == FRACTIONAL:
-        for n in range(8):
-            y[LADDER + n] = i
-    y[READ] = i
+    for n in range(LAYERS):
+        y[LAYER + n] = i
 
 
 @njit
@@ -196,16 +194,12 @@ def pass_time(
             here = math.exp(-gap / a)
             lag *= 1.0 + c.size * (here - bottom) / (top - bottom)
             goal -= c.T_A * c.size / (top - bottom) * here / a * i * v  # i v dL/dx over R
-        if c.kind == CURRENT_TWO:
+        if c.kind in (CURRENT_TWO, CREEPS):
             y[SLOW] += (goal - y[SLOW]) * (1.0 - math.exp(-h / lag))
             y[FAST] += (goal - y[FAST]) * (1.0 - math.exp(-h / c.size))
-            y[COIL] = max(0.75 * y[SLOW] + 0.25 * y[FAST], 0.0)
+            y[COIL] = max((1.0 - CREEPING_SHARE) * y[SLOW] + CREEPING_SHARE * y[FAST], 0.0)
         else:
             y[COIL] = max(i + (goal - i) * (1.0 - math.exp(-h / lag)), 0.0)
-        if c.kind == CURRENT_SENSOR:
-            y[READ] += (y[COIL] - y[READ]) * (1.0 - math.exp(-h / c.size))
-        else:
-            y[READ] = y[COIL]
         y[W] += h / HEATING_S * (y[COIL] ** 2 - y[W])
 
         force = magnet(y, x, c) - c.m * c.g
@@ -247,7 +241,7 @@ def pass_time(
         else:
             y[S] = shown(x_new, c)
         k += 1
-        i_past[k % RING], x_past[k % RING] = y[READ], y[S]
+        i_past[k % RING], x_past[k % RING] = y[COIL], y[S]
     return k
 
 
@@ -261,7 +255,7 @@ def run_ticks(
     steps = round(TICK_S / STEP_S)
     for n in range(len(signal)):
         k = pass_time(y, k, steps, u, int(delays[n]), c, inputs, i_past, x_past)
-        i_m = convert(y[READ] + noise[n, 0], CURRENT_ADC[0], CURRENT_ADC[1])
+        i_m = convert(y[COIL] + noise[n, 0], CURRENT_ADC[0], CURRENT_ADC[1])
         x_m = convert(y[S] + noise[n, 1], POSITION_ADC[0], POSITION_ADC[1])
         if closed:
             speed = (x_m - memory[1]) / TICK_S if memory[2] > 0.0 else 0.0
@@ -294,7 +288,7 @@ class TextbookBench:
         self._rig, self._believed = rig, believed
         self.change(forms)
         self._k, self._u = 0, 0.0
-        self._y = np.zeros(20)
+        self._y = np.zeros(LAYER + LAYERS)
         self._rings = (np.zeros(RING), np.zeros(RING), np.zeros(RING))
         i_0, u_0 = believed.equilibrium_current_a(MIDDLE_M), believed.equilibrium_input_v(MIDDLE_M)
         self._law = np.array([*designed_gains(believed), i_0, MIDDLE_M, u_0])
@@ -327,7 +321,7 @@ class TextbookBench:
         noise = self._draw_noise(CAPTURE_COUNT)
         for n in range(CAPTURE_COUNT):
             u = high if n >= CAPTURE_PRE else low
-            i_m = convert(float(self._y[READ]) + float(noise[n, 0]), CURRENT_ADC[0], CURRENT_ADC[1])
+            i_m = convert(float(self._y[COIL]) + float(noise[n, 0]), CURRENT_ADC[0], CURRENT_ADC[1])
             out[n] = self._k * STEP_S, u, i_m
             self._k = pass_time(self._y, self._k, round(CAPTURE_S / STEP_S), u, delay, self._c, *self._rings)
         self._run(np.zeros(1), closed=False)  # back on the grid of ticks, coil off

@@ -36,6 +36,7 @@ STRENGTHS = {
     "magnetic-hysteresis": 0.03,
     "motional-emf": 0.2,
     "position-sensor-line": 20e-6,
+    "second-time-constant": 0.2,
     "slew-rate-limit": 10.0,
 }
 NOTHING = "nothing"

@@ -37,6 +37,7 @@ from twin.model.extended import (
     X,
     current_of_reading,
     current_reading,
+    lasting_warmth,
     position_of_reading,
     position_reading,
     settle_current,
@@ -89,8 +90,7 @@ def simulate(rig: Rig, schedule: Schedule, *, seed: int) -> list[Record]:
             s = integral_at(numbers, theta, y, first, u)
         else:
             y[X] = theta.stop_low_m if clamped is None else clamped
-            settle_current(y, steady_current(theta.base(plant), theta.vector(), first))
-            y[WARMTH] = y[I_C] ** 2
+            settle_current(theta.vector(), y, steady_current(theta.base(plant), theta.vector(), first))
         course = Course(t=t, command=command, law=numbers, clamped=clamped is not None)
         out = run(rig, course, y, rng, s=s)
     is_received = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.index]
@@ -175,8 +175,7 @@ def _capture(
     n = np.arange(count, dtype=np.float64)
     y = np.zeros(STATES)
     y[X] = rig.theta.stop_low_m if clamped_m is None else clamped_m
-    settle_current(y, steady_current(rig.theta.base(rig.plant), rig.theta.vector(), u_from))
-    y[WARMTH] = y[I_C] ** 2
+    settle_current(rig.theta.vector(), y, steady_current(rig.theta.base(rig.plant), rig.theta.vector(), u_from))
     course = Course(t=sample_s * n, command=np.where(n < pre, u_from, u_to), clamped=True, captured=True)
     out = run(rig, course, y, rng)
     return Capture(sample_time_s=sample_s, u_from_v=u_from, u_to_v=u_to, step_index=pre, i_c_a=out[:, 1])
@@ -196,7 +195,7 @@ def _start(
     head = slice(piece.start, min(piece.start + _HEAD, piece.stop))
     y, speed = np.zeros(STATES), 0.0
     i = record.i_c[head][np.isfinite(record.i_c[head])]
-    settle_current(y, current_of_reading(c, float(i[0])) if len(i) else steady_current(p, c, 0.0))
+    settle_current(c, y, current_of_reading(c, float(i[0])) if len(i) else steady_current(p, c, 0.0))
     y[X] = theta.stop_low_m
     known = np.isfinite(record.x[head])
     if known.sum() >= 3:
@@ -209,8 +208,8 @@ def _start(
             y[X], speed = min(max(y[X], theta.stop_low_m), plant.travel_m + theta.stop_high_m), 0.0
         y[V] = speed
     y[SENSOR], y[RATE] = position_reading(p, c, float(y[X]), float(y[I_C])), y[V]
-    squares = record.i_c[piece] ** 2
-    y[WARMTH] = float(np.nanmean(squares)) if np.isfinite(squares).any() else 0.0
+    warmths = [lasting_warmth(c, i) for i in record.i_c[piece].tolist() if math.isfinite(i)]
+    y[WARMTH] = float(np.mean(warmths)) if warmths else 0.0
     return y, speed
 
 

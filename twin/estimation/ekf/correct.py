@@ -30,7 +30,7 @@ from twin.model.extended import (
 TELLING_READINGS = 5  # after the first of a flight; later ones do not depend on the start, even with a lag of 2 ms
 _ACCELERATION_M_S2 = 15.0  # standard deviation at the beginning of a flight
 _WARMTH = (0.25, 0.3)  # A^2: mean and standard deviation at the beginning of a recording
-_LAGGING_STD_A = 0.1  # current of a winding or core at the beginning of a recording, about that of the coil
+_LAGGING_STD_A = 0.1  # current of a second loop or a core at the beginning of a recording, about that of the coil
 _LOOP_STD = 0.7  # place of the iron on its loop at the beginning of a recording, of a range of -1 to 1
 _CURRENT_VARIANCE = 1e2  # A^2, initial variance without a reading of i_c
 
@@ -110,8 +110,8 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
     else:
         _forget(f, 0)
         f.y[I_C], f.P[0, 0] = f.base[0] * u, _CURRENT_VARIANCE
-    settle_current(f.y, f.y[I_C])
-    for k in (f.winding, f.core):
+    settle_current(f.c[:], f.y, f.y[I_C])
+    for k in (f.second, f.core):
         if k >= 0:
             _forget(f, k)
             f.P[k, k] = _LAGGING_STD_A**2

@@ -37,11 +37,11 @@ from twin.model.extended import (
     I_LINES,
     LOOP,
     RATE,
+    SECOND,
     SENSOR,
     STATES,
     WANDER,
     WARMTH,
-    WINDING,
     X_COLOUR,
     X_LINES,
     Base,
@@ -55,7 +55,7 @@ _NAMED = {
     "field": FIELD,
     "sensor": SENSOR,
     "rate": RATE,
-    "winding": WINDING,
+    "second": SECOND,
     "core": CORE,
     "warmth": WARMTH,
     "loop": LOOP,
@@ -91,7 +91,7 @@ class Memory(Protocol):
     field: int  # place in the covariance; -1: not in it (likewise the next ten)
     sensor: int
     rate: int
-    winding: int
+    second: int
     core: int
     warmth: int
     loop: int  # of the iron's hysteresis
@@ -152,7 +152,7 @@ def active_states(c: Floats) -> list[int]:
         (FIELD, c[eddy_current_lag.TAU] > 0.0),
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
         (RATE, c[position_sensor_lag.TAU] > 0.0 and c[position_sensor_lag.SECOND] > 0.0),
-        (WINDING, c[second_time_constant.SHARE] > 0.0),
+        (SECOND, c[second_time_constant.SHARE] != 0.0),
         (CORE, c[eddy_current_lag.TAU] > 0.0 and c[eddy_current_lag.SLOW] > 0.0),
         (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
         (LOOP, c[magnetic_hysteresis.HALF_WIDTH] > 0.0),
@@ -205,7 +205,7 @@ def memory_for(system: System) -> Memory:
     for name, state in _NAMED.items():
         record[name] = places.index(state) if state in places else -1
     record["wandering"], record["coloured"] = sum(state < WANDER for state in places), coloured
-    record["lasting"] = record["wandering"] - sum(state in places for state in (WINDING, CORE, WARMTH, LOOP))
+    record["lasting"] = record["wandering"] - sum(state in places for state in (SECOND, CORE, WARMTH, LOOP))
     for k, state in enumerate(places[record["wandering"] : coloured]):
         offset, wander = OFFSETS[state - WANDER]
         record["offsets"][k], record["q_w"][k] = offset, c[wander] ** 2 / MINUTE_S

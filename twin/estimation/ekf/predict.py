@@ -230,18 +230,19 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         rubs = c[coulomb_friction.FORCE]
         c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
         propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
-        for column in (0, f.winding, f.core):
+        for column in (0, f.second, f.core):
             if column < 0:
                 continue
             a = f.places[column]
             copy(moved, f.previous[:])
             moved[a] += _DELTA[a]
             propagate(held_base, c, moved, inputs, n, f.first, t, T_s, False)
-            for row in (0, f.winding, f.core):
+            for row in (0, f.second, f.core):
                 if row >= 0:
                     F[row, column] = (moved[f.places[row]] - y[f.places[row]]) / _DELTA[a]
         c[coulomb_friction.FORCE] = rubs
     if f.warmth >= 0:
+        F[f.warmth, f.warmth] = math.exp(-T_s / c[amplifier_gain_drift.TAU])
         F[0, f.warmth] = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - F[0, 0])
     if f.loop >= 0:
         moved_loop = magnetic_hysteresis.turned(c, loop_before + _DELTA[LOOP], i_before, y[I_C])

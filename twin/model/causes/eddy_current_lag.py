@@ -2,8 +2,8 @@
 
     tau z' + z = (i_c / gap^p)^a,   F_m = K_c (z^(1/a) gap^p)^2 / gap^2
 
-The current lags (p = 0, a = 1), the flux (p = 1, a = 1) or the force (p = 1, a = 2).  A share s of the current may lag
-with a longer time n tau, too: eddy currents of a solid core decay with many time constants, of which these are two.
+The current lags (p = 0, a = 1), the flux (p = 1, a = 1) or the force (p = 1, a = 2).  A share s may lag n times as
+long as the rest; tau is then the mean.  Eddy currents of a solid core have many time constants, of which these are two.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CAUSE = Cause(
     title="the force follows the current late",
     sentence="the force follows the current {tau_s} late",
     acts_on="magnetic force (3)",
-    equation="tau z' + z = (i_c / gap^p)^a, F_m = K_c z^(2/a) gap^(2p - 2); a share s lags by n tau",
+    equation="tau z' + z = (i_c / gap^p)^a, F_m = K_c z^(2/a) gap^(2p - 2); a share s lags n times as long",
     source="eddy currents in a solid core hold the field back",
     parameters=(
         CauseParameter(name="tau_s", symbol="tau", unit="s", index=TAU, low=0.0, high=0.02, probes=(0.0002, 0.002)),
@@ -33,7 +33,7 @@ CAUSE = Cause(
         ),
         CauseParameter(name="slow", symbol="s", index=SLOW, low=0.0, high=0.9, probes=(0.2,), spread=0.3),
         CauseParameter(
-            name="times", symbol="n", index=TIMES, neutral=20.0, low=2.0, high=200.0, probes=(20.0,), spread=20.0
+            name="times", symbol="n", index=TIMES, neutral=10.0, low=2.0, high=200.0, probes=(10.0,), spread=20.0
         ),
     ),
     signature="the acceleration lags the measured current, the more the faster the current changes",
@@ -73,29 +73,34 @@ def weight(c: Vector, gap: float, gap_mid: float) -> float:
 
 
 @inlined
+def quick(c: Vector) -> float:
+    """Return the shorter time constant, s."""
+    return c[TAU] if c[SLOW] == 0.0 else c[TAU] / (1.0 + c[SLOW] * (c[TIMES] - 1.0))
+
+
+@inlined
 def lagged(c: Vector, f: float, i: float, i_next: float, w: float, w_next: float, h: float) -> float:
     """The field current after h s while the current goes from i to i_next, and its weight from w to w_next, A."""
     if c[TAU] <= 0.0:
         return i_next
-    before, begin, end, a = f * w, i * w, i_next * w_next, c[ORDER]
+    before, begin, end, a, tau = f * w, i * w, i_next * w_next, c[ORDER], quick(c)
     if a != 1.0:
         before, begin, end = max(before, 0.0) ** a, max(begin, 0.0) ** a, max(end, 0.0) ** a
     slope = (end - begin) / h
-    after = end - slope * c[TAU] + (before - begin + slope * c[TAU]) * math.exp(-h / c[TAU])
+    after = end - slope * tau + (before - begin + slope * tau) * math.exp(-h / tau)
     return (after if a == 1.0 else max(after, 0.0) ** (1.0 / a)) / w_next
 
 
 @inlined
-def mixed(c: Vector, f: float, late: float) -> float:
-    """The field current that the ball feels, A, of the one that lags a little and the one that lags long."""
-    return f if c[SLOW] == 0.0 or c[TAU] <= 0.0 else (1.0 - c[SLOW]) * f + c[SLOW] * late
+def mixed(c: Vector, f: float, slow: float) -> float:
+    """The field current that the ball feels, A, of the two that lag."""
+    return f if c[SLOW] == 0.0 or c[TAU] <= 0.0 else (1.0 - c[SLOW]) * f + c[SLOW] * slow
 
 
 @inlined
-def late(c: Vector, z: float, i: float, i_next: float, h: float) -> float:
-    """The field current that lags long after h s while the current goes from i to i_next, A."""
-    tau = c[TAU] * c[TIMES]
-    if c[SLOW] == 0.0 or tau <= 0.0:
+def slow(c: Vector, z: float, i: float, i_next: float, h: float) -> float:
+    """The slow field current after h s while the current goes from i to i_next, A."""
+    if c[SLOW] == 0.0 or c[TAU] <= 0.0:
         return z
-    slope = (i_next - i) / h
+    tau, slope = quick(c) * c[TIMES], (i_next - i) / h
     return i_next - slope * tau + (z - i + slope * tau) * math.exp(-h / tau)

@@ -1,9 +1,9 @@
-"""second-time-constant: the current of the coil has a second time constant.
+"""second-time-constant: a share of the current comes with a time constant of its own.
 
-    T_A i' + i = e + s (z - i),   tau z' + z = i
+    i_c = (1 - a) i_1 + a i_2,   T_A i_1' + i_1 = e,   tau i_2' + i_2 = e
 
-e is the current that the amplifier tends to, and s (z - i) what a second winding induces: a frame, a yoke or a solid
-core.  Its own current decays with tau.
+e is the current that the amplifier tends to.  A second loop beside the coil's does so: a frame or a solid core in which
+the field induces currents, or the filter of a power stage.
 """
 
 from __future__ import annotations
@@ -19,54 +19,53 @@ SHARE, TAU = 123, 124
 CAUSE = Cause(
     name="second-time-constant",
     family="amplifier",
-    title="the current has a second time constant",
-    sentence="the current has a second time constant of {tau_s}, with the weight s = {share}",
+    title="a share of the current comes with a second time constant",
+    sentence="a share of the current, {share:%}, comes with a second time constant of {tau_s}",
+    opposite="the current overshoots by {share:%} and returns with a second time constant of {tau_s}",
     acts_on="(1)",
-    equation="T_A i' + i = K_A u_c + s (z - i), tau z' + z = i",
-    source="A. E. Fitzgerald, Ch. Kingsley, Electric Machinery, 2003: a short-circuited second winding",
+    equation="i_c = (1 - a) i_1 + a i_2, T_A i_1' + i_1 = K_A u_c, tau i_2' + i_2 = K_A u_c",
+    source="A. E. Fitzgerald, Ch. Kingsley, Electric Machinery, 2003: a winding beside a short-circuited one",
     parameters=(
-        CauseParameter(name="share", symbol="s", index=SHARE, low=0.0, high=5.0, probes=(0.1,)),
+        CauseParameter(name="share", symbol="a", index=SHARE, low=-0.5, high=0.9, probes=(0.05,)),
         CauseParameter(
             name="tau_s", symbol="tau", unit="s", index=TAU, neutral=5e-3, low=2e-4, high=5.0, probes=(5e-3,)
         ),
     ),
-    signature="after a step of u_c most of i_c comes with T_A, and the rest with a longer time",
+    signature="after a step of u_c most of i_c comes with T_A, and the rest with another time",
     shows_in=("amplifier-steps", "prbs-open-loop", "steps"),
-    confirm="record a step of u_c that is ten times longer than T_A: on a logarithmic scale what lacks has two slopes",
+    confirm="record a step of u_c that lasts ten times T_A: on a logarithmic scale the way to the end has two slopes",
     cure="a current loop in the amplifier, or the second pole in the design",
     needs=("u_c", "i_c"),
     deciding_measurements={"slew-rate-limit": OSCILLOSCOPE},
+    traits=frozenset({"hidden-state"}),
     usual="within a few ticks",
     forms=(
         Form(
             name="within tenths of a second",
             values={"tau_s": 0.1},
-            source="a solid yoke of iron, W. R. Smythe, Static and Dynamic Electricity, 1950",
+            source="R. L. Stoll, The Analysis of Eddy Currents, 1974: the current of a magnet with a solid yoke",
             probed=True,
         ),
     ),
-    traits=frozenset({"hidden-state"}),
 )
 
 
 @inlined
-def driven(c: Vector, i: float, z: float, target: float, T_A: float, h: float) -> tuple[float, float]:
-    """Return (the current, the lagging current) after h s from i and z, A, under a constant `target`, A."""
-    s, tau = c[SHARE], c[TAU]
-    a, q = i - target, z - target
-    mean = -0.5 * ((1.0 + s) / T_A + 1.0 / tau)
-    half = -0.5 * ((1.0 + s) / T_A - 1.0 / tau)
-    root = math.sqrt(half * half + s / (T_A * tau))
-    slow, fast = math.exp((mean + root) * h), math.exp((mean - root) * h)
-    even, uneven = 0.5 * (slow + fast), 0.5 * (slow - fast) / root
-    return (
-        target + even * a + uneven * (half * a + s / T_A * q),
-        target + even * q + uneven * (a / tau - half * q),
-    )
+def driven(c: Vector, i: float, second: float, target: float, T_A: float, h: float) -> tuple[float, float]:
+    """Return (the current, i_2) after h s from i and `second`, A, under a constant `target`, A."""
+    a = c[SHARE]
+    after = settled(c, second, target, h)
+    first = target + ((i - a * second) / (1.0 - a) - target) * math.exp(-h / T_A)
+    return (1.0 - a) * first + a * after, after
 
 
 @inlined
-def lagged(c: Vector, z: float, i: float, i_next: float, h: float) -> float:
-    """The lagging current after h s while the current goes from i to i_next, A."""
-    tau, slope = c[TAU], (i_next - i) / h
-    return i_next - slope * tau + (z - i + slope * tau) * math.exp(-h / tau)
+def settled(c: Vector, second: float, target: float, h: float) -> float:
+    """Return i_2 after h s under a constant target, A."""
+    return target + (second - target) * math.exp(-h / c[TAU])
+
+
+@inlined
+def pull(c: Vector, second: float, target: float, T_A: float) -> float:
+    """Return what i_2 adds to the target in T_A i_c' + i_c = target, A."""
+    return c[SHARE] * (1.0 - T_A / c[TAU]) * (second - target)
