@@ -246,8 +246,9 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
             if c[freewheel_diode.DROP] == 0.0:
                 target = max(target, 0.0)
-            if shared:  # i_2 changes little within a substep
-                end, target = target, target + second_time_constant.pull(c, second, target, T_A)
+            if shared:  # i_2 is that of the middle: it changes little within a substep
+                end, middle = target, second_time_constant.settled(c, second, target, 0.5 * h)
+                target += second_time_constant.pull(c, middle, target, T_A)
                 second = second_time_constant.settled(c, second, end, h)
             pressed = stops and v == 0.0 and (a1 < 0.0 if x <= 0.0 else x >= p.travel_m)
             i_half = _driven(p, c, i, target, T_A, v, 0.0 if pressed else a1, gap, 0.0, 0.5 * h)

@@ -23,7 +23,7 @@ OUTPUTS = ("i", "x", "v", "y_i", "y_x", "u")
 
 
 def with_causes(*names: str, sizes: dict[str, float] | None = None) -> Model:
-    """The shipped CE 152 with these causes in their usual form, of medium size."""
+    """The shipped CE 152 with these causes, of medium size and in their usual form; `sizes`: by cause or parameter."""
     model = Model.load("ce152")
     causes = []
     for name in names:
@@ -33,6 +33,7 @@ def with_causes(*names: str, sizes: dict[str, float] | None = None) -> Model:
             for one in cause.parameters
         }
         values[cause.strength.name] = (sizes or {}).get(name, values[cause.strength.name])
+        values |= {one: size for one in values if (size := (sizes or {}).get(f"{name}.{one}")) is not None}
         causes.append(
             ModelCause(
                 name=name,

@@ -25,6 +25,7 @@ from tests.harness.diagnose.hidden_campaign import (
 from tests.harness.diagnose.outside import OUTSIDE
 from tests.harness.diagnose.second_plant import NAMES, SecondBench
 from tests.harness.diagnose.textbook_plant import TextbookBench
+from twin.model.causes.catalogue import BY_NAME
 
 RIG = replace(CE152, position_noise_m=1e-12, current_noise_a=1e-12)
 STEP, HIGH, LOOP_X, LOOP_I = "step", "step at the top stop", "x in closed loop", "i_c in closed loop"
@@ -103,7 +104,7 @@ def test_the_textbook_rig_without_a_form_does_the_same(without: dict[str, FloatA
 @pytest.mark.parametrize("name", sorted(set(FORMS) - {"resistance-heats", "drag-cubic"}))
 def test_every_form_is_really_there(name: str, without: dict[str, FloatArray]) -> None:
     form = FORMS[name]
-    assert form.effect in EFFECTS
+    assert form.effect in BY_NAME
 
     found = records("textbook", {name: form.strong})
 

@@ -43,7 +43,15 @@ MODELS = {
         sizes={"actuation-delay": 2.3e-3, "sampling-delay": 0.7e-3},
     ),
     "hidden states": with_causes(
-        "eddy-current-lag", "position-sensor-lag", "motional-emf", "slew-rate-limit", "amplifier-gain-drift"
+        "eddy-current-lag",
+        "position-sensor-lag",
+        "motional-emf",
+        "slew-rate-limit",
+        "amplifier-gain-drift",
+        "second-time-constant",
+    ),
+    "two time constants": with_causes(
+        "second-time-constant", "eddy-current-lag", sizes={"eddy-current-lag.slow": 0.3, "second-time-constant": 0.2}
     ),
     "remainder": with_curve("force-over-height", 0.5e-3, 5e-3),
 }

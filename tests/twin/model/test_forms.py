@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from twin.estimation.record import FloatArray
 from twin.model.causes import (
     amplifier_dead_zone,
+    amplifier_gain_drift,
     core_saturation,
     coulomb_friction,
     current_limit,
@@ -23,10 +24,24 @@ from twin.model.causes import (
     position_dependent_inductance,
     position_sensor_lag,
     quadratic_drag,
+    second_time_constant,
 )
 from twin.model.causes.catalogue import CATALOGUE, neutral
 from twin.model.causes.cause import Cause
-from twin.model.extended import FIELD, I_C, RATE, SENSOR, STATES, Base, V, X, advance
+from twin.model.extended import (
+    CORE,
+    FIELD,
+    I_C,
+    RATE,
+    SECOND,
+    SENSOR,
+    STATES,
+    Base,
+    V,
+    X,
+    advance,
+    lasting_warmth,
+)
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
 MID_M = RIG.x_max_m - 0.5 * RIG.travel_m
@@ -181,7 +196,7 @@ def after(c: FloatArray, ticks: int) -> FloatArray:
     """The state after so many ticks, the input stepped at the first."""
     y = np.zeros(STATES)
     y[I_C], y[X], y[V], y[FIELD], y[SENSOR] = START_A, START_M, 0.05, START_A, START_M
-    y[RATE] = 0.05
+    y[RATE], y[SECOND], y[CORE] = 0.05, START_A, START_A
     for tick in range(ticks):
         advance(tuple(RIG), c, y, INPUT_V, tick * TICK_S, TICK_S, False)
     return y
@@ -213,6 +228,62 @@ def test_what_eddy_currents_hold_back_is_current_flux_or_force(flux: float, orde
     assert eddy_current_lag.TAU == 13
     assert y[X] == pytest.approx(truth[1], abs=2e-7)
     assert y[V] == pytest.approx(truth[2], abs=1e-4)
+
+
+@pytest.mark.parametrize("ticks", [1, 5])
+def test_a_solid_core_has_two_time_constants_and_tau_is_their_mean(ticks: int) -> None:
+    tau, share, times = 2e-3, 0.4, 8.0
+    quick = tau / (1.0 - share + share * times)
+
+    def right(_: float, z: FloatArray) -> list[float]:
+        i, x, v, fast, slow = z
+        field = (1.0 - share) * fast + share * slow
+        force = RIG.K_c * field**2 / (RIG.x_max_m - x) ** 2 - RIG.b * v
+        current = (RIG.K_A * INPUT_V - i) / RIG.T_A
+        lags = [(i - fast) / quick, (i - slow) / (times * quick)]
+        return [current, v, force / RIG.mass_kg - RIG.gravity_m_s2, *lags]
+
+    truth = solved(right, [START_A, START_M, 0.05, START_A, START_A], ticks)
+    y = after(having(p13=tau, p125=share, p126=times), ticks)
+
+    assert (eddy_current_lag.SLOW, eddy_current_lag.TIMES) == (125, 126)
+    assert y[X] == pytest.approx(truth[1], abs=2e-7)
+    assert y[V] == pytest.approx(truth[2], abs=1e-4)
+
+
+@pytest.mark.parametrize("ticks", [1, 5])
+@pytest.mark.parametrize(("share", "tau", "growth"), [(0.3, 8e-3, 0.0), (-0.2, 0.1, 0.0), (0.3, 8e-3, 0.5)])
+def test_a_share_of_the_current_has_a_time_constant_of_its_own(
+    share: float, tau: float, growth: float, ticks: int
+) -> None:
+    """Also where the inductance grows: T_A is then that of the moment."""
+
+    def right(_: float, z: FloatArray) -> list[float]:
+        i, x, v, second = z
+        c = having(p6=growth, p43=0.0)
+        plane, gap_mid = RIG.x_max_m, RIG.x_max_m - 0.5 * RIG.travel_m
+        T_A = position_dependent_inductance.time_constant(c, RIG.T_A, plane - x, plane, gap_mid) if growth else RIG.T_A
+        target = RIG.K_A * INPUT_V
+        pull = share * (1.0 - T_A / tau) * (second - target)
+        force = RIG.K_c * i**2 / (RIG.x_max_m - x) ** 2 - RIG.b * v
+        return [(target + pull - i) / T_A, v, force / RIG.mass_kg - RIG.gravity_m_s2, (target - second) / tau]
+
+    truth = solved(right, [START_A, START_M, 0.05, START_A], ticks)
+    y = after(having(p123=share, p124=tau, p6=growth, p43=0.0), ticks)
+
+    assert (second_time_constant.SHARE, second_time_constant.TAU) == (123, 124)
+    assert y[I_C] == pytest.approx(truth[0], abs=1e-9 if growth == 0.0 else 3e-4)
+    assert y[X] == pytest.approx(truth[1], abs=2e-7)
+    assert y[SECOND] == pytest.approx(truth[3], abs=1e-12)
+
+
+@given(load=st.floats(0.5, 3.0), i=st.floats(0.0, 2.0))
+def test_the_load_of_a_coil_is_a_square_and_that_of_a_supply_its_current(load: float, i: float) -> None:
+    c = having(p0=0.05, p127=load)
+
+    assert (amplifier_gain_drift.LOSS, amplifier_gain_drift.POWER) == (0, 127)
+    assert lasting_warmth(c, i) == pytest.approx(i**load)
+    assert lasting_warmth(having(p0=0.05), i) == pytest.approx(i * i)
 
 
 @pytest.mark.parametrize("second", [0.05, 0.25, 0.5, 1.0])
