@@ -12,6 +12,7 @@ from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
 from tests.harness.gateway.design_files import CAMPAIGN
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
+from tests.patience import WORK_S
 from twin.commands.compile import _campaign as simulated_campaign
 from twin.mirror.bus.service import TwinService
 from twin.model.parameters import Model, model_text
@@ -52,7 +53,7 @@ def done(program: Program, kind: str, **more: object) -> dict[str, Any]:
         found: dict[str, Any] = {job["kind"]: job for job in program.json("/rigs/rig/jobs")["jobs"]}[kind]
         return None if found["running"] else found
 
-    return wait_for(ended, "its end")
+    return wait_for(ended, "its end", WORK_S)
 
 
 def test_a_model_is_validated_on_the_recordings_that_judge(line: tuple[PlayedGateway, Program]) -> None:

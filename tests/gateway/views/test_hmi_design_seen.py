@@ -11,12 +11,12 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, start_job
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.hmi_peers import Process
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.harness.twin.true_model import true_model
-from tests.patience import HANG_MS
+from tests.patience import HANG_MS, WORK_MS
 
 pytestmark = [
     pytest.mark.xdist_group("hmi-design"),
@@ -24,7 +24,6 @@ pytestmark = [
     pytest.mark.slow,
 ]
 CAMPAIGN = "rig-20260102-030405"
-WORK_MS = 120_000  # a design takes 5 s of processor time, a forecast 10 s, a flight 6 s
 
 
 @pytest.fixture(scope="module")
@@ -70,14 +69,10 @@ def parameters(bus: Bus) -> pb.Parameters:
     return made
 
 
-def press(page: Page, name: str) -> None:
-    page.get_by_role("button", name=name, exact=True).click(timeout=WORK_MS)
-
-
 def test_a_design_is_shown_loaded_and_flown(page: Page, rig: Rig, bus: Bus) -> None:
     before = list(parameters(bus).gains)
     page.get_by_label("settling time").fill("50")
-    press(page, "Design")
+    start_job(page, "Design")
     card = page.locator(".card", has_text="Margins on the model")
     margin = card.get_by_role("row", name="phase margin, deg")
     expect(margin).to_have_text(re.compile(r"phase margin, deg47\.\d+41\.\d+"), timeout=WORK_MS)
@@ -87,7 +82,8 @@ def test_a_design_is_shown_loaded_and_flown(page: Page, rig: Rig, bus: Bus) -> N
     page.mouse.down()
     with page.expect_response(f"{rig.url}/model/rig"):
         button.evaluate("(button) => { button.title = 'old'; document.dispatchEvent(new Event('board51-changed')); }")
-    page.mouse.up()
+    with page.expect_response("**/job"):
+        page.mouse.up()
     expect(card).to_contain_text("The ball stays in flight.", timeout=WORK_MS)
 
     # A refused load leaves gains and ball as they were.
@@ -109,15 +105,15 @@ def test_a_design_is_shown_loaded_and_flown(page: Page, rig: Rig, bus: Bus) -> N
     page.reload()
     page.keyboard.press("Escape")  # STOP: loading in idle is the safest
     wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
-    press(page, "Load on the board")
+    page.get_by_role("button", name="Load on the board", exact=True).click(timeout=WORK_MS)
     expect(card.locator(".in-use")).to_be_visible(timeout=WORK_MS)
     (made,) = (rig.folder / "data" / "campaigns" / CAMPAIGN / "designs").iterdir()
     designed = json.loads((made / "controller.json").read_text())["gains"]
     assert list(parameters(bus).gains) == pytest.approx(designed, rel=1e-4)
     assert before != pytest.approx(designed, rel=1e-2)
 
-    press(page, "Fly the steps again")
-    press(page, "Compare with the forecast")
+    start_job(page, "Fly the steps again")
+    start_job(page, "Compare with the forecast")
     expect(card).to_contain_text("figures of the flight that followed", timeout=WORK_MS)
     figures = json.loads((made / "what_if.json").read_text())["figures"]
     flown_figures = {figure["name"]: figure for figure in figures if figure["flown"] is not None}
@@ -130,7 +126,7 @@ def test_a_design_is_shown_loaded_and_flown(page: Page, rig: Rig, bus: Bus) -> N
 
 def test_a_design_that_is_not_stable_gives_no_gains_and_says_why(page: Page) -> None:
     page.get_by_label("settling time").fill("0.001")
-    press(page, "Design")
+    start_job(page, "Design")
 
     expect(page.locator('[data-live="design-said"]')).to_contain_text(
         "not with all that was asked for", timeout=WORK_MS
@@ -141,7 +137,7 @@ def test_a_design_that_is_not_stable_gives_no_gains_and_says_why(page: Page) -> 
 
 
 def test_two_models_are_chosen_and_compared(page: Page) -> None:
-    press(page, "Compare")
+    start_job(page, "Compare")
 
     card = page.locator(".results .card", has_text="Last comparison")
     expect(card).to_contain_text("emulated (no. 2) predicts better.", timeout=WORK_MS)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 
 import httpx
@@ -19,15 +18,14 @@ from protocol.campaign import load
 from protocol.log.reader import read
 from tests.harness.gateway.access_peers import PASSWORD, guarded_rig, made_folder
 from tests.harness.gateway.api_peers import Program
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, start_job
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, Process, hmi
 from tests.harness.ports import free_port
+from tests.patience import HANG_MS, WORK_MS
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
 in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)
-UP_MS = 60_000
-WORK_MS = 240_000  # a quick campaign takes 35 s, a quick diagnosis 20 s of processor time: more on a busy machine
 
 
 class Plant:
@@ -68,11 +66,12 @@ def logged_in(browser: Browser, plant: Plant, name: str) -> Iterator[Tab]:
     """The rig's page of a person who has come in by the form."""
     # Chromium takes authorities from the system's store only; that httpx trusts ours is the test at the end.
     context = browser.new_context(viewport={"width": 1400, "height": 900}, ignore_https_errors=True)
+    context.set_default_timeout(HANG_MS)
     tab = context.new_page()
     tab.goto(f"https://127.0.0.1:{plant.port}/rig/rig")
     log_in(tab, name)
     tab.wait_for_url(f"https://127.0.0.1:{plant.port}/rig/rig")
-    tab.wait_for_selector("body[data-live=yes]", timeout=UP_MS)
+    tab.wait_for_selector("body[data-live=yes]")
     yield tab
     context.close()
 
@@ -90,10 +89,10 @@ def test_a_page_whose_server_restarted_asks_to_log_in_again(browser: Browser, pl
         plant.hmi.kill()
         plant.hmi = plant.start_hmi()
 
-        expect(tab.get_by_text("Your session is over. Log in again.")).to_be_visible(timeout=UP_MS)
+        expect(tab.get_by_text("Your session is over. Log in again.")).to_be_visible()
         log_in(tab, "ben")
-        tab.wait_for_url(f"https://127.0.0.1:{plant.port}/rig/rig", timeout=UP_MS)
-        tab.wait_for_selector("body[data-live=yes]", timeout=UP_MS)
+        tab.wait_for_url(f"https://127.0.0.1:{plant.port}/rig/rig")
+        tab.wait_for_selector("body[data-live=yes]")
 
 
 @in_a_browser
@@ -102,28 +101,27 @@ def test_from_a_campaign_to_a_better_model_by_an_engineer_s_buttons(browser: Bro
     """Each answer comes onto the page by itself; the emulated rig has its coil higher than the nominal model."""
     with logged_in(browser, plant, "ben") as tab:
         tab.get_by_role("link", name="Campaign, diagnosis, hand-over").click()
-        expect(tab.get_by_text("The twin runs on ce152")).to_be_visible(timeout=UP_MS)
+        expect(tab.get_by_text("The twin runs on ce152")).to_be_visible()
         assert tab.get_by_role("button", name="Run quick").count() == 0, "an operator may not"
 
     with logged_in(browser, plant, "ana") as tab:
         tab.goto(f"https://127.0.0.1:{plant.port}/model/rig")
-        button = partial(tab.get_by_role, "button")
-        button(name="Run quick").click()
-        expect(tab.locator(".job-lines").first).to_contain_text("[1/", timeout=UP_MS)
-        button(name="Identify", exact=True).click(timeout=WORK_MS)
+        start_job(tab, "Run quick (35 s)")
+        expect(tab.locator(".job-lines").first).to_contain_text("[1/")
+        start_job(tab, "Identify")
         expect(tab.locator(".results").get_by_text("identified model, campaign of")).to_be_visible(timeout=WORK_MS)
-        button(name="Diagnose, quick").click()
+        start_job(tab, "Diagnose, quick")
         expect(tab.locator(".sentence")).to_contain_text("coil sits", timeout=WORK_MS)
         expect(tab.get_by_role("img", name="Prediction error")).to_be_visible()
         models = tab.locator(".card", has_text="Models")
         extended = models.locator(".file", has_text="extended model")
         extended.get_by_role("button", name="Hand over to the twin").click()
-        expect(extended.get_by_text("in use")).to_be_visible(timeout=UP_MS)
-        expect(tab.get_by_text("handed over by ana")).to_be_visible(timeout=UP_MS)
+        expect(extended.get_by_text("in use")).to_be_visible()
+        expect(tab.get_by_text("handed over by ana")).to_be_visible()
         expect(tab.locator('[data-live="hand-over-said"]')).to_contain_text(": done")
         before = models.locator(".file", has_text="before a hand-over")
         before.get_by_role("button", name="Return to this model").click()
-        expect(before.get_by_text("in use")).to_be_visible(timeout=UP_MS)
+        expect(before.get_by_text("in use")).to_be_visible()
     plant.gateway.end()
 
     (folder,) = (plant.folder / "data" / "campaigns").iterdir()

@@ -13,11 +13,11 @@ from playwright.sync_api import Browser, Page, expect
 from gateway.emulator.own_rig import limits_toml, load_rig
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, start_job
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
-from tests.patience import HANG_MS
+from tests.patience import HANG_MS, WORK_MS
 
 pytestmark = [
     pytest.mark.slow,
@@ -35,7 +35,6 @@ x_max_m = 16e-3
 force_constant_n_m2_a2 = {TRUTH["K_c"]}
 drag_n_s_m = {TRUTH["b"]}
 """
-WORK_MS = 300_000  # a quick campaign takes 35 s, an identification 10 s of processor time
 NOBODY = "Assumed: nobody stated the plant of this rig."
 
 
@@ -53,7 +52,7 @@ def opened(browser: Browser, url: str) -> Iterator[Page]:
 
 
 def press(page: Page, name: str) -> None:
-    page.get_by_role("button", name=name, exact=True).click(timeout=WORK_MS)
+    page.get_by_role("button", name=name, exact=True).click()
 
 
 def state(page: Page, **values: str) -> None:
@@ -133,11 +132,11 @@ def live_page(browser: Browser, rig: Rig) -> Iterator[Page]:
 
 def fly_and_identify(page: Page, number: int, *, ends: str) -> None:
     """A campaign and an identification of it, by buttons; `ends`: what is said of the identification."""
-    press(page, "Run quick (35 s)")
+    start_job(page, "Run quick (35 s)")
     expect(page.locator("[data-live=campaign-said]")).to_contain_text("running", timeout=WORK_MS)
     expect(page.locator("[data-live=campaign-said]")).not_to_contain_text("running", timeout=WORK_MS)
     expect(page.locator(".file", has_text="recordings")).to_have_count(number, timeout=WORK_MS)
-    press(page, "Identify")
+    start_job(page, "Identify")
     expect(page.locator("[data-live=identify-said]")).to_contain_text(ends, timeout=WORK_MS)
 
 

@@ -6,9 +6,9 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from playwright.sync_api import Browser, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tests.patience import HANG_MS
+from tests.patience import HANG_MS, WORK_MS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 ABSENT = "Debian's chromium is not installed"
@@ -24,3 +24,10 @@ def chromium() -> Iterator[Browser]:
         )
         yield browser
         browser.close()
+
+
+def start_job(page: Page, name: str) -> None:
+    """Press the button of that name as soon as it may be pressed; the server must answer that its job has started."""
+    with page.expect_response("**/job", timeout=WORK_MS) as answer:
+        page.get_by_role("button", name=name, exact=True).click(timeout=WORK_MS)
+    assert answer.value.json()["accepted"], answer.value.text()

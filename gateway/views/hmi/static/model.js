@@ -28,7 +28,7 @@ document.addEventListener("board51-rest", (event) => {
 
 // A button that is replaced between press and release is never clicked: parts wait until it is let go, which a page
 // does not hear of where the pointer has left it.
-const HELD_MS = 2000;
+const HELD_MS = 10_000;
 let letGo = Promise.resolve(), release = null;
 document.addEventListener("pointerdown", () => {
   letGo = new Promise((resolve) => {
