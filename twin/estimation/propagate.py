@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import actuation_delay, sampling_delay
-from twin.model.extended import I_C, Base, current_reading, held_current, over
+from twin.model.extended import Base, held_current, over, reading_of_current
 
 INPUT_DELTA_V = 1e-3
 UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the previous one
@@ -121,12 +121,12 @@ def find_input(
     for _ in range(3):
         copy(moved, before)
         propagate(base, c, moved, u, n, first, t, T_s, False)
-        i_c = current_reading(c, moved[I_C])
+        i_c = reading_of_current(c, moved)
         u[lost] += INPUT_DELTA_V
         copy(moved, before)
         propagate(base, c, moved, u, n, first, t, T_s, False)
         u[lost] -= INPUT_DELTA_V
-        answer = (current_reading(c, moved[I_C]) - i_c) / INPUT_DELTA_V
+        answer = (reading_of_current(c, moved) - i_c) / INPUT_DELTA_V
         # Where i_c hardly responds within an interval, its noise would be divided by almost nothing: the last input
         # stays.
         if not answer > _ANSWERS * base[0]:

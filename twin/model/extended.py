@@ -5,7 +5,7 @@
 
 The state y has shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2),
 rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1), share of the current with a
-second time constant (A), field of a solid core (A).  Then follows how far each of `OFFSETS` has
+second time constant (A), field of a solid core (A), current sensor (A).  Then follows how far each of `OFFSETS` has
 wandered, in its unit; the caller adds it to c.  Then comes the coloured noise of the readings of i_c (A) and x (m), and
 last their lines, a pair for each harmonic.  The caller advances these and adds them to the readings.
 
@@ -37,6 +37,7 @@ from twin.model.causes import (
     coulomb_friction,
     current_limit,
     current_sensor_gain,
+    current_sensor_lag,
     current_sensor_offset,
     curve,
     eddy_current_lag,
@@ -60,8 +61,8 @@ from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import Vector
 from twin.model.causes.sensor_line import HARMONICS
 
-I_C, X, V, FIELD, SENSOR, WARMTH, RATE, LOOP, SECOND, CORE = range(10)
-WANDER = 10  # of the first of `OFFSETS`
+I_C, X, V, FIELD, SENSOR, WARMTH, RATE, LOOP, SECOND, CORE, I_SENSOR = range(11)
+WANDER = 11  # of the first of `OFFSETS`
 I_COLOUR, X_COLOUR = WANDER + len(OFFSETS), WANDER + len(OFFSETS) + 1
 I_LINES = X_COLOUR + 1
 X_LINES = I_LINES + 2 * HARMONICS
@@ -138,7 +139,7 @@ def lasting_warmth(c: Vector, i: float) -> float:
 @inlined
 def settle_current(c: Vector, y: NDArray[np.float64], i: float) -> None:
     """Set the current of the coil to i, A, and what follows it, its warmth too, to that of a long time."""
-    y[I_C], y[FIELD], y[SECOND], y[CORE] = i, i, i, i
+    y[I_C], y[FIELD], y[SECOND], y[CORE], y[I_SENSOR] = i, i, i, i, i
     y[WARMTH] = lasting_warmth(c, i)
 
 
@@ -155,8 +156,14 @@ def lagging_reading(c: Vector, s: float, rate: float, steady: float, h: float) -
 
 
 @inlined
+def reading_of_current(c: Vector, y: NDArray[np.float64]) -> float:
+    """Return the reading of the current sensor in the state y, A."""
+    return current_reading(c, current_sensor_lag.shown(c, y[I_SENSOR], y[I_C]))
+
+
+@inlined
 def current_reading(c: Vector, i: float) -> float:
-    """Return the reading of the current sensor, A."""
+    """Return the steady-state reading of the current sensor, A."""
     return current_sensor_offset.shifted(c, current_sensor_gain.scaled(c, i))
 
 
@@ -304,6 +311,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z_next
         y[SECOND], y[CORE] = second, core
+        y[I_SENSOR] = current_sensor_lag.lagged(c, y[I_SENSOR], i, i_next, h)
         t += h
 
 

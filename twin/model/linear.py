@@ -24,6 +24,7 @@ from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
     current_sensor_gain,
+    current_sensor_lag,
     eddy_current_lag,
     magnetic_hysteresis,
     periodic_disturbance,
@@ -37,6 +38,7 @@ from twin.model.extended import (
     CORE,
     FIELD,
     I_C,
+    I_SENSOR,
     RATE,
     SECOND,
     SENSOR,
@@ -51,7 +53,17 @@ from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
-_DELTA = {I_C: 1e-5, X: 1e-7, V: 1e-5, FIELD: 1e-5, SENSOR: 1e-7, RATE: 1e-5, SECOND: 1e-5, CORE: 1e-5}  # SI units
+_DELTA = {
+    I_C: 1e-5,
+    X: 1e-7,
+    V: 1e-5,
+    FIELD: 1e-5,
+    SENSOR: 1e-7,
+    RATE: 1e-5,
+    SECOND: 1e-5,
+    CORE: 1e-5,
+    I_SENSOR: 1e-5,
+}  # SI units
 _DELTA_U = 1e-4  # V
 
 
@@ -78,6 +90,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     eddy, lag = float(eddy_current_lag.quick(c)), float(c[position_sensor_lag.TAU])
     y0, u0 = at_rest(p, c, x_m, as_reading=True)
     lags = {FIELD: eddy, SENSOR: lag, SECOND: c[second_time_constant.TAU] * (c[second_time_constant.SHARE] != 0.0)}
+    lags[I_SENSOR] = float(c[current_sensor_lag.TAU])
     lags[CORE] = eddy * c[eddy_current_lag.TIMES] * (c[eddy_current_lag.SLOW] > 0.0)
     places = [I_C, X, V, *(state for state, tau in lags.items() if tau > 0.0)]
     if lag > 0.0 and c[position_sensor_lag.SECOND] > 0.0:
@@ -117,7 +130,7 @@ def measured(
     Currents that lag behind the coil's, which are not measured, are assumed settled at the measured one.
     """
     c = c.copy()
-    c[position_sensor_lag.TAU] = 0.0
+    c[position_sensor_lag.TAU] = c[current_sensor_lag.TAU] = 0.0
     phi, gamma = discretised(*linearised(p, c, x_m), 0.0, sample_time_s)
     phi[:, 0] += phi[:, 3:].sum(axis=1) / c[current_sensor_gain.GAIN]
     return phi[:3, :3], gamma[:3]
@@ -146,6 +159,9 @@ def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int])
         readings[1], readings[row] = np.eye(len(places))[row], position_row
     else:
         readings[1] = position_row
+    if I_SENSOR in places:
+        row = places.index(I_SENSOR)
+        readings[[0, row]] = readings[0, 0] * np.eye(len(places))[[row, 0]]
     return readings
 
 

@@ -24,7 +24,6 @@ from twin.compiled import Packed, kernel
 from twin.model.causes import actuation_delay, periodic_disturbance, sampling_delay
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.extended import (
-    I_C,
     RATE,
     SENSOR,
     STATES,
@@ -37,6 +36,7 @@ from twin.model.extended import (
     over,
     position_of_reading,
     position_reading,
+    reading_of_current,
     settle_current,
 )
 from twin.model.extension import base, vector
@@ -148,7 +148,7 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
     T_s = p.sample_time_s
     if p.act_whole == 0 and p.act_part_s == 0.0 and p.sense_whole == 0 and p.sense_part_s == 0.0:
         over(p.base, p.c, memory, u, 0.0, T_s, True)
-        memory[I_READ], memory[X_READ] = current_reading(p.c, memory[I_C]), memory[SENSOR]
+        memory[I_READ], memory[X_READ] = reading_of_current(p.c, memory), memory[SENSOR]
         return
     last_u = LINES + p.act_whole + 1
     for k in range(last_u, LINES, -1):
@@ -164,5 +164,5 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
             over(p.base, p.c, memory, memory[last_u] if at < change else memory[last_u - 1], 0.0, end - at, True)
             at = end
         if at == look:
-            memory[last_u + 1], memory[last_u + 2] = current_reading(p.c, memory[I_C]), memory[SENSOR]
+            memory[last_u + 1], memory[last_u + 2] = reading_of_current(p.c, memory), memory[SENSOR]
     memory[I_READ], memory[X_READ] = memory[last], memory[last + 1]

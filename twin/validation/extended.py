@@ -10,7 +10,7 @@ import numpy as np
 from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
-from twin.model.extended import I_C, SENSOR, STATES, V, X, current_of_reading, current_reading, settle_current
+from twin.model.extended import SENSOR, STATES, V, X, current_of_reading, reading_of_current, settle_current
 from twin.model.extension import base
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
@@ -34,7 +34,7 @@ def as_readings(state: FloatArray, model: Model) -> FloatArray:
     """Turn states, shape (n, STATES), into readings of i_c and x, and the speed; shape (n, 3), in A, m, m/s."""
     c = plant_numbers(model, 1e-3).c
     readings = np.empty((len(state), 3))
-    readings[:, 0] = [current_reading(c, i) for i in state[:, I_C].tolist()]
+    readings[:, 0] = [reading_of_current(c, y) for y in state]
     readings[:, 1], readings[:, 2] = state[:, SENSOR], state[:, V]
     return readings
 
@@ -61,5 +61,5 @@ def current(
     for k in range(1, len(u)):
         y[X], y[V] = x[k - 1], 0.0
         propagate(p, c, y, u, k, 0, 0.0, float(step[k]), False)
-        readings[k] = current_reading(c, y[I_C])
+        readings[k] = reading_of_current(c, y)
     return readings

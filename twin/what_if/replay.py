@@ -23,7 +23,7 @@ from twin.control import LawNumbers, law, rounded
 from twin.estimation.propagate import copy, propagate
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import System
-from twin.model.extended import I_C, SENSOR, STATES, Base, X, current_reading
+from twin.model.extended import SENSOR, STATES, Base, X, reading_of_current
 
 NEVER = -1
 
@@ -76,7 +76,7 @@ def _split(
     for k in range(1, len(u)):
         copy(y, state[k - 1])
         propagate(base, c, y, u, k, 0, 0.0, step[k], True)
-        predicted = (current_reading(c, y[I_C]), y[SENSOR])
+        predicted = (reading_of_current(c, y), y[SENSOR])
         for n in range(2):
             if np.isfinite(readings[k, n]):
                 e[k - 1, n] = readings[k, n] - predicted[n]
@@ -127,7 +127,7 @@ def replay(
                 out[:, k:] = np.nan
                 return k
             at = reference.order[k]
-            i = current_reading(c, y[I_C]) + disturbed.readings[at, 0]
+            i = reading_of_current(c, y) + disturbed.readings[at, 0]
             x_before, x = x, y[SENSOR] + disturbed.readings[at, 1]
             for m in range(STATES):
                 y[m] += disturbed.state[at, m]

@@ -140,6 +140,9 @@ FORMS: Mapping[str, Form] = MappingProxyType({
     "current-creeps": _form(
         "second-time-constant", (0.1, 0.4), "s", "75 % of the current with T_A, 25 % with this time, side by side",
         "a power stage whose supply and core settle late"),
+    "current-filtered": _form(
+        "current-sensor-lag", (1e-3, 3e-3), "s", "i_c is read, by the law too, through a low pass of first order",
+        "U. Tietze, Ch. Schenk, Electronic Circuits, 2008"),
     "eddy-diffusion": _form(
         "eddy-current-lag", (2e-3, 5e-3), "s", "field: i lagging by tau / n^2 with weight 1 / n^2, n = 1, 3, 5, 7",
         "R. L. Stoll, The Analysis of Eddy Currents, 1974: diffusion into a plate", held_out=True),

@@ -42,8 +42,8 @@ HEATS, SOFT_ZONE, SOFT_LIMIT, INDUCTANCE, CUBIC, SECOND_ORDER, DRAG, JITTER = ra
 TANH, LANGEVIN, GAP_POLYNOMIAL, TWO_SIDED, FOLDBACK, SQUARE_ZONE, INDUCTANCE_EXP, SINE, THIRD_ORDER, CUBE = range(
     17, 27
 )
-CURRENT_TWO, CREEPS, DIFFUSION = range(27, 30)
-assert len(FORMS) == 30
+CURRENT_TWO, CREEPS, FILTERED, DIFFUSION = range(27, 31)
+assert len(FORMS) == 31
 KINDS = {name: kind for kind, name in enumerate(FORMS)}
 HEATING_S = 28.0
 FOLDS_BACK = 0.3
@@ -54,7 +54,8 @@ CREEPING_SHARE = 0.25
 DIFFUSED = 1.0 + 1.0 / 9.0 + 1.0 / 25.0 + 1.0 / 49.0  # all of the current, when it has settled
 # i_c, what is held back (two), x, v, warmth, sensor and its rate, bristle, filters before the sensor (two), then layers
 COIL, SLOW, FAST, X, V, W, S, SV, Z, S1, S2 = range(11)
-LAYER = 11
+READ = 11  # i_c as its sensor shows it
+LAYER = 12
 LAYERS = 4
 
 
@@ -154,6 +155,7 @@ def rest_of(y: FloatArray, c: Constants) -> None:
         y[SLOW], y[FAST] = i, i
     for n in range(LAYERS):
         y[LAYER + n] = i
+    y[READ] = i
 
 
 @njit
@@ -200,6 +202,7 @@ def pass_time(
             y[COIL] = max((1.0 - CREEPING_SHARE) * y[SLOW] + CREEPING_SHARE * y[FAST], 0.0)
         else:
             y[COIL] = max(i + (goal - i) * (1.0 - math.exp(-h / lag)), 0.0)
+        y[READ] = y[COIL] if c.kind != FILTERED else y[READ] + (y[COIL] - y[READ]) * (1.0 - math.exp(-h / c.size))
         y[W] += h / HEATING_S * (y[COIL] ** 2 - y[W])
 
         force = magnet(y, x, c) - c.m * c.g
@@ -241,7 +244,7 @@ def pass_time(
         else:
             y[S] = shown(x_new, c)
         k += 1
-        i_past[k % RING], x_past[k % RING] = y[COIL], y[S]
+        i_past[k % RING], x_past[k % RING] = y[READ], y[S]
     return k
 
 
@@ -255,7 +258,7 @@ def run_ticks(
     steps = round(TICK_S / STEP_S)
     for n in range(len(signal)):
         k = pass_time(y, k, steps, u, int(delays[n]), c, inputs, i_past, x_past)
-        i_m = convert(y[COIL] + noise[n, 0], CURRENT_ADC[0], CURRENT_ADC[1])
+        i_m = convert(y[READ] + noise[n, 0], CURRENT_ADC[0], CURRENT_ADC[1])
         x_m = convert(y[S] + noise[n, 1], POSITION_ADC[0], POSITION_ADC[1])
         if closed:
             speed = (x_m - memory[1]) / TICK_S if memory[2] > 0.0 else 0.0
@@ -321,7 +324,7 @@ class TextbookBench:
         noise = self._draw_noise(CAPTURE_COUNT)
         for n in range(CAPTURE_COUNT):
             u = high if n >= CAPTURE_PRE else low
-            i_m = convert(float(self._y[COIL]) + float(noise[n, 0]), CURRENT_ADC[0], CURRENT_ADC[1])
+            i_m = convert(float(self._y[READ]) + float(noise[n, 0]), CURRENT_ADC[0], CURRENT_ADC[1])
             out[n] = self._k * STEP_S, u, i_m
             self._k = pass_time(self._y, self._k, round(CAPTURE_S / STEP_S), u, delay, self._c, *self._rings)
         self._run(np.zeros(1), closed=False)  # back on the grid of ticks, coil off

@@ -30,6 +30,7 @@ RIG = replace(QUIET, T_A=5e-3, process_i_c_a=2e-3)
 STRENGTHS = {
     "coulomb-friction": 1e-3,
     "current-limit": 0.8,
+    "current-sensor-lag": 2e-3,
     "current-sensor-line": 8e-3,
     "freewheel-diode": 0.5,
     "lost-samples": 0.03,

@@ -51,7 +51,10 @@ MODELS = {
         "second-time-constant",
     ),
     "two time constants": with_causes(
-        "second-time-constant", "eddy-current-lag", sizes={"eddy-current-lag.slow": 0.3, "second-time-constant": 0.2}
+        "second-time-constant",
+        "eddy-current-lag",
+        "current-sensor-lag",
+        sizes={"eddy-current-lag.slow": 0.3, "second-time-constant": 0.2},
     ),
     "remainder": with_curve("force-over-height", 0.5e-3, 5e-3),
 }

@@ -18,6 +18,7 @@ from twin.model.causes import (
     core_saturation,
     coulomb_friction,
     current_limit,
+    current_sensor_lag,
     eddy_current_lag,
     force_exponent,
     motional_emf,
@@ -32,6 +33,7 @@ from twin.model.extended import (
     CORE,
     FIELD,
     I_C,
+    I_SENSOR,
     RATE,
     SECOND,
     SENSOR,
@@ -41,6 +43,7 @@ from twin.model.extended import (
     X,
     advance,
     lasting_warmth,
+    reading_of_current,
 )
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
@@ -196,7 +199,7 @@ def after(c: FloatArray, ticks: int) -> FloatArray:
     """The state after so many ticks, the input stepped at the first."""
     y = np.zeros(STATES)
     y[I_C], y[X], y[V], y[FIELD], y[SENSOR] = START_A, START_M, 0.05, START_A, START_M
-    y[RATE], y[SECOND], y[CORE] = 0.05, START_A, START_A
+    y[RATE], y[SECOND], y[CORE], y[I_SENSOR] = 0.05, START_A, START_A, START_A
     for tick in range(ticks):
         advance(tuple(RIG), c, y, INPUT_V, tick * TICK_S, TICK_S, False)
     return y
@@ -275,6 +278,24 @@ def test_a_share_of_the_current_has_a_time_constant_of_its_own(
     assert y[I_C] == pytest.approx(truth[0], abs=1e-9 if growth == 0.0 else 3e-4)
     assert y[X] == pytest.approx(truth[1], abs=2e-7)
     assert y[SECOND] == pytest.approx(truth[3], abs=1e-12)
+
+
+@pytest.mark.parametrize("ticks", [1, 5])
+def test_a_slow_current_sensor_shows_the_current_late_and_changes_nothing_else(ticks: int) -> None:
+    tau = 1.5e-3
+
+    def right(_: float, z: FloatArray) -> list[float]:
+        i, shown = z
+        return [(RIG.K_A * INPUT_V - i) / RIG.T_A, (i - shown) / tau]
+
+    truth = solved(right, [START_A, START_A], ticks)
+    c = having(p128=tau)
+    y, plain = after(c, ticks), after(neutral(), ticks)
+
+    assert current_sensor_lag.TAU == 128
+    assert reading_of_current(c, y) == pytest.approx(truth[1], abs=1e-4)
+    assert reading_of_current(neutral(), plain) == pytest.approx(truth[0], abs=1e-9)
+    assert (y[:8] == plain[:8]).all()
 
 
 @given(load=st.floats(0.5, 3.0), i=st.floats(0.0, 2.0))

@@ -31,9 +31,9 @@ from twin.model.extended import (
     Base,
     V,
     X,
-    current_reading,
     lagging_reading,
     position_reading,
+    reading_of_current,
     sensor_lag_s,
 )
 
@@ -194,7 +194,7 @@ def play(
             y[I_C] += noise[2, n]
         if lag_s <= 0.0:
             y[SENSOR] = position_reading(p, c, y[X], y[I_C])
-        i, x = current_reading(c, y[I_C]) + noise[0, n], y[SENSOR] + noise[1, n]
+        i, x = reading_of_current(c, y) + noise[0, n], y[SENSOR] + noise[1, n]
         i, x = max(rounded(i, lsb[0]), lsb[3]), rounded(x, lsb[1])
         if n == 0:
             x_prev = x - speed * numbers.sample_time_s

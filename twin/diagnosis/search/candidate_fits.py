@@ -103,8 +103,24 @@ def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) ->
 
 def _start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
     start = start_of(criterion.thinner, current.theta, score)
-    fit = approach(criterion, start, _with(current.free, score.cause))
+    fit = _with_exchanged_lags(criterion, approach(criterion, start, _with(current.free, score.cause)), score.cause)
     return Trial(cause=score.cause, fit=fit, gain=fit.loglik - current.loglik - score.chance)
+
+
+def _with_exchanged_lags(criterion: Criterion, fit: Fit, cause: str) -> Fit:
+    """Return the better of a fit and one in which T_A and the time of the cause have changed places.
+
+    Two lags in series are the same to a sensor behind both, so each order is a maximum, and only one is the truth.
+    """
+    strength = BY_NAME[cause].strength
+    name, T_A = f"{cause}.{strength.name}", fit.theta.T_A
+    if strength.unit != "s" or not strength.low < T_A < strength.high:
+        return fit
+    start = fit.theta.having("T_A", fit.theta.value(name)).having(name, T_A)
+    if criterion.value(start) <= fit.loglik:
+        return fit
+    again = approach(criterion, start, fit.free)
+    return again if again.loglik > fit.loglik else fit
 
 
 def _refine_active(criterion: Criterion, active: set[str], passes: int, last: bool, trial: Trial) -> Trial:

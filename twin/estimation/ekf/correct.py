@@ -6,12 +6,13 @@ from twin.compiled import inlined, kernel
 from twin.estimation.ekf.lines import lines_of_current, lines_of_position, share_of_lines, variance_of_lines
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.innovations import SPEED_STD_M_S
-from twin.model.causes import position_sensor_lag
+from twin.model.causes import current_sensor_lag, position_sensor_lag
 from twin.model.causes.wander import MINUTE_S
 from twin.model.extended import (
     FIELD,
     I_C,
     I_COLOUR,
+    I_SENSOR,
     LOOP,
     RATE,
     SENSOR,
@@ -21,9 +22,9 @@ from twin.model.extended import (
     V,
     X,
     current_of_reading,
-    current_reading,
     position_of_reading,
     position_reading,
+    reading_of_current,
     settle_current,
 )
 
@@ -31,6 +32,7 @@ TELLING_READINGS = 5  # after the first of a flight; later ones do not depend on
 _ACCELERATION_M_S2 = 15.0  # standard deviation at the beginning of a flight
 _WARMTH = (0.25, 0.3)  # A^2: mean and standard deviation at the beginning of a recording
 _LAGGING_STD_A = 0.1  # current of a second loop or a core at the beginning of a recording, about that of the coil
+_RATE_A_S = 50.0  # standard deviation of the rate of the current where a slow sensor began to be read
 _LOOP_STD = 0.7  # place of the iron on its loop at the beginning of a recording, of a range of -1 to 1
 _CURRENT_VARIANCE = 1e2  # A^2, initial variance without a reading of i_c
 
@@ -54,35 +56,19 @@ def forget(f: Memory) -> None:
 
 @kernel
 def measure_current(f: Memory, reading: float) -> None:
-    """Set the current to its reading, A."""
+    """Set the current to its reading, A: that is the correction of a current of which nothing is known."""
     _forget(f, 0)
-    if f.i_colour >= 0:
-        reading -= f.h_i[f.i_colour] * f.y[I_COLOUR]
-    if f.lines_count > 0:
-        reading -= lines_of_current(f, f.y[:])
     f.y[I_C] = current_of_reading(f.c[:], reading)
-    f.P[0, 0] = f.r_i / (f.h_i[0] * f.h_i[0])
-    if f.i_colour >= 0 or f.lines_count > 0:
-        _share_error(f)
-        return
-    if f.i_offset >= 0:
-        f.P[0, 0] += f.P[f.i_offset, f.i_offset] / (f.h_i[0] * f.h_i[0])
-        for k in range(1, f.m):
-            f.P[0, k] = -f.P[f.i_offset, k] / f.h_i[0]
-            f.P[k, 0] = f.P[0, k]
-
-
-@kernel
-def _share_error(f: Memory) -> None:
-    """The covariance of a current that was set to its reading, with what else is in this reading."""
-    for k in range(1, f.m):
-        shared = 0.0
-        for a in range(1, f.m):
-            shared += f.h_i[a] * f.P[a, k]
-        f.P[0, k] = -shared / f.h_i[0]
-        f.P[k, 0] = f.P[0, k]
-    for k in range(1, f.m):
-        f.P[0, 0] -= f.h_i[k] * f.P[0, k] / f.h_i[0]
+    f.P[0, 0] = _CURRENT_VARIANCE
+    if f.i_sensor >= 0:
+        _forget(f, f.i_sensor)
+        f.y[I_SENSOR] = f.y[I_C]
+        f.P[f.i_sensor, f.i_sensor] = _CURRENT_VARIANCE
+        f.P[0, f.i_sensor] = _CURRENT_VARIANCE
+        f.P[f.i_sensor, 0] = _CURRENT_VARIANCE
+    correct(f, f.h_i[:], f.r_i, reading - expected_current_reading(f))
+    if f.i_sensor >= 0:
+        f.P[0, 0] += (f.c[current_sensor_lag.TAU] * _RATE_A_S) ** 2
 
 
 @kernel
@@ -224,12 +210,7 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
             if use_i:
                 s_ix = 0.0
                 for a in range(m):
-                    s_ix += f.h_i[0] * P[0, a] * f.h_x[a]
-                    if f.i_offset >= 0:
-                        s_ix += P[f.i_offset, a] * f.h_x[a]
-                    if f.i_colour >= 0:
-                        s_ix += f.h_i[f.i_colour] * P[f.i_colour, a] * f.h_x[a]
-                    for k in range(f.lines, m):
+                    for k in range(m):
                         s_ix += f.h_i[k] * P[k, a] * f.h_x[a]
                 out[3] = s_ix
         f.readings += 1
@@ -264,7 +245,7 @@ def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool
 @inlined
 def expected_current_reading(f: Memory) -> float:
     """The predicted reading of i_c, A."""
-    reading = current_reading(f.c[:], f.y[I_C])
+    reading = reading_of_current(f.c[:], f.y)
     if f.i_colour >= 0:
         reading += f.h_i[f.i_colour] * f.y[I_COLOUR]
     if f.lines_count > 0:

@@ -57,7 +57,7 @@ from twin.estimation.ekf.predict import (
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
 from twin.estimation.propagate import copy, delay_s, find_input, see_delays
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
-from twin.model.extended import I_C, SHORT_S, V, X, current_reading
+from twin.model.extended import I_C, SHORT_S, V, X, reading_of_current
 
 UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet, the same for all models
 
@@ -119,7 +119,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             unknown = lost >= f.first and flags[lost] & LOST != 0
             if unknown and use_i:
                 # About what it would be without its coloured noise.
-                reading = y_i[n] - (expected_current_reading(f) - current_reading(f.c[:], f.y[I_C]))
+                reading = y_i[n] - (expected_current_reading(f) - reading_of_current(f.c[:], f.y))
                 find_input(
                     base_of(f), f.c[:], f.previous[:], inputs, lost, n, f.first, t[n - 1], T_s, reading, f.moved[:]
                 )

@@ -18,6 +18,7 @@ from twin.estimation.structures import NoiseLevels, System
 from twin.model.causes import (
     amplifier_gain_drift,
     current_sensor_gain,
+    current_sensor_lag,
     current_sensor_offset,
     eddy_current_lag,
     magnetic_hysteresis,
@@ -35,6 +36,7 @@ from twin.model.extended import (
     I_C,
     I_COLOUR,
     I_LINES,
+    I_SENSOR,
     LOOP,
     RATE,
     SECOND,
@@ -57,6 +59,7 @@ _NAMED = {
     "rate": RATE,
     "second": SECOND,
     "core": CORE,
+    "i_sensor": I_SENSOR,
     "warmth": WARMTH,
     "loop": LOOP,
     "x_offset": _WANDERS[position_sensor_offset.OFFSET],
@@ -88,11 +91,12 @@ class Memory(Protocol):
     high_m: float  # at the upper stop
     m: int
     places: NDArray[np.int64]  # indices of the m states in the state, I_C, X, V first
-    field: int  # place in the covariance; -1: not in it (likewise the next ten)
+    field: int  # place in the covariance; -1: not in it (likewise the next eleven)
     sensor: int
     rate: int
     second: int
     core: int
+    i_sensor: int
     warmth: int
     loop: int  # of the iron's hysteresis
     x_offset: int  # of the states that wander
@@ -154,6 +158,7 @@ def active_states(c: Floats) -> list[int]:
         (RATE, c[position_sensor_lag.TAU] > 0.0 and c[position_sensor_lag.SECOND] > 0.0),
         (SECOND, c[second_time_constant.SHARE] != 0.0),
         (CORE, c[eddy_current_lag.TAU] > 0.0 and c[eddy_current_lag.SLOW] > 0.0),
+        (I_SENSOR, c[current_sensor_lag.TAU] > 0.0),
         (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
         (LOOP, c[magnetic_hysteresis.HALF_WIDTH] > 0.0),
         *((WANDER + k, c[wander] > 0.0) for k, (_, wander) in enumerate(OFFSETS)),
@@ -205,11 +210,11 @@ def memory_for(system: System) -> Memory:
     for name, state in _NAMED.items():
         record[name] = places.index(state) if state in places else -1
     record["wandering"], record["coloured"] = sum(state < WANDER for state in places), coloured
-    record["lasting"] = record["wandering"] - sum(state in places for state in (SECOND, CORE, WARMTH, LOOP))
+    record["lasting"] = record["wandering"] - sum(state in places for state in (SECOND, CORE, I_SENSOR, WARMTH, LOOP))
     for k, state in enumerate(places[record["wandering"] : coloured]):
         offset, wander = OFFSETS[state - WANDER]
         record["offsets"][k], record["q_w"][k] = offset, c[wander] ** 2 / MINUTE_S
-    record["h_i"][0] = c[current_sensor_gain.GAIN]
+    record["h_i"][max(record["i_sensor"], 0)] = c[current_sensor_gain.GAIN]
     if record["i_offset"] >= 0:
         record["h_i"][record["i_offset"]] = 1.0
     if record["i_colour"] >= 0:

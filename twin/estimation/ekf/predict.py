@@ -33,7 +33,7 @@ from twin.model.extended import (
 )
 
 # For the Jacobian; coloured noise needs none.
-_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5, 1e-4, 1e-5, 1e-5] + [1e-6] * len(OFFSETS))
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5, 1e-4, 1e-5, 1e-5, 1e-5] + [1e-6] * len(OFFSETS))
 
 
 @inlined
@@ -230,14 +230,14 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         rubs = c[coulomb_friction.FORCE]
         c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
         propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
-        for column in (0, f.second, f.core):
+        for column in (0, f.second, f.core, f.i_sensor):
             if column < 0:
                 continue
             a = f.places[column]
             copy(moved, f.previous[:])
             moved[a] += _DELTA[a]
             propagate(held_base, c, moved, inputs, n, f.first, t, T_s, False)
-            for row in (0, f.second, f.core):
+            for row in (0, f.second, f.core, f.i_sensor):
                 if row >= 0:
                     F[row, column] = (moved[f.places[row]] - y[f.places[row]]) / _DELTA[a]
         c[coulomb_friction.FORCE] = rubs
