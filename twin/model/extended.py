@@ -311,7 +311,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z_next
         y[SECOND], y[CORE] = second, core
-        y[I_SENSOR] = current_sensor_lag.lagged(c, y[I_SENSOR], i, i_next, h)
+        y[I_SENSOR] = current_sensor_lag.lagged(c, y[I_SENSOR], i, i_half, i_next, h)
         t += h
 
 

@@ -34,13 +34,15 @@ CAUSE = Cause(
 
 
 @inlined
-def lagged(c: Vector, s: float, i: float, i_next: float, h: float) -> float:
-    """The sensor's output after h s while the current goes from i to i_next, A."""
+def lagged(c: Vector, s: float, i: float, i_half: float, i_next: float, h: float) -> float:
+    """The sensor's output after h s while the current goes from i by i_half to i_next on a parabola, A."""
     tau = c[TAU]
     if tau <= 0.0:
         return i_next
-    slope = (i_next - i) / h
-    return i_next - slope * tau + (s - i + slope * tau) * math.exp(-h / tau)
+    slope, bend = (4.0 * i_half - 3.0 * i - i_next) / h, 4.0 * (i - 2.0 * i_half + i_next) / (h * h)
+    # The parabola that the output tends to, at both ends.
+    begin, end = i - tau * slope + tau * tau * bend, i_next - tau * (slope + bend * h) + tau * tau * bend
+    return end + (s - begin) * math.exp(-h / tau)
 
 
 @inlined
