@@ -223,6 +223,8 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         duration: s, at most LONGEST_STEP_S.
         stops: whether x is limited to 0 .. travel.
     """
+    if duration < INSTANT_S:  # what a delay of whole intervals leaves of its first part
+        return
     p = Base(*base)
     plane = air_gap_offset.gap_m(c, p.x_max_m)
     gap_mid = p.x_max_m - 0.5 * p.travel_m

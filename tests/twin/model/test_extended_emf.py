@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from twin.estimation.record import FloatArray
+from twin.model.causes import current_sensor_lag, eddy_current_lag, position_sensor_lag
 from twin.model.causes.catalogue import neutral
 from twin.model.causes.motional_emf import COUPLING
 from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, V, X, advance
@@ -48,11 +49,15 @@ def test_after_a_tick_the_current_is_within_the_sensor_noise(i: float, x: float,
     assert abs(independent(i, x, v, u, 0.0)[0] - truth[0]) > 0.01
 
 
+LAGS = (eddy_current_lag.TAU, position_sensor_lag.TAU, current_sensor_lag.TAU)
+
+
 @pytest.mark.parametrize("part", [0.0, 1e-19])
-def test_an_interval_of_no_length_changes_nothing(part: float) -> None:
+@pytest.mark.parametrize(("place", "value"), [(COUPLING, STRONG), *((lag, 1e-3) for lag in LAGS)])
+def test_an_interval_of_no_length_changes_nothing(place: int, value: float, part: float) -> None:
     """Under a delay of a whole number of intervals nothing but rounding is left of the first part."""
     c, y = neutral(), np.zeros(STATES)
-    c[COUPLING] = STRONG
+    c[place] = value
     y[I_C], y[X], y[V], y[FIELD], y[SENSOR] = 0.5, 1.0e-3, -0.1, 0.5, 1.0e-3
     before = y.copy()
 
