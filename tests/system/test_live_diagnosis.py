@@ -19,9 +19,9 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.ports import free_endpoint
+from tests.patience import HANG_S, WORK_S
 
 ROOT = Path(__file__).parents[2]
-LIMIT_S = 120.0
 
 
 def start(words: list[object], cwd: Path) -> subprocess.Popen[str]:
@@ -37,15 +37,15 @@ def call(words: list[object], cwd: Path) -> tuple[int, str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [sys.executable, "-m", "board51", *map(str, words)],
-        cwd=cwd, env=environment, capture_output=True, text=True, timeout=3 * LIMIT_S, check=False,
+        cwd=cwd, env=environment, capture_output=True, text=True, timeout=WORK_S, check=False,
     )  # fmt: skip
     return done.returncode, done.stdout + done.stderr
 
 
 def wait(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + LIMIT_S
+    deadline = time.monotonic() + HANG_S
     while not condition():
-        assert time.monotonic() < deadline, f"no {what} within {LIMIT_S} s"
+        assert time.monotonic() < deadline, f"no {what} within {HANG_S} s"
         time.sleep(0.05)
 
 
@@ -79,7 +79,7 @@ def line(tmp_path: Path) -> Iterator[Line]:
         ]
         for words in services:
             process = start(words, tmp_path)
-            stack.callback(process.wait, timeout=LIMIT_S)
+            stack.callback(process.wait, timeout=HANG_S)
             stack.callback(process.terminate)
             if words[0] == "emulate":
                 wait(tty.exists, "pty")
