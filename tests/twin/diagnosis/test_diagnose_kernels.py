@@ -105,7 +105,7 @@ def test_a_cause_without_strength_is_absent_bit_by_bit(cause: Cause) -> None:
 )
 def test_a_cause_with_strength_changes_the_tick_or_the_reading(cause: Cause) -> None:
     """Delays act on the input, lost samples on nothing, lines of a sensor are states of the filter alone."""
-    from twin.model.extended import current_reading, position_reading
+    from twin.model.extended import position_reading, reading_of_current
 
     rng = np.random.default_rng(4)
     c = neutral()
@@ -123,7 +123,7 @@ def test_a_cause_with_strength_changes_the_tick_or_the_reading(cause: Cause) -> 
         y, u = start(rng), rng.uniform(0.0, 4.5)
         one, other = after_a_tick(neutral(), y, u), after_a_tick(c, y, u)
         changed |= not np.array_equal(one[:5], other[:5])
-        changed |= current_reading(c, y[0]) != current_reading(neutral(), y[0])
+        changed |= reading_of_current(c, other) != reading_of_current(neutral(), one)
         changed |= position_reading(BASE_NUMBERS, c, y[1], y[0]) != position_reading(
             BASE_NUMBERS, neutral(), y[1], y[0]
         )
