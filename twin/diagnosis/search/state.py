@@ -61,9 +61,11 @@ def superfluous(search: Search, selection: Selection, smaller: Fit) -> bool:
 def fit_without(criterion: Criterion, selection: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
     """Fit the model without one of its causes, or return the fit if `selection` knows it already."""
     free = tuple(name for name in selection.fit.free if not name.startswith(cause + "."))
+    start = reinitialised(selection.fit.theta.without(cause))
     known = selection.recall(free)
-    if known is not None and (known.converged or known.ahead < settings.EQUIVALENT_GAIN):
-        return known
-    # A known fit that has not converged continues where it ended.
-    start = reinitialised(selection.fit.theta.without(cause)) if known is None else known.theta
+    # The known fit may be a lower maximum than the one to which later causes have led.
+    if known is not None and criterion.value(start) < known.loglik + settings.MIN_GAIN:
+        if known.converged or known.ahead < settings.EQUIVALENT_GAIN:
+            return known
+        start = known.theta
     return climb(criterion, start, free, passes=passes)

@@ -194,13 +194,16 @@ def _retry(search: Search, selection: Selection, refused: Round) -> Round:
 
 
 def backward(search: Search, selection: Selection) -> Selection:
-    """Remove each cause that would no longer be selected together with the later ones."""
-    earlier, criterion = selection.causes[:-1], search.criterion
+    """Remove each cause that would no longer be selected together with the later ones.
+
+    The newest is one of them: it may only have led the others from one maximum to a higher one.
+    """
+    criterion = search.criterion
     without = partial(fit_without, criterion, passes=search.passes)
-    selection = selection.with_fits(criterion.each(partial(without, selection), earlier))
+    selection = selection.with_fits(criterion.each(partial(without, selection), selection.causes))
     # In the order of selection and one at a time, as in Efroymson's stepwise regression: two causes that replace each
     # other would both go if they were tested against the same model.
-    for cause in earlier:
+    for cause in selection.causes:
         smaller = without(selection, cause)
         selection = selection.with_fits([smaller])
         if superfluous(search, selection, smaller):

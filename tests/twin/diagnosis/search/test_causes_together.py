@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from protocol.campaign import load
@@ -21,7 +22,7 @@ from twin.diagnosis.search.score_test import probed
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.task import Search
 from twin.evidence.gather import gather
-from twin.inference.fisher_scoring import climb
+from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.initial_guess import start_theta, with_noise_bounds
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor, floor_of
@@ -104,6 +105,31 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
     assert set(found.causes) == set(found.gains) == set(HIDDEN)
     assert found.fit.loglik > fit.loglik - settings.EQUIVALENT_GAIN
     assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+
+
+def test_a_cause_that_only_led_another_to_a_higher_maximum_is_removed() -> None:
+    rig = strong("coulomb-friction", 4e-3)
+    criterion = criterion_of(narrow(rig, seconds=3.0))
+    try:
+        base = fitted(criterion, THETA)
+        low = base.theta.having("coulomb-friction.force_n", 1e-5)
+        stuck = Fit(
+            theta=low,
+            free=(*base.free, *coordinates_of("coulomb-friction")),
+            loglik=criterion.value(low),
+            covariance=np.eye(1),
+            converged=True,
+        )
+        both = fitted(criterion, strong("coulomb-friction", 3e-3, base.theta), "coulomb-friction", "constant-force")
+        causes = ("coulomb-friction", "constant-force")
+        at_first = Selection(base=base, fit=both, causes=causes, gains=dict.fromkeys(causes, 1.0)).with_fits([stuck])
+        found = search.backward(trusting(criterion, base, BY_NAME["constant-force"]), at_first)
+    finally:
+        criterion.close()
+
+    assert found.causes == ("coulomb-friction",)
+    assert both.loglik - settings.MIN_GAIN < found.fit.loglik <= both.loglik
+    assert both.loglik - stuck.loglik > 10.0 * settings.MIN_GAIN
 
 
 def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() -> None:
