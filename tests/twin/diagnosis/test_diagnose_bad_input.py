@@ -189,6 +189,7 @@ def test_a_recording_of_another_rig_is_named_and_left_out(
 ) -> None:
     make_campaign(tmp_path / "other", effects={}, seed=77, plant="independent", quick=True)
     shutil.copy(tmp_path / "other" / "closed_loop_3.csv.gz", folder)
+    only(folder, "rest", "step_1", "ramp", *(f"closed_loop_{n}" for n in range(1, 7)))
 
     data = answered(capsys, folder)
 

@@ -21,7 +21,7 @@ def test_a_curve_takes_the_place_of_the_names_that_it_replaces_and_its_model_run
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, out = tmp_path / "runs", tmp_path / "diagnosis"
-    make_campaign(folder, effects={}, outside={"spring-of-a-cable": 4.0}, seed=23, plant="independent", quick=True)
+    make_campaign(folder, effects={}, outside={"spring-of-a-cable": 2.0}, seed=25, plant="independent", quick=True)
 
     code = main(["diagnose", str(folder), "--quick", "--out", str(out), "--quiet"])
 
