@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -153,10 +154,9 @@ class RunningGateway:
         self._process = self._running.enter_context(running(self.folder, "gateway", *self._words))
         for view in (self.opcua_url, self.hmi_url):
             if view:
-                port = int(view.rpartition(":")[2])
-                wait(lambda port=port: listens(port), self._process, view)  # type: ignore[misc]
+                wait(partial(listens, int(view.rpartition(":")[2])), self._process, view)
         for board in self.boards:
-            wait(lambda board=board: self._streams(board), self._process, board)  # type: ignore[misc]
+            wait(partial(self._streams, board), self._process, board)
 
     def stop(self) -> None:
         """End it in good order, as SIGTERM does: its log is complete then."""
