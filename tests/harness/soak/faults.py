@@ -90,12 +90,21 @@ def _full_disk(stage: Stage, draw: random.Random, gateway: int) -> Course:
     yield 1.5  # the log goes on
 
 
+def _clock_step(stage: Stage, draw: random.Random, gateway: int) -> Course:
+    stage.clocks[gateway].step(draw.choice((-1.0, 1.0)) * 10.0 ** draw.uniform(0.0, 4.0))  # a second to three hours
+    yield 3.0  # the gateway looks once a second
+
+
 def _boards(stage: Stage) -> int:
     return len(stage.lines)
 
 
 def _disks(stage: Stage) -> int:
     return len([disk for disk in stage.disks if disk.mounted])
+
+
+def _clocks(stage: Stage) -> int:
+    return len([clock for clock in stage.clocks if clock.environment])
 
 
 KINDS = (
@@ -111,6 +120,7 @@ KINDS = (
     Kind("gateway killed", 1, lambda _: 1, _no_gateway),
     Kind("subscriber stopped", 1, lambda _: 1, _no_reader),
     Kind("disk full", 1, _disks, _full_disk),
+    Kind("clock stepped", 2, _clocks, _clock_step),
 )
 
 

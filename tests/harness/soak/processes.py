@@ -8,9 +8,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -58,16 +59,25 @@ class Service:
         folder: For that file.
         words: After `python`.
         ready: A line of its output begins with this when it is ready; empty: it is not awaited.
+        environment: Variables beside those of this process.
     """
 
-    def __init__(self, name: str, folder: Path, *words: str, ready: str = "") -> None:
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        *words: str,
+        ready: str = "",
+        environment: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self.name, self._said, self._words, self._ready = name, folder / f"{name}.txt", words, ready
+        self._environment = environment
         self.held: list[list[Held]] = []  # for each life
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         """Start it, and wait until it is ready."""
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("BOARD51_")}
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("BOARD51_")} | dict(self._environment)
         with self._said.open("ab") as out:
             begin = out.tell()
             self._process = subprocess.Popen(

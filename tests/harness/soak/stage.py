@@ -16,6 +16,7 @@ from gateway.emulator.serve import Server
 from tests.harness.ports import free_port
 from tests.harness.soak.numbered_board import Ledger, LedgerPort, NumberedBoard
 from tests.harness.soak.processes import Service, looked_at
+from tests.harness.soak.wall_clock import WallClock
 from tests.patience import HANG_S
 
 GATEWAYS = 2
@@ -93,6 +94,7 @@ class Stage:
         self.slow = Service("slow", folder, *module, "--slow", ready="ready")
         self.stopped = Service("stopped", folder, *module, "--slow", ready="ready")
         self.disks = [Disk(folder / f"disk{n}") for n in range(GATEWAYS)]
+        self.clocks = [WallClock(folder, f"gateway{n}") for n in range(GATEWAYS)]
         self.gateways = [self._gateway(folder, n, log_queue) for n in range(GATEWAYS)]
 
     @property
@@ -154,7 +156,8 @@ class Stage:
         config = folder / f"gateway{n}.toml"
         text = _CONFIG.format(endpoint=self.endpoint, logs=self.disks[n].folder, queue=log_queue)
         config.write_text(boards + text, encoding="utf-8")
-        return Service(f"gateway{n}", folder, "-m", "board51", "gateway", "--config", str(config))
+        words = ("-m", "board51", "gateway", "--config", str(config))
+        return Service(f"gateway{n}", folder, *words, environment=self.clocks[n].environment)
 
 
 @contextmanager
