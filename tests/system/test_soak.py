@@ -40,7 +40,7 @@ CALM_S = 4.0  # before the first fault, and after the last
 
 @pytest.mark.slow
 def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path: Path) -> None:
-    with staged(tmp_path, boards=BOARDS, seed=SEED, log_queue=LOG_QUEUE) as stage:
+    with staged(tmp_path, boards=BOARDS, seed=SEED, log_queue=LOG_QUEUE, plant=MINUTES >= LONG_MIN) as stage:
         time.sleep(CALM_S)
         weather = Weather(stage, SEED, per_s=BOARDS / 4.0)
         weather.blow(60.0 * MINUTES)
@@ -58,6 +58,7 @@ def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path:
         assert account.invented == []
         assert [(n, logged.backwards) for n, logged in logs.items() if logged.backwards] == []
         assert account.lines.total() == account.sensed
+        assert [who for who, said, off in stage.parked if said and not off] == []
         for board in range(1, BOARDS, GATEWAYS):  # the counts of a gateway that is killed die with it
             assert account.read_but_no_sample[board] <= account.counted_no_sample[board]
         assert account.lines[BUS_ALONE, DISK_FULL] <= account.counted_dropped["log"]
@@ -121,6 +122,8 @@ def report(stage: Stage, weather: Weather, faults: Counter[str], account: Accoun
     lines += ["", account.table(), "", f"read but no sample {dict(account.read_but_no_sample)}"]
     lines += [f"steps of the clock that the log has { ({n: logged.steps for n, logged in logs.items()}) }"]
     lines += [f"counted {dict(account.counted_no_sample)}, dropped {dict(account.counted_dropped)}", ""]
+    lines += [f"replayed {account.replayed}, parked (who, said, coil off) {Counter(stage.parked)}"]
+    lines += [f"{service.name}: ended with {dict(service.codes)}" for service in [*stage.services, *stage.errands]]
     for (place, board), (count, begin_ns, end_ns) in unexplained(account).items():
         near = [o for o in weather.happened if o.begin_ns < end_ns + NEAR_NS and o.end_ns > begin_ns - NEAR_NS]
         lines.append(

@@ -67,6 +67,7 @@ class Account:
     twice: list[tuple[int, int]] = field(default_factory=list)  # board, number: published or logged twice
     invented: list[tuple[int, int]] = field(default_factory=list)  # never sent
     unexplained: list[tuple[str, int, int, int]] = field(default_factory=list)  # place, board, number, ns
+    replayed: int = 0  # under another name; each must be in the log
     read_but_no_sample: Counter[int] = field(default_factory=Counter)  # by board
     counted_no_sample: Counter[int] = field(default_factory=Counter)  # by board, what the gateway says
     counted_dropped: Counter[str] = field(default_factory=Counter)  # what the gateways say: on the bus, in the log
@@ -107,6 +108,9 @@ def account_of(
         known = fate == Fate.TAKEN
         account.invented += [(board, int(n)) for n in np.flatnonzero(((on_bus > 0) | (in_log > 0)) & ~known) if n]
         account.sensed += count - 1
+        ghosts = published[published[:, 0] == -1 - board, 1]
+        account.replayed += len(ghosts)
+        account.invented += [(board, int(n)) for n in ghosts if not 0 < n < count or not in_log[n]]
 
         places = {
             BOTH: (on_bus > 0) & (in_log > 0),

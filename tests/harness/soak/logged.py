@@ -42,6 +42,8 @@ def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
         last: dict[int, pb.Status] = {}
         newest: dict[tuple[int, int], int] = {}  # board, session -> time
         for record in LogReader(list(run)).raw(topics_=["state", "status", "event", "raw"]):
+            if not record.board.startswith("rig"):
+                continue
             logged = found[number := int(record.board.removeprefix("rig"))]
             if record.topic == "state":
                 state = pb.State.FromString(record.data)
