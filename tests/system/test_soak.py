@@ -46,9 +46,7 @@ def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path:
         weather.blow(60.0 * MINUTES)
         faults = weather.counts
         time.sleep(CALM_S)
-        off_ns = time.monotonic_ns()  # a board that is switched off takes what is in its cable with it
         stage.end()
-        weather.happened += [Occurrence("unplugged", board, off_ns, time.monotonic_ns()) for board in range(BOARDS)]
         logs = {n: logged for g in range(GATEWAYS) for n, logged in read_logs(stage.logs(g)).items()}
         account = account_of(stage.ledgers, np.load(stage.published), logs, weather.happened, GATEWAYS)
         print(report(stage, weather, faults, account, logs))
@@ -100,9 +98,9 @@ def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
         ledger.at_ns[at_s] = at_s * 1_000_000_000
     logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in (1, 2, 3, 3, 9)])
     published = np.array([(0, 1, 0), (0, 4, 0)], np.int64)
-    cut = Occurrence("unplugged", 0, 5_000_000_000, 5_100_000_000)
+    ledger.closed_ns.append(5_000_000_000)
 
-    account = account_of([ledger, other], published, {0: logged}, [cut], GATEWAYS)
+    account = account_of([ledger, other], published, {0: logged}, [], GATEWAYS)
 
     assert [(place, number) for place, _, number, _ in account.unexplained] == [
         (LOG_ALONE, 2), (LOG_ALONE, 3), (BUS_ALONE, 4),
@@ -168,3 +166,19 @@ def too_much(service: Service) -> str:
     limits = {"resident_mb": 0.5, "handles": 0.2, "threads": 0.2}  # per minute
     grows = [what for what, limit in limits.items() if (s := slope(held, what)).value - s.half_width > limit]
     return f"{service.name}: {', '.join(grows)}" if grows else ""
+
+
+def test_a_second_hole_beside_a_killed_router_is_seen() -> None:
+    ledger = Ledger()
+    for number in range(1, 9):
+        ledger.sense()
+        ledger.came(number, Fate.TAKEN)
+        ledger.at_ns[number] = number * 100_000_000
+    logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in range(1, 9)])
+    published = np.array([(0, n, 0) for n in (1, 2, 5, 6, 8)], np.int64)  # 3 was on its way, 4 did not fit the queue
+    killed = Occurrence("router killed", 0, 350_000_000, 500_000_000)
+
+    account = account_of([ledger], published, {0: logged}, [killed], GATEWAYS)
+
+    assert [(place, number) for place, _, number, _ in account.unexplained] == [(LOG_ALONE, 7)]
+    assert account.lines[LOG_ALONE, "no router, or on its way to one that was killed"] == 2

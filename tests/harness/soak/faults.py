@@ -113,7 +113,7 @@ def _hand_over(stage: Stage, draw: random.Random, _: int) -> Course:
 
 def _replay(stage: Stage, draw: random.Random, _: int) -> Course:
     board = draw.randrange(len(stage.lines))
-    part = draw.choice([path for path in stage.logs(board % GATEWAYS) if path.stat().st_size])
+    part = draw.choice(stage.logs(board % GATEWAYS))
     words = ("--board", f"rig{board}", "--as", f"{GHOST}{board}", "--speed", f"{draw.uniform(1.0, 20.0):.1f}")
     stage.replay.start(str(part), *words)
     yield draw.uniform(2.0, 12.0)

@@ -36,8 +36,7 @@ class Logged:
 def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
     """Read the parts of one gateway's log, which may have been killed many times; by the number of the board."""
     found: dict[int, Logged] = defaultdict(Logged)
-    begun = [part for part in parts if part.stat().st_size]  # a gateway may be killed before its first flush
-    for _, run in groupby(begun, lambda path: path.stem.rsplit("-", 1)[0]):
+    for _, run in groupby(parts, lambda path: path.stem.rsplit("-", 1)[0]):
         decoders: dict[str, StreamDecoder] = {}
         last: dict[int, pb.Status] = {}
         newest: dict[tuple[int, int], int] = {}  # board, session -> time
