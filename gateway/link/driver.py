@@ -149,6 +149,7 @@ class BoardDriver:
                 self._hand_on(payloads, host_ns, now_ns)  # keep the order: a reset follows the samples before it
                 payloads = []
                 self._handle(event, now_s)
+                host_ns = now_ns + self.report.offset_ns  # a session that begins here reads the clock again
         self._hand_on(payloads, host_ns, now_ns)
         if payloads and self._encoder is not None:
             self.known.sample = sample
