@@ -105,7 +105,9 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             step_ns = clock.step_ns()
             if step_ns:
                 authorizer.clock_stepped(step_ns)
-                _step_clock(drivers, link, step_ns)
+                text = f"The host's clock stepped by {step_ns * 1e-9:.3f} s"
+                text += "; the samples use the new time from the next session on."
+                _publish_all(drivers, "clock-stepped", "warning", text)
             if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
@@ -278,14 +280,6 @@ def _publish_all(drivers: Sequence[BoardDriver], name: str, severity: str, text:
     """Publish an event of the gateway under each board, so that viewers of one board see, say, a failing log."""
     for driver in drivers:
         driver.report.publish(name, severity, text)
-
-
-def _step_clock(drivers: Sequence[BoardDriver], link: LinkThread, step_ns: int) -> None:
-    """Correct the time of the last STOP of each board after a step of the host's clock, and report the step."""
-    for driver in drivers:
-        link.post(partial(driver.handler.clock_stepped, step_ns))
-    text = f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the samples use the new time from the next session on."
-    _publish_all(drivers, "clock-stepped", "warning", text)
 
 
 def _publish_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:

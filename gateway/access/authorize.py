@@ -40,6 +40,7 @@ class Sender:
     name: str
     role: Role | None  # None: the bus is not guarded
     arrived_ns: int  # Unix time
+    arrived_s: float  # the same moment, by the monotonic clock
     started_ns: int  # of this gateway
 
     def sign(self, command: pb.Command) -> None:
@@ -107,16 +108,22 @@ class Authorizer:
         """Correct the time of the gateway's start after a step of the host's clock."""
         self._started_ns += step_ns
 
-    def sender(self, key: str, arrived_ns: int) -> Sender | Refusal:
+    def sender(self, key: str, arrived_ns: int, arrived_s: float) -> Sender | Refusal:
         """Return the sender of a command with this key, or a refusal."""
         if not self.guarded:
-            return Sender(name="", role=None, arrived_ns=arrived_ns, started_ns=self._started_ns)
+            return Sender(name="", role=None, arrived_ns=arrived_ns, arrived_s=arrived_s, started_ns=self._started_ns)
         role_and_name = topics.sender(key)
         if role_and_name is None or role_and_name[0] not in ROLE_WORDS:
             text = f"On this bus a command goes under .../command/as/ROLE/NAME, not under {key[-100:]}."
             return Refusal("not-allowed", text)
         role, name = role_and_name
-        return Sender(name=name, role=Role[role.upper()], arrived_ns=arrived_ns, started_ns=self._started_ns)
+        return Sender(
+            name=name,
+            role=Role[role.upper()],
+            arrived_ns=arrived_ns,
+            arrived_s=arrived_s,
+            started_ns=self._started_ns,
+        )
 
     def flooded(self, sender: Sender, now_s: float) -> bool:
         """Count a command of the sender; True if its rate is exceeded.  Not for STOP."""

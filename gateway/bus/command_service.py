@@ -59,7 +59,7 @@ class CommandService:
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
         query_key = str(query.key_expr)
-        sender = self._authorizer.sender(query_key, time.time_ns())
+        sender = self._authorizer.sender(query_key, time.time_ns(), time.monotonic())
         if isinstance(sender, Refusal):
             refusal = pb.CommandReply(refused_by="gateway", reason=sender.reason, text=sender.text)
             _reply_to(query, query_key, self._replies)(refusal)

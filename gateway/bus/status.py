@@ -66,7 +66,7 @@ class StatusMaker:
             states=counters.states,
             to_board=driver.to_board.state,
             unanswered_s=driver.to_board.unanswered_s(now_s),
-            last_stop_ns=handler.stopped_ns,
+            last_stop_ns=driver.stopped_ns,
         )
         status.states_ignored.update({**session.states_ignored, "not-served": counts.samples_refused})
         status.bad_frames.update(counters.bad_frames)

@@ -117,8 +117,8 @@ class CommandHandler:
         self._x_ref_m: float | None = None  # commanded, not yet seen in a state
         self._x_ref_tick: float = -1  # seen from this tick on
         self._mode_tick: float = -1
-        self.stopped_ns = 0  # arrival of the last STOP, Unix time
-        self._stale: OrderedDict[str, int] = OrderedDict()  # id -> first arrival of a command that was not fresh
+        self.stopped_s: float | None = None  # arrival of the last STOP, monotonic: the host's clock may step
+        self._stale: OrderedDict[str, float] = OrderedDict()  # id -> first arrival of a command that was not fresh
 
     def take(
         self,
@@ -157,7 +157,7 @@ class CommandHandler:
         # Before the checks of id and date: a STOP with a used id or an old date must still stop the board.
         if command.WhichOneof("what") == "stop":
             # By its arrival, not by its own date: a STOP from a clock that is behind would count too early.
-            self.stopped_ns = max(self.stopped_ns, sender.arrived_ns)  # also of a STOP that cannot be sent now
+            self.stopped_s = max(self.stopped_s or 0.0, sender.arrived_s)  # also of a STOP that cannot be sent now
             return self._stop(request, now_s, link, reason)
         waiting = (r for pending in self._pending.values() for r in pending.requests)
         pending = next((r for r in waiting if r.command.id == command.id and not _is_stop(r.command)), None)
@@ -176,7 +176,7 @@ class CommandHandler:
         refusal = sender.fresh(command)
         if refusal is not None:
             # The first arrival is kept: sent again with a new date, the command must not pass a STOP in between.
-            self._stale.setdefault(command.id, sender.arrived_ns)
+            self._stale.setdefault(command.id, sender.arrived_s)
             if len(self._stale) > STALE_IDS:
                 self._stale.popitem(last=False)
             return refusal
@@ -189,8 +189,7 @@ class CommandHandler:
             return self._note(request)
         # No margin for clocks that are ahead: it would refuse every command in the time after a STOP, also where the
         # clocks agree.
-        before_s = (self.stopped_ns - self._issued_ns(command, sender)) * 1e-9
-        if before_s > 0:
+        if self.stopped_s is not None and (before_s := self.stopped_s - self._issued_s(command, sender)) > 0:
             return Refusal(
                 "superseded-by-stop",
                 f"It was issued {before_s:.3f} s before the last STOP of this rig arrived, so it was not sent. If it is"
@@ -231,9 +230,10 @@ class CommandHandler:
             self._on_accepted(pending.wire, pending.requests[0].command, message)
         return True
 
-    def _issued_ns(self, command: pb.Command, sender: Sender) -> int:
-        """Return when a command was issued at the latest, by the gateway's clock as far as the sender's agrees."""
-        return min(command.issued_ns or sender.arrived_ns, self._stale.get(command.id, sender.arrived_ns))
+    def _issued_s(self, command: pb.Command, sender: Sender) -> float:
+        """Return when a command was issued at the latest, monotonic, as far as the clocks of both agree."""
+        age_s = max(0, sender.arrived_ns - (command.issued_ns or sender.arrived_ns)) * 1e-9
+        return min(sender.arrived_s - age_s, self._stale.get(command.id, sender.arrived_s))
 
     def _stop(self, request: _Request, now_s: float, link: str, reason: str) -> Refusal | None:
         if link in _NO_PORT:
@@ -308,11 +308,6 @@ class CommandHandler:
             self._x_ref_tick = tick
         elif command.WhichOneof("what") in ("set_mode", "stop"):
             self._mode_tick = tick
-
-    def clock_stepped(self, step_ns: int) -> None:
-        """Correct the time of the last STOP after a step of the host's clock."""
-        if self.stopped_ns:
-            self.stopped_ns += step_ns
 
     def session_ended(self) -> None:
         """Discard the commanded reference: after a new count of ticks it does not describe the board."""

@@ -76,7 +76,7 @@ class BoardDriver:
         self.known = Known()
         self.handler = CommandHandler(config.limits, self.session, self.known, sink, self._accepted)
         self.report = LinkReporter(config.name, self.session, sink, clock)
-        self._sink = sink
+        self._sink, self._clock = sink, clock
         self._encoder: StateEncoder | None = None
         self._capture = CaptureReader(self.session, self.report, sink)
         self.keepalive = Keepalive(config, self.session, self._got_parameters)
@@ -84,6 +84,12 @@ class BoardDriver:
         self.to_board = ToBoard(self.report.change_to_board)
         self._refused_until_s = 0.0
         self._now_s = 0.0
+
+    @property
+    def stopped_ns(self) -> int:
+        """The arrival of the last STOP, Unix time by the clock as it is now; 0 where none came."""
+        stopped_s = self.handler.stopped_s
+        return 0 if stopped_s is None else round(stopped_s * 1e9) + self._clock.offset_ns()
 
     @property
     def link(self) -> str:
@@ -143,6 +149,7 @@ class BoardDriver:
                 self._hand_on(payloads, host_ns, now_ns)  # keep the order: a reset follows the samples before it
                 payloads = []
                 self._handle(event, now_s)
+                host_ns = now_ns + self.report.offset_ns  # a session that begins here reads the clock again
         self._hand_on(payloads, host_ns, now_ns)
         if payloads and self._encoder is not None:
             self.known.sample = sample

@@ -8,20 +8,26 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from pathlib import Path
+from subprocess import PIPE
 
 import numpy as np
 import pytest
 
 from gateway.emulator.firmware_model.flash import CURRENT, POSITION
+from protocol.bus.endpoint import zenoh_config
 from tests.harness.soak.account import BUS_ALONE, DISK_FULL, LOG_ALONE, NOWHERE, Account, account_of
 from tests.harness.soak.faults import Occurrence, Weather
 from tests.harness.soak.logged import Logged, read_logs
 from tests.harness.soak.numbered_board import Fate, Ledger
 from tests.harness.soak.processes import BLOCKS, Held, Service, slope
 from tests.harness.soak.stage import GATEWAYS, Stage, staged
+from tests.harness.soak.wall_clock import WallClock
 
 MINUTES = float(os.environ.get("BOARD51_SOAK_MINUTES", "0.5"))
 BOARDS = int(os.environ.get("BOARD51_SOAK_BOARDS", "4"))
@@ -34,29 +40,54 @@ CALM_S = 4.0  # before the first fault, and after the last
 
 @pytest.mark.slow
 def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path: Path) -> None:
-    with staged(tmp_path, boards=BOARDS, seed=SEED, log_queue=LOG_QUEUE) as stage:
+    with staged(tmp_path, boards=BOARDS, seed=SEED, log_queue=LOG_QUEUE, plant=MINUTES >= LONG_MIN) as stage:
         time.sleep(CALM_S)
         weather = Weather(stage, SEED, per_s=BOARDS / 4.0)
         weather.blow(60.0 * MINUTES)
         faults = weather.counts
         time.sleep(CALM_S)
-        off_ns = time.monotonic_ns()  # a board that is switched off takes what is in its cable with it
         stage.end()
-        weather.happened += [Occurrence("unplugged", board, off_ns, time.monotonic_ns()) for board in range(BOARDS)]
         logs = {n: logged for g in range(GATEWAYS) for n, logged in read_logs(stage.logs(g)).items()}
         account = account_of(stage.ledgers, np.load(stage.published), logs, weather.happened, GATEWAYS)
-        print(report(stage, weather, faults, account))
+        print(report(stage, weather, faults, account, logs))
 
         assert account.unexplained == []
         assert account.twice == []
         assert account.invented == []
+        assert [(n, logged.backwards) for n, logged in logs.items() if logged.backwards] == []
         assert account.lines.total() == account.sensed
+        assert [who for who, said, off in stage.parked if said and not off] == []
         for board in range(1, BOARDS, GATEWAYS):  # the counts of a gateway that is killed die with it
             assert account.read_but_no_sample[board] <= account.counted_no_sample[board]
         assert account.lines[BUS_ALONE, DISK_FULL] <= account.counted_dropped["log"]
         if MINUTES >= LONG_MIN:
             # Subscribers keep what they get, and zenoh one handle for each router that has died.
             assert [text for text in map(too_much, (stage.router, *stage.gateways)) if text] == []
+
+
+def test_python_and_zenoh_see_a_step_of_their_wall_clock(tmp_path: Path) -> None:
+    clock = WallClock(tmp_path, "clock")
+    if not clock.environment:
+        pytest.skip("no gcc")
+    ask = f"""
+import time, zenoh
+session = zenoh.open(zenoh.Config.from_json5({zenoh_config("router")!r}))
+while input():
+    print(time.time(), session.new_timestamp().get_time().timestamp(), time.monotonic(), flush=True)
+"""
+    words, environment = [sys.executable, "-c", ask], os.environ | clock.environment
+    seen = []
+    with subprocess.Popen(words, stdin=PIPE, stdout=PIPE, env=environment) as process:
+        assert process.stdin
+        assert process.stdout
+        for _ in range(2):
+            process.stdin.write(b"now\n")
+            process.stdin.flush()
+            seen.append(np.array(process.stdout.readline().split(), np.float64))
+            clock.step(7200.0)
+        process.communicate(b"\n")
+    stepped = seen[1] - seen[0] - (seen[1] - seen[0])[2]
+    assert stepped == pytest.approx([7200.0, 7200.0, 0.0], abs=1.0)
 
 
 def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
@@ -67,9 +98,9 @@ def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
         ledger.at_ns[at_s] = at_s * 1_000_000_000
     logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in (1, 2, 3, 3, 9)])
     published = np.array([(0, 1, 0), (0, 4, 0)], np.int64)
-    cut = Occurrence("unplugged", 0, 5_000_000_000, 5_100_000_000)
+    ledger.closed_ns.append(5_000_000_000)
 
-    account = account_of([ledger, other], published, {0: logged}, [cut], GATEWAYS)
+    account = account_of([ledger, other], published, {0: logged}, [], GATEWAYS)
 
     assert [(place, number) for place, _, number, _ in account.unexplained] == [
         (LOG_ALONE, 2), (LOG_ALONE, 3), (BUS_ALONE, 4),
@@ -79,7 +110,7 @@ def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
     assert account.lines.total() == account.sensed == 6
 
 
-def report(stage: Stage, weather: Weather, faults: Counter[str], account: Account) -> str:
+def report(stage: Stage, weather: Weather, faults: Counter[str], account: Account, logs: Mapping[int, Logged]) -> str:
     """What a person wants to see of a soak."""
     lines = [
         f"seed {SEED}, {BOARDS} boards, {MINUTES:g} min",
@@ -87,7 +118,10 @@ def report(stage: Stage, weather: Weather, faults: Counter[str], account: Accoun
         *(f"{name:<72}{count:>10}" for name, count in faults.items()),
     ]
     lines += ["", account.table(), "", f"read but no sample {dict(account.read_but_no_sample)}"]
+    lines += [f"steps of the clock that the log has { ({n: logged.steps for n, logged in logs.items()}) }"]
     lines += [f"counted {dict(account.counted_no_sample)}, dropped {dict(account.counted_dropped)}", ""]
+    lines += [f"replayed {account.replayed}, parked (who, said, coil off) {Counter(stage.parked)}"]
+    lines += [f"{service.name}: ended with {dict(service.codes)}" for service in [*stage.services, *stage.errands]]
     for (place, board), (count, begin_ns, end_ns) in unexplained(account).items():
         near = [o for o in weather.happened if o.begin_ns < end_ns + NEAR_NS and o.end_ns > begin_ns - NEAR_NS]
         lines.append(
@@ -132,3 +166,19 @@ def too_much(service: Service) -> str:
     limits = {"resident_mb": 0.5, "handles": 0.2, "threads": 0.2}  # per minute
     grows = [what for what, limit in limits.items() if (s := slope(held, what)).value - s.half_width > limit]
     return f"{service.name}: {', '.join(grows)}" if grows else ""
+
+
+def test_a_second_hole_beside_a_killed_router_is_seen() -> None:
+    ledger = Ledger()
+    for number in range(1, 9):
+        ledger.sense()
+        ledger.came(number, Fate.TAKEN)
+        ledger.at_ns[number] = number * 100_000_000
+    logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in range(1, 9)])
+    published = np.array([(0, n, 0) for n in (1, 2, 5, 6, 8)], np.int64)  # 3 was on its way, 4 did not fit the queue
+    killed = Occurrence("router killed", 0, 350_000_000, 500_000_000)
+
+    account = account_of([ledger], published, {0: logged}, [killed], GATEWAYS)
+
+    assert [(place, number) for place, _, number, _ in account.unexplained] == [(LOG_ALONE, 7)]
+    assert account.lines[LOG_ALONE, "no router, or on its way to one that was killed"] == 2

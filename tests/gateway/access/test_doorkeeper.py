@@ -23,7 +23,9 @@ START_NS = 1_700_000_000 * S
 
 
 def sender(role: Role = Role.OPERATOR, *, after_s: float = 100.0, name: str = "ben") -> Sender:
-    return Sender(name=name, role=role, arrived_ns=START_NS + round(after_s * S), started_ns=START_NS)
+    return Sender(
+        name=name, role=role, arrived_ns=START_NS + round(after_s * S), arrived_s=after_s, started_ns=START_NS
+    )
 
 
 def issued(after_s: float, **what: object) -> pb.Command:
@@ -58,12 +60,12 @@ def test_a_clock_set_back_does_not_shut_everybody_out() -> None:
     now_ns = START_NS - 3600 * S  # as a host without a battery finds after its first contact with a time server
     command = pb.Command(id="1", issued_ns=now_ns, ping=pb.Ping())
 
-    before = authorizer.sender("board51/rig/command/as/operator/ben", now_ns)
+    before = authorizer.sender("board51/rig/command/as/operator/ben", now_ns, 0.0)
     assert isinstance(before, Sender)
     assert before.fresh(command) is not None
 
     authorizer.clock_stepped(-3700 * S)
-    after = authorizer.sender("board51/rig/command/as/operator/ben", now_ns)
+    after = authorizer.sender("board51/rig/command/as/operator/ben", now_ns, 0.0)
     assert isinstance(after, Sender)
     assert after.fresh(command) is None
 
@@ -73,7 +75,7 @@ def test_a_clock_set_forward_does_not_let_in_what_is_older_than_the_gateway() ->
     authorizer, step_s = Authorizer(START_NS, lambda *_: None), 3600
     authorizer.clock_stepped(step_s * S)
     now_ns = START_NS + (step_s + 5) * S  # 5 s after the start
-    found = authorizer.sender("board51/rig/command/as/operator/ben", now_ns)
+    found = authorizer.sender("board51/rig/command/as/operator/ben", now_ns, 0.0)
 
     assert isinstance(found, Sender)
     assert found.fresh(pb.Command(id="1", issued_ns=now_ns - 6 * S, ping=pb.Ping())) is not None
@@ -85,7 +87,7 @@ def test_on_a_bus_that_is_not_guarded_a_command_may_be_undated_and_nobody_has_a_
     issued_ns: int, fresh: bool
 ) -> None:
     authorizer = Authorizer(START_NS, lambda *_: None, guarded=False)
-    found = authorizer.sender("board51/rig/command", START_NS + 100 * S)
+    found = authorizer.sender("board51/rig/command", START_NS + 100 * S, 0.0)
     command = pb.Command(id="1", who="eve", role="engineer", issued_ns=issued_ns, set_gains=pb.SetGains())
 
     assert isinstance(found, Sender)
@@ -114,7 +116,7 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
             wait_for(lambda: driver.link == "streaming", "stream")
             for n in (*range(RETAINED_IDS + 50), 0):
                 now_ns = time.time_ns()
-                by = Sender(name="ben", role=Role.OPERATOR, arrived_ns=now_ns, started_ns=START_NS)
+                by = Sender(name="ben", role=Role.OPERATOR, arrived_ns=now_ns, arrived_s=0.0, started_ns=START_NS)
                 command = pb.Command(id=str(n), issued_ns=now_ns, set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP))
                 count = len(replies)
                 link.command(driver, command.SerializeToString(), replies.append, by)
@@ -162,7 +164,7 @@ def test_invented_names_do_not_fill_the_memory() -> None:
      "board51/rig/command/as/OPERATOR/ben"],
 )  # fmt: skip
 def test_a_key_that_does_not_say_who_and_role_is_nobodys(key: str) -> None:
-    found = Authorizer(START_NS, lambda *_: None).sender(key, START_NS)
+    found = Authorizer(START_NS, lambda *_: None).sender(key, START_NS, 0.0)
 
     assert isinstance(found, Refusal)
     assert found.reason == "not-allowed"
@@ -173,7 +175,7 @@ def test_looking_at_a_sender_costs_little() -> None:
     authorizer = Authorizer(START_NS, lambda *_: None)
     begin_s = time.thread_time()
     for n in range(1000):
-        found = authorizer.sender("board51/rig/command/as/operator/ben", START_NS)
+        found = authorizer.sender("board51/rig/command/as/operator/ben", START_NS, 0.0)
         assert isinstance(found, Sender)
         authorizer.flooded(found, float(n))
 

@@ -42,6 +42,7 @@ class Rig:
         self.wire: list[Message] = []
         self.ends: list[Answer] = []
         self.tick = 5000
+        self.stepped_s = 0.0  # the wall clock
         self.answering = True
         self.session.connect(self.now_s)
         self.session.poll(self.now_s)
@@ -57,7 +58,7 @@ class Rig:
 
     @property
     def now_ns(self) -> int:
-        return START_NS + round(self.now_s * S)
+        return START_NS + round((self.now_s + self.stepped_s) * S)
 
     @property
     def records(self) -> list[pb.CommandRecord]:
@@ -66,7 +67,7 @@ class Rig:
     def ask(self, payload: bytes, *, role: Role | None = None, link: str = "streaming") -> list[pb.CommandReply]:
         """The replies so far to a query; the board has had its say."""
         replies: list[pb.CommandReply] = []
-        sender = Sender(name="ben", role=role, arrived_ns=self.now_ns, started_ns=START_NS)
+        sender = Sender(name="ben", role=role, arrived_ns=self.now_ns, arrived_s=self.now_s, started_ns=START_NS)
         self.handler.take(payload, replies.append, self.now_s, self.now_ns, link=link, reason="", sender=sender)
         self.settle()
         return replies
@@ -158,7 +159,7 @@ def test_what_was_issued_before_the_last_stop_is_never_sent(link: str) -> None:
 def test_a_command_without_a_date_is_judged_by_its_arrival() -> None:
     """Its query may be overtaken by the STOP between the threads of the bus."""
     rig = Rig()
-    sender = Sender(name="", role=None, arrived_ns=rig.now_ns - S, started_ns=START_NS)
+    sender = Sender(name="", role=None, arrived_ns=rig.now_ns - S, arrived_s=rig.now_s - 1.0, started_ns=START_NS)
     rig.command(id="stop", stop=pb.Stop())
     replies: list[pb.CommandReply] = []
     late = pb.Command(id="late", set_mode=CLOSED).SerializeToString()
@@ -186,13 +187,17 @@ def test_a_new_date_does_not_make_a_command_newer_than_a_stop() -> None:
     assert rig.sent("SET_MODE") == 0
 
 
-@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
-def test_a_step_of_the_host_s_clock_moves_the_last_stop_with_it(step_s: float) -> None:
+@pytest.mark.parametrize("before_s", [-3600.0, 0.0, 3600.0])
+@pytest.mark.parametrize("after_s", [-3600.0, 0.0, 3600.0])
+def test_a_step_of_the_host_s_clock_before_or_after_a_stop_changes_nothing(before_s: float, after_s: float) -> None:
     rig = Rig()
     rig.now_s += 7200.0
+    rig.command(id="earlier", stop=pb.Stop())
+    rig.now_s += 10.0
+    rig.stepped_s += before_s
     rig.command(id="stop", stop=pb.Stop())
-    rig.handler.clock_stepped(round(step_s * S))
-    rig.now_s += step_s + 1.0
+    rig.stepped_s += after_s
+    rig.now_s += 1.0
 
     assert dated(rig, 0.5, id="after", ping=pb.Ping()).accepted
     assert dated(rig, 1.5, id="before", ping=pb.Ping()).reason == "superseded-by-stop"
@@ -246,7 +251,7 @@ def test_a_stop_beside_a_stop_that_is_not_answered_has_its_own_answer() -> None:
     rig.answering = False
     first = pb.Command(id="s", stop=pb.Stop()).SerializeToString()
     replies: list[pb.CommandReply] = []
-    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
+    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, arrived_s=rig.now_s, started_ns=START_NS)
     for _ in range(2):
         rig.handler.take(first, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
     rig.answering = True
@@ -259,7 +264,7 @@ def test_a_stop_beside_a_stop_that_is_not_answered_has_its_own_answer() -> None:
 def test_every_stop_of_a_flood_is_answered_and_recorded() -> None:
     rig = Rig()
     replies: list[pb.CommandReply] = []
-    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
+    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, arrived_s=rig.now_s, started_ns=START_NS)
     for n in range(1000):
         payload = pb.Command(id=str(n), stop=pb.Stop()).SerializeToString()
         rig.handler.take(payload, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
@@ -345,7 +350,7 @@ def test_a_reply_says_whether_a_byte_went_out_and_what_never_did_may_be_tried_ag
     assert rig.ask(sent) == []
     rig.wait(1.0)
     held: list[pb.CommandReply] = []
-    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
+    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, arrived_s=rig.now_s, started_ns=START_NS)
     later = pb.Command(id="b", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)).SerializeToString()
     rig.handler.take(later, held.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
     rig.wait(3.0)
@@ -366,7 +371,7 @@ def test_a_command_does_not_outlive_the_patience_of_its_sender() -> None:
     rig.answering = False
     rig.wait(1.0)
     replies: list[pb.CommandReply] = []
-    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
+    sender = Sender(name="", role=None, arrived_ns=rig.now_ns, arrived_s=rig.now_s, started_ns=START_NS)
     command = pb.Command(id="a", issued_ns=rig.now_ns, valid_s=0.3, set_mode=CLOSED).SerializeToString()
     rig.handler.take(command, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
 

@@ -362,6 +362,23 @@ def test_a_step_of_the_wall_clock_is_seen_once_and_does_not_reach_the_session() 
     assert second.host_time_ns - first.host_time_ns == NS
 
 
+def test_samples_read_together_with_the_begin_of_their_session_have_its_time() -> None:
+    """The clock has stepped since the session before."""
+    now = {"wall": 1_700_000_000 * NS, "mono": 5 * NS}
+    collector = Collector()
+    clock = HostClock(lambda: now["wall"], lambda: now["mono"])
+    driver = BoardDriver(BoardConfig(name="rig", port="x"), collector, clock)
+    driver.port_opened("x", 5.0)
+    driver.poll(5.0)
+    now["wall"] -= 3600 * NS
+
+    identity = frame("IDENTITY", id=_hello_id(driver.output()), tick=100, **identity_values())
+    driver.received(identity + _state(100) + _state(101), 5 * NS)
+    driver.received(_state(102), 6 * NS)
+
+    assert [s.host_time_ns - now["wall"] for s in collector.samples] == [0, 0, NS]
+
+
 def _state(tick: int) -> bytes:
     return frame("STATE", sequence=tick & 0xFFFF, i_c=1, x=2, u_c=3, x_ref=4, flags=0)
 

@@ -143,7 +143,7 @@ class ScriptedBoard:
 
 def anybody() -> Sender:
     """Who sends now, on a bus that is not guarded."""
-    return Sender(name="", role=None, arrived_ns=time.time_ns(), started_ns=0)
+    return Sender(name="", role=None, arrived_ns=time.time_ns(), arrived_s=time.monotonic(), started_ns=0)
 
 
 class Collector:

@@ -163,7 +163,9 @@ class LossyRig:
 
     def ask_bytes(self, payload: bytes, replies: list[pb.CommandReply]) -> None:
         """Send what may be no command."""
-        sender = Sender(name="", role=None, arrived_ns=_START_NS + self.now_ns, started_ns=0)
+        sender = Sender(
+            name="", role=None, arrived_ns=_START_NS + self.now_ns, arrived_s=self.now_ns * 1e-9, started_ns=0
+        )
         self.driver.command(payload, replies.append, self.now_s, sender)
 
     def gains(self, number: int) -> pb.Command:

@@ -32,30 +32,36 @@ _BEFORE = {
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Samples that a fault may cost: those from `before_s` before it began until `after_s` after it ended."""
+    """Samples that a fault may cost, from `before_s` before it began to `after_s` after it ended.
+
+    `in_one_piece`: what comes in order is lost in order, so they are one unbroken run of each board, through the moment
+    at which the fault began, or up to it.
+    """
 
     place: str
     fault: str
+    reason: str
     before_s: float
     after_s: float
-    reason: str
+    in_one_piece: bool = True
 
 
 _COSTS = (
     # A pty holds what its host has not read; it is gone with the pty, or with the host.
-    Cost(NOWHERE, "unplugged", 0.5, 0.1, "in the cable when it was unplugged"),
+    Cost(NOWHERE, "port closed", "in the cable when it was unplugged", 0.5, 0.0),
     # Whoever opens a serial port discards what waits in it (pyserial).
-    Cost(NOWHERE, "port opened", 0.1, 0.5, "in the cable when the port was opened"),
+    Cost(NOWHERE, "port opened", "in the cable when the port was opened", 0.0, 0.5),
     # Such as come before the end of a handshake; where the log has the bytes, they are seen in it.
-    Cost(NOWHERE, "disk full", 0.5, 1.0, IGNORED_UNSEEN),
+    Cost(NOWHERE, "disk full", IGNORED_UNSEEN, 0.5, 1.0, in_one_piece=False),
     # gateway/README.md: at most 250 ms of log.
-    Cost(BUS_ALONE, "gateway killed", 0.5, 0.1, "not yet on the disk when the gateway was killed"),
-    Cost(BUS_ALONE, "disk full", 0.5, 1.0, DISK_FULL),
+    Cost(BUS_ALONE, "gateway killed", "not yet on the disk when the gateway was killed", 0.5, 0.1),
+    # The log tries again each half second, and finds room for a few between others; it counts what it drops.
+    Cost(BUS_ALONE, "disk full", DISK_FULL, 0.5, 1.0, in_one_piece=False),
     # Messages wait for the router, as far as the queue holds, which counts what it drops, and while the gateway lives.
     # Not counted is what was on its way when the router died, and what was put before the subscriber was back.
-    Cost(LOG_ALONE, "router killed", 0.5, 3.0, "no router, or on its way to one that was killed"),
-    Cost(LOG_ALONE, "gateway killed", 0.5, 0.1, "not yet on the bus when the gateway was killed"),
-)  # fmt: skip
+    Cost(LOG_ALONE, "router killed", "no router, or on its way to one that was killed", 0.5, 3.0),
+    Cost(LOG_ALONE, "gateway killed", "not yet on the bus when the gateway was killed", 0.5, 0.1),
+)
 
 
 @dataclass(slots=True)
@@ -67,6 +73,7 @@ class Account:
     twice: list[tuple[int, int]] = field(default_factory=list)  # board, number: published or logged twice
     invented: list[tuple[int, int]] = field(default_factory=list)  # never sent
     unexplained: list[tuple[str, int, int, int]] = field(default_factory=list)  # place, board, number, ns
+    replayed: int = 0  # under another name; each must be in the log
     read_but_no_sample: Counter[int] = field(default_factory=Counter)  # by board
     counted_no_sample: Counter[int] = field(default_factory=Counter)  # by board, what the gateway says
     counted_dropped: Counter[str] = field(default_factory=Counter)  # what the gateways say: on the bus, in the log
@@ -107,6 +114,9 @@ def account_of(
         known = fate == Fate.TAKEN
         account.invented += [(board, int(n)) for n in np.flatnonzero(((on_bus > 0) | (in_log > 0)) & ~known) if n]
         account.sensed += count - 1
+        ghosts = published[published[:, 0] == -1 - board, 1]
+        account.replayed += len(ghosts)
+        account.invented += [(board, int(n)) for n in ghosts if not 0 < n < count or not in_log[n]]
 
         places = {
             BOTH: (on_bus > 0) & (in_log > 0),
@@ -125,10 +135,18 @@ def account_of(
         account.lines[NOWHERE, "read, counted in states_ignored"] += int(refused.sum())
         account.read_but_no_sample[board] += int(refused.sum())
         places[NOWHERE] &= ~refused
+        concerns = [o for o in happened if _concerns(o, board, gateways)]
+        concerns += [Occurrence("port opened", board, ns, ns) for ns in ledger.opened_ns]
+        concerns += [Occurrence("port closed", board, ns, ns) for ns in ledger.closed_ns]
+        made = (on_bus > 0) | (in_log > 0) | places[NOWHERE]
+        gaps = {
+            NOWHERE: _Gap(known, known & (on_bus == 0) & (in_log == 0) & (read == 0), at_ns),
+            BUS_ALONE: _Gap(made, in_log == 0, at_ns),
+            LOG_ALONE: _Gap(made, on_bus == 0, at_ns),
+        }
+        causes = {place: [(c, gap.cost_of(c, o)) for c, o in _pairs(place, concerns)] for place, gap in gaps.items()}
         for place, mask in places.items():
-            concerns = [o for o in happened if _concerns(o, board, gateways)]
-            concerns += [Occurrence("port opened", board, ns, ns) for ns in ledger.opened_ns]
-            _explain(account, place, mask, board, at_ns, concerns)
+            _explain(account, place, mask, board, at_ns, causes)
         _add_counts(account, board, logged)
     return account
 
@@ -153,32 +171,68 @@ def _concerns(occurrence: Occurrence, board: int, gateways: int) -> bool:
             return board == occurrence.target
 
 
+class _Gap:
+    """What is missing at one place of one board.
+
+    Args:
+        reached: Whether each sample came as far as to be able to be there.
+        missing: Whether it is not there.
+        at_ns: Its time.
+    """
+
+    def __init__(self, reached: Mask, missing: Mask, at_ns: NDArray[np.int64]) -> None:
+        self._order = np.flatnonzero(reached)
+        self._order = self._order[self._order > 0]
+        self._at_ns, self._missing = at_ns, missing[self._order]
+        self._times_ns = np.maximum.accumulate(at_ns[self._order])  # a frame that came twice has its later time
+
+    def cost_of(self, cost: Cost, occurrence: Occurrence) -> Mask:
+        """Return which samples a fault may have cost."""
+        window = self._at_ns >= occurrence.begin_ns - cost.before_s * 1e9
+        window &= self._at_ns <= occurrence.end_ns + cost.after_s * 1e9
+        return window & self._run(occurrence.begin_ns) if cost.in_one_piece else window
+
+    def _run(self, moment_ns: int) -> Mask:
+        """Return the unbroken run of missing samples through a moment, or the last one before it."""
+        found = np.zeros(len(self._at_ns), np.bool_)
+        first_after = int(np.searchsorted(self._times_ns, moment_ns))
+        before = np.flatnonzero(self._missing[: first_after + 1])
+        if len(before):
+            there = np.flatnonzero(~self._missing)
+            at = int(np.searchsorted(there, before[-1]))
+            begin = there[at - 1] + 1 if at else 0
+            end = there[at] if at < len(there) else len(self._order)
+            found[self._order[begin:end]] = True
+        return found
+
+
+def _pairs(place: str, happened: Sequence[Occurrence]) -> Iterator[tuple[Cost, Occurrence]]:
+    return ((cost, o) for cost in _COSTS for o in happened if (cost.place, cost.fault) == (place, o.name))
+
+
 def _explain(
-    account: Account, place: str, mask: Mask, board: int, at_ns: NDArray[np.int64], happened: Sequence[Occurrence]
+    account: Account,
+    place: str,
+    mask: Mask,
+    board: int,
+    at_ns: NDArray[np.int64],
+    causes: Mapping[str, Sequence[tuple[Cost, Mask]]],
 ) -> None:
     if place == NOWHERE:
-        neither = [np.logical_or.reduce([w for _, w in _windows(p, at_ns, happened)]) for p in (BUS_ALONE, LOG_ALONE)]
+        neither = [np.logical_or.reduce([m for _, m in causes[p]] or [mask & False]) for p in (BUS_ALONE, LOG_ALONE)]
         explained = mask & neither[0] & neither[1]
         account.lines[place, "neither on the bus nor on the disk: the gateway killed, or both away"] += int(
             explained.sum()
         )
         mask = mask & ~explained
-    for cost, window in _windows(place, at_ns, happened):
-        explained = mask & window
+    for cost, cause in causes[place]:
+        explained = mask & cause
         account.lines[place, cost.reason] += int(explained.sum())
         if cost.reason == IGNORED_UNSEEN:
             account.read_but_no_sample[board] += int(explained.sum())
         mask = mask & ~explained
     account.lines[place, "UNEXPLAINED"] += int(mask.sum())
     account.unexplained += [(place, board, int(n), int(at_ns[n])) for n in np.flatnonzero(mask)]
-
-
-def _windows(place: str, at_ns: NDArray[np.int64], happened: Sequence[Occurrence]) -> Iterator[tuple[Cost, Mask]]:
-    for cost in _COSTS:
-        for occurrence in happened:
-            if (cost.place, cost.fault) == (place, occurrence.name):
-                begin_ns = occurrence.begin_ns - round(cost.before_s * 1e9)
-                yield cost, (at_ns >= begin_ns) & (at_ns <= occurrence.end_ns + round(cost.after_s * 1e9))
 
 
 def _add_counts(account: Account, board: int, logged: Logged) -> None:

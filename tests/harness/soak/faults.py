@@ -16,9 +16,13 @@ from dataclasses import dataclass
 from functools import partial
 
 from gateway.emulator.line import BoardLine
-from tests.harness.soak.stage import Stage
+from tests.harness.soak.names import GHOST
+from tests.harness.soak.processes import Service
+from tests.harness.soak.stage import GATEWAYS, Stage
+from tests.patience import HANG_S
 
 Course = Iterator[float]
+_PARKED = "ball parked, coil off"  # what a campaign says
 
 
 @dataclass(slots=True)
@@ -52,17 +56,17 @@ def _on_line(fault: str, low: float, high: float, stage: Stage, draw: random.Ran
 
 def _reset(stage: Stage, draw: random.Random, board: int) -> Course:
     if draw.random() < 0.5:
-        stage.do(board, BoardLine.power_cycle)
+        stage.do(stage.lines[board], BoardLine.power_cycle)
     else:
         stage.inject(board, "watchdog@0")
     yield 1.0
 
 
 def _unplug(stage: Stage, draw: random.Random, board: int) -> Course:
-    stage.do(board, BoardLine.disconnect)
+    stage.do(stage.lines[board], BoardLine.disconnect)
     yield draw.uniform(0.1, 2.0)
     renamed = draw.random() < 0.5
-    stage.do(board, lambda line: line.reconnect(renamed=renamed))
+    stage.do(stage.lines[board], lambda line: line.reconnect(renamed=renamed))
 
 
 def _no_router(stage: Stage, draw: random.Random, _: int) -> Course:
@@ -90,12 +94,66 @@ def _full_disk(stage: Stage, draw: random.Random, gateway: int) -> Course:
     yield 1.5  # the log goes on
 
 
+def _clock_step(stage: Stage, draw: random.Random, gateway: int) -> Course:
+    stage.clocks[gateway].step(draw.choice((-1.0, 1.0)) * 10.0 ** draw.uniform(0.0, 4.0))  # a second to three hours
+    yield 3.0  # the gateway looks once a second
+
+
+def _no_twin(stage: Stage, draw: random.Random, _: int) -> Course:
+    stage.twin.kill()
+    yield draw.uniform(0.1, 2.0)
+    stage.twin.start()
+
+
+def _hand_over(stage: Stage, draw: random.Random, _: int) -> Course:
+    stage.hand_over.start("--hand-over", draw.choice(("ce152", "inteco", "magnetoshield")))
+    yield draw.uniform(2.0, 12.0)  # done, or killed before
+    stage.hand_over.kill()
+
+
+def _replay(stage: Stage, draw: random.Random, _: int) -> Course:
+    board = draw.randrange(len(stage.lines))
+    part = draw.choice(stage.logs(board % GATEWAYS))
+    words = ("--board", f"rig{board}", "--as", f"{GHOST}{board}", "--speed", f"{draw.uniform(1.0, 20.0):.1f}")
+    stage.replay.start(str(part), *words)
+    yield draw.uniform(2.0, 12.0)
+    stage.replay.kill()
+
+
+def _campaign(stage: Stage, draw: random.Random, _: int) -> Course:
+    """One is begun, or goes on; it is interrupted and parks its ball, or it is killed, and a STOP by hand does."""
+    stage.campaign.start(str(stage.folder / f"campaign{stage.campaign.codes[0]}"))
+    yield draw.uniform(5.0, 40.0)
+    if draw.random() < 0.5:
+        stage.campaign.signal(signal.SIGINT)
+        yield from _ending(stage.campaign)
+        stage.note_parked("campaign", said=_PARKED in stage.campaign.said)
+    stage.campaign.kill()
+    stopped = False
+    while not stopped:
+        stage.stop.start()
+        yield from _ending(stage.stop)
+        stopped = stage.stop.kill() == 0
+    stage.note_parked("stop", said=True)
+
+
+def _ending(service: Service) -> Course:
+    end_s = time.monotonic() + HANG_S
+    while service.running():
+        assert time.monotonic() < end_s, f"{service.name} does not end"
+        yield 0.2
+
+
 def _boards(stage: Stage) -> int:
     return len(stage.lines)
 
 
 def _disks(stage: Stage) -> int:
     return len([disk for disk in stage.disks if disk.mounted])
+
+
+def _clocks(stage: Stage) -> int:
+    return len([clock for clock in stage.clocks if clock.environment])
 
 
 KINDS = (
@@ -111,6 +169,11 @@ KINDS = (
     Kind("gateway killed", 1, lambda _: 1, _no_gateway),
     Kind("subscriber stopped", 1, lambda _: 1, _no_reader),
     Kind("disk full", 1, _disks, _full_disk),
+    Kind("clock stepped", 2, _clocks, _clock_step),
+    Kind("twin killed", 1, lambda _: 1, _no_twin),
+    Kind("model handed over", 1, lambda _: 1, _hand_over),
+    Kind("log replayed", 1, lambda _: 1, _replay),
+    Kind("campaign", 2, lambda stage: int(stage.plant is not None), _campaign),
 )
 
 

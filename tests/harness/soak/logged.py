@@ -22,6 +22,8 @@ class Logged:
 
     samples: list[tuple[float, float]] = field(default_factory=list)  # i_c in A, x in m
     read: list[int] = field(default_factory=list)  # numbers of the STATE frames in the bytes from the board
+    steps: int = 0  # of the wall clock, as the gateway reports them
+    backwards: int = 0  # samples whose time is before that of the sample before them, in one session
     last: list[pb.Status] = field(default_factory=list)  # the last one of each run of the gateway
 
     @property
@@ -34,19 +36,25 @@ class Logged:
 def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
     """Read the parts of one gateway's log, which may have been killed many times; by the number of the board."""
     found: dict[int, Logged] = defaultdict(Logged)
-    begun = [part for part in parts if part.stat().st_size]  # a gateway may be killed before its first flush
-    for _, run in groupby(begun, lambda path: path.stem.rsplit("-", 1)[0]):
+    for _, run in groupby(parts, lambda path: path.stem.rsplit("-", 1)[0]):
         decoders: dict[str, StreamDecoder] = {}
         last: dict[int, pb.Status] = {}
+        newest: dict[tuple[int, int], int] = {}  # board, session -> time
         for record in LogReader(list(run)).raw(topics_=["state", "status", "event", "raw"]):
+            if not record.board.startswith("rig"):
+                continue
             logged = found[number := int(record.board.removeprefix("rig"))]
             if record.topic == "state":
                 state = pb.State.FromString(record.data)
                 logged.samples.append((state.i_c_a, state.x_m))
+                before_ns, newest[number, state.session] = newest.get((number, state.session), 0), state.host_time_ns
+                logged.backwards += state.host_time_ns < before_ns
             elif record.topic == "status":
                 last[number] = pb.Status.FromString(record.data)
             elif record.topic == "event":
-                if pb.Event.FromString(record.data).name == "port-opened":
+                name = pb.Event.FromString(record.data).name
+                logged.steps += name == "clock-stepped"
+                if name == "port-opened":
                     decoders[record.board] = StreamDecoder()  # as the session does
             elif not (raw := pb.RawBytes.FromString(record.data)).to_board:
                 events = decoders.setdefault(record.board, StreamDecoder()).feed(raw.data)

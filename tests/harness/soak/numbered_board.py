@@ -50,6 +50,7 @@ class Ledger:
     def __init__(self) -> None:
         self.fate, self.at_ns = array("B", [Fate.SENSED]), array("q", [0])
         self.opened_ns: list[int] = []  # when a host came
+        self.closed_ns: list[int] = []  # when the board was unplugged
 
     def sense(self) -> int:
         """Begin a new sample and return its number."""
@@ -111,6 +112,7 @@ class LedgerPort:
         self._port.open(renamed=renamed)
 
     def close(self) -> None:
+        self._ledger.closed_ns.append(time.monotonic_ns())
         self._port.close()
 
     def connected(self) -> bool:

@@ -8,9 +8,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -58,50 +60,79 @@ class Service:
         folder: For that file.
         words: After `python`.
         ready: A line of its output begins with this when it is ready; empty: it is not awaited.
+        environment: Variables beside those of this process.
     """
 
-    def __init__(self, name: str, folder: Path, *words: str, ready: str = "") -> None:
-        self.name, self._said, self._words, self._ready = name, folder / f"{name}.txt", words, ready
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        *words: str,
+        ready: str = "",
+        environment: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        self.name, self._file, self._words, self._ready = name, folder / f"{name}.txt", words, ready
+        self._environment = environment
         self.held: list[list[Held]] = []  # for each life
+        self.codes: Counter[int] = Counter()  # with which it ended; -9: killed
+        self._begin = 0  # of what it says in this life
         self._process: subprocess.Popen[bytes] | None = None
 
-    def start(self) -> None:
-        """Start it, and wait until it is ready."""
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("BOARD51_")}
-        with self._said.open("ab") as out:
-            begin = out.tell()
+    def start(self, *words: str) -> None:
+        """Start it, with these words after its own, and wait until it is ready."""
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("BOARD51_")} | dict(self._environment)
+        with self._file.open("ab") as out:
+            self._begin = out.tell()
             self._process = subprocess.Popen(
-                [sys.executable, *self._words], stdout=out, stderr=out, stdin=subprocess.DEVNULL, env=environment
+                [sys.executable, *self._words, *words],
+                stdout=out,
+                stderr=out,
+                stdin=subprocess.DEVNULL,
+                env=environment,
             )
         self.held.append([])
         end_s = time.monotonic() + HANG_S
-        while self._ready and self._ready not in self._said.read_text(errors="replace")[begin:]:
-            assert self._process.poll() is None, f"{self.name} has ended: {self._said.read_text(errors='replace')}"
+        while self._ready and self._ready not in self.said:
+            assert self.running(), f"{self.name} has ended: {self.said}"
             assert time.monotonic() < end_s, f"{self.name} is not ready"
             time.sleep(0.02)
 
-    def kill(self) -> None:
-        """kill -9."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait(HANG_S)
+    def kill(self) -> int | None:
+        """kill -9, unless it has ended by itself; return the exit code, which `codes` counts."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        process.kill()
+        self.codes[code := process.wait(HANG_S)] += 1
+        return code
 
-    def end(self) -> int:
+    @property
+    def said(self) -> str:
+        """What it has said since its last start."""
+        return self._file.read_bytes()[self._begin :].decode(errors="replace")
+
+    def running(self) -> bool:
+        """Return whether it runs."""
+        return self._process is not None and self._process.poll() is None
+
+    def end(self) -> int | None:
         """SIGTERM; return its exit code."""
         assert self._process is not None
         self._process.terminate()
-        return self._process.wait(HANG_S)
+        self._process.wait(HANG_S)
+        return self.kill()
 
     def signal(self, number: signal.Signals) -> None:
-        """SIGSTOP, SIGCONT."""
+        """Send SIGSTOP, SIGCONT, SIGINT."""
         assert self._process is not None
         self._process.send_signal(number)
 
     def look(self) -> None:
         """Note what it holds, where it runs."""
-        if self._process is None or self._process.poll() is not None:
+        process = self._process
+        if process is None or process.poll() is not None:
             return
-        place = Path(f"/proc/{self._process.pid}")
+        place = Path(f"/proc/{process.pid}")
         with suppress(OSError, KeyError):  # it ends at this moment
             lines = (place / "status").read_text(encoding="ascii").splitlines()
             status = dict(line.split(":", 1) for line in lines if ":" in line)

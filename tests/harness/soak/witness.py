@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from tests.harness.soak.names import GHOST, PLANT
 from tests.harness.soak.numbered_board import numbers_of
 
 LOOK_S = 0.5
@@ -26,10 +27,13 @@ _SLOW_S = 0.05
 
 
 def rows_of(arrived: list[tuple[int, str, bytes]]) -> NDArray[np.int64]:
-    """Board (the number in its name), sample, CLOCK_MONOTONIC ns of each sample in these messages."""
+    """Board (n of rig n, -1 - n of a replay of it), sample, CLOCK_MONOTONIC ns of each sample in these messages."""
     boards, times, i_c, x = list[int](), list[int](), list[float](), list[float]()
     for at_ns, key, payload in arrived:
-        board = int(key.split("/")[1].removeprefix("rig"))
+        name = key.split("/")[1]
+        if name == PLANT:
+            continue
+        board = -1 - int(name.removeprefix(GHOST)) if name.startswith(GHOST) else int(name.removeprefix("rig"))
         for state in pb.StateBatch.FromString(payload).states:
             boards.append(board)
             times.append(at_ns)
