@@ -17,14 +17,17 @@ import errno
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from foxglove import Channel, Context, Schema, open_mcap
+from foxglove import Context, Schema, open_mcap
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 
 from protocol.bus import encoding, topics
 from protocol.errors import ServiceError
 from protocol.log.chunk import channel_records
+
+if TYPE_CHECKING:
+    from foxglove._foxglove_py import BaseChannel
 
 Compression = Literal["zstd", "lz4", "none"]
 DESCRIBE_BYTES = 1 << 16  # of the file, between two descriptions of its channels, 60 bytes for each
@@ -122,7 +125,7 @@ class LogWriter:
             Context()
         )  # separate context: channels of one file must not reach another file or a Foxglove server
         self._descriptors = encoding.descriptor_set()
-        self._channels: dict[str, Channel] = {}
+        self._channels: dict[str, BaseChannel] = {}
         self._mcap = open_mcap(
             self._memory,
             context=self._context,
@@ -170,7 +173,7 @@ class LogWriter:
             LogError: data could not be written to disk.
         """
         channel = self._channels.get(key) or self._open_channel(key, schema)
-        channel.base.log(data, time_ns)
+        channel.log(data, time_ns)
         self.messages += 1
         self._in_chunk += len(data)
         if self._in_chunk >= encoding.CHUNK_BYTES:
@@ -215,9 +218,10 @@ class LogWriter:
             os.close(self._fd)
             self._fd = -1
 
-    def _open_channel(self, key: str, foreign: Callable[[], Schema] | None) -> Channel:
+    def _open_channel(self, key: str, foreign: Callable[[], Schema] | None) -> BaseChannel:
         schema = self._schema(key) if foreign is None else foreign()
-        channel = Channel(key, message_encoding=encoding.MESSAGE_ENCODING, schema=schema, context=self._context)
+        # Not a `Channel`: the library keeps each of these for ever, with its schema.
+        channel = self._context._create_channel(key, message_encoding=encoding.MESSAGE_ENCODING, schema=schema)  # noqa: SLF001
         self._channels[key] = channel
         return channel
 

@@ -56,6 +56,19 @@ def test_a_part_that_is_closed_leaves_no_index_behind(tmp_path: Path) -> None:
     assert closed[-1] - closed[0] < min(indexes)  # three would have stayed; other threads allocate some, too
 
 
+def test_a_part_that_is_closed_leaves_no_channels_behind(tmp_path: Path) -> None:
+    keys, sizes = [f"board51/rig{n}/raw" for n in range(10)], list[int]()
+    for part in range(40):
+        writer = LogWriter(tmp_path / f"{part}.mcap")
+        for key in keys:
+            writer.write(key, b"\x00", part)
+        writer.close()
+        del writer
+        sizes.append(allocated())
+
+    assert sizes[-1] - sizes[9] < 1000 * 30 * len(keys)  # bytes; it was 6 kB for each channel of a part
+
+
 def test_the_bytes_of_the_line_leave_nothing_behind(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, RecorderOptions(prefix="rig", rotate_bytes=1 << 30, rotate_s=3600.0, queue=10))
     publishers = Publishers(*(Publisher(name, 10) for name in Publishers._fields))
