@@ -128,7 +128,9 @@ def _campaign(stage: Stage, draw: random.Random, _: int) -> Course:
         stage.campaign.signal(signal.SIGINT)
         yield from _ending(stage.campaign)
         stage.note_parked("campaign", said=_PARKED in stage.campaign.said)
-    stage.campaign.kill()
+        stage.campaign.kill()
+    elif stage.campaign.kill() == -signal.SIGKILL:
+        stage.note_parked("killed campaign", said=False)
     stopped = False
     while not stopped:
         stage.stop.start()
@@ -170,7 +172,7 @@ KINDS = (
     Kind("subscriber stopped", 1, lambda _: 1, _no_reader),
     Kind("disk full", 1, _disks, _full_disk),
     Kind("clock stepped", 2, _clocks, _clock_step),
-    Kind("twin killed", 1, lambda _: 1, _no_twin),
+    Kind("twin killed", 0.5, lambda _: 1, _no_twin),
     Kind("model handed over", 1, lambda _: 1, _hand_over),
     Kind("log replayed", 1, lambda _: 1, _replay),
     Kind("campaign", 2, lambda stage: int(stage.plant is not None), _campaign),

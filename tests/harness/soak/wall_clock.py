@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 _SOURCE = r"""
@@ -64,9 +65,9 @@ class WallClock:
     def __init__(self, folder: Path, name: str) -> None:
         self._offset_ns = 0
         self._file = folder / f"{name}.clock"
-        self.environment: dict[str, str] = {}  # of the process; empty without a C compiler: the clock never steps
+        self.environment: dict[str, str] = {}  # of the process; empty: the clock never steps
         self.step(0)
-        if compiler := shutil.which("gcc"):
+        if sys.platform == "linux" and (compiler := shutil.which("gcc")):
             library = folder / f"{name}.so"
             words = [compiler, "-shared", "-fPIC", "-O1", "-x", "c", "-", "-o", str(library), "-ldl"]
             subprocess.run(words, input=_SOURCE.encode(), check=True)
