@@ -105,9 +105,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             step_ns = clock.step_ns()
             if step_ns:
                 authorizer.clock_stepped(step_ns)
-                text = f"The host's clock stepped by {step_ns * 1e-9:.3f} s"
-                text += "; the samples use the new time from the next session on."
-                _publish_all(drivers, "clock-stepped", "warning", text)
+                _report_step(drivers, step_ns)
             if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
@@ -280,6 +278,11 @@ def _publish_all(drivers: Sequence[BoardDriver], name: str, severity: str, text:
     """Publish an event of the gateway under each board, so that viewers of one board see, say, a failing log."""
     for driver in drivers:
         driver.report.publish(name, severity, text)
+
+
+def _report_step(drivers: Sequence[BoardDriver], step_ns: int) -> None:
+    text = f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the samples use the new time from the next session on."
+    _publish_all(drivers, "clock-stepped", "warning", text)
 
 
 def _publish_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:

@@ -17,7 +17,6 @@ Rule 2: the driver never changes mode or reference: starting or ending the gatew
 from __future__ import annotations
 
 import secrets
-import time
 from dataclasses import dataclass
 
 from gateway.access.authorize import Sender
@@ -65,13 +64,14 @@ class BoardDriver:
         self.counts = LinkCounts()
         self.port = config.port
         self.deadline_s = float("inf")
-        # Unix seconds: a gateway that restarts must not reuse the number of a session that a subscriber remembers.
+        # Random: a gateway that restarts must not reuse the number of a session that a subscriber remembers, wherever
+        # its clock is.
         self.session = Session(
             choose_session=lambda: secrets.randbits(16),
             timeout_s=config.command_timeout_s,
             retries=config.command_retries,
             hello_s=max(0.25, config.command_timeout_s),
-            first_number=int(time.time()) & 0x7FFFFFFF,
+            first_number=1 + secrets.randbits(30),
         )
         self.known = Known()
         self.handler = CommandHandler(config.limits, self.session, self.known, sink, self._accepted)

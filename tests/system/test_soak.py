@@ -55,6 +55,7 @@ def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path:
         assert account.twice == []
         assert account.invented == []
         assert [(n, logged.backwards) for n, logged in logs.items() if logged.backwards] == []
+        assert [(n, s) for n, logged in logs.items() for s, runs in logged.sessions.items() if runs > 1] == []
         assert account.lines.total() == account.sensed
         assert [who for who, said, off in stage.parked if said and not off] == []
         for board in range(1, BOARDS, GATEWAYS):  # the counts of a gateway that is killed die with it

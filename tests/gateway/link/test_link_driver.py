@@ -362,6 +362,12 @@ def test_a_step_of_the_wall_clock_is_seen_once_and_does_not_reach_the_session() 
     assert second.host_time_ns - first.host_time_ns == NS
 
 
+def test_a_gateway_that_restarts_numbers_its_sessions_anew_wherever_its_clock_is() -> None:
+    numbers = {BoardDriver(BoardConfig(name="rig", port="x"), Collector(), HostClock()).session.number for _ in "12345"}
+
+    assert len(numbers) == 5
+
+
 def test_samples_read_together_with_the_begin_of_their_session_have_its_time() -> None:
     """The clock has stepped since the session before."""
     now = {"wall": 1_700_000_000 * NS, "mono": 5 * NS}

@@ -114,9 +114,7 @@ def account_of(
         known = fate == Fate.TAKEN
         account.invented += [(board, int(n)) for n in np.flatnonzero(((on_bus > 0) | (in_log > 0)) & ~known) if n]
         account.sensed += count - 1
-        ghosts = published[published[:, 0] == -1 - board, 1]
-        account.replayed += len(ghosts)
-        account.invented += [(board, int(n)) for n in ghosts if not 0 < n < count or not in_log[n]]
+        _add_replayed(account, board, published[published[:, 0] == -1 - board, 1], in_log)
 
         places = {
             BOTH: (on_bus > 0) & (in_log > 0),
@@ -135,9 +133,7 @@ def account_of(
         account.lines[NOWHERE, "read, counted in states_ignored"] += int(refused.sum())
         account.read_but_no_sample[board] += int(refused.sum())
         places[NOWHERE] &= ~refused
-        concerns = [o for o in happened if _concerns(o, board, gateways)]
-        concerns += [Occurrence("port opened", board, ns, ns) for ns in ledger.opened_ns]
-        concerns += [Occurrence("port closed", board, ns, ns) for ns in ledger.closed_ns]
+        concerns = [*_ledger_faults(ledger, board), *(o for o in happened if _concerns(o, board, gateways))]
         made = (on_bus > 0) | (in_log > 0) | places[NOWHERE]
         gaps = {
             NOWHERE: _Gap(known, known & (on_bus == 0) & (in_log == 0) & (read == 0), at_ns),
@@ -149,6 +145,11 @@ def account_of(
             _explain(account, place, mask, board, at_ns, causes)
         _add_counts(account, board, logged)
     return account
+
+
+def _ledger_faults(ledger: Ledger, board: int) -> list[Occurrence]:
+    times = {"port opened": ledger.opened_ns, "port closed": ledger.closed_ns}
+    return [Occurrence(name, board, ns, ns) for name, moments in times.items() for ns in moments]
 
 
 def _times(numbers: NDArray[np.int64], count: int, board: int, account: Account) -> NDArray[np.int64]:
@@ -233,6 +234,11 @@ def _explain(
         mask = mask & ~explained
     account.lines[place, "UNEXPLAINED"] += int(mask.sum())
     account.unexplained += [(place, board, int(n), int(at_ns[n])) for n in np.flatnonzero(mask)]
+
+
+def _add_replayed(account: Account, board: int, ghosts: NDArray[np.int64], in_log: NDArray[np.int64]) -> None:
+    account.replayed += len(ghosts)
+    account.invented += [(board, int(n)) for n in ghosts if not 0 < n < len(in_log) or not in_log[n]]
 
 
 def _add_counts(account: Account, board: int, logged: Logged) -> None:

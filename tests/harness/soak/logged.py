@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -23,6 +23,7 @@ class Logged:
     samples: list[tuple[float, float]] = field(default_factory=list)  # i_c in A, x in m
     read: list[int] = field(default_factory=list)  # numbers of the STATE frames in the bytes from the board
     steps: int = 0  # of the wall clock, as the gateway reports them
+    sessions: Counter[int] = field(default_factory=Counter)  # in how many runs of the gateway each number was used
     backwards: int = 0  # samples whose time is before that of the sample before them, in one session
     last: list[pb.Status] = field(default_factory=list)  # the last one of each run of the gateway
 
@@ -59,6 +60,8 @@ def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
             elif not (raw := pb.RawBytes.FromString(record.data)).to_board:
                 events = decoders.setdefault(record.board, StreamDecoder()).feed(raw.data)
                 logged.read += [number_of(event.i_c, event.x) for event in events if isinstance(event, State)]
+        for number, session in newest:
+            found[number].sessions[session] += 1
         for number, status in last.items():
             found[number].last.append(status)
     return found
