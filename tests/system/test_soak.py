@@ -177,7 +177,7 @@ def test_a_second_hole_beside_a_killed_router_is_seen() -> None:
         ledger.at_ns[number] = number * 100_000_000
     logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in range(1, 9)])
     published = np.array([(0, n, 0) for n in (1, 2, 5, 6, 8)], np.int64)  # 3 was on its way, 4 did not fit the queue
-    killed = Occurrence("router killed", 0, 350_000_000, 500_000_000)
+    killed = Occurrence("router killed", 0, 340_000_000, 350_000_000, 500_000_000)
 
     account = account_of([ledger], published, {0: logged}, [killed], GATEWAYS)
 

@@ -35,7 +35,7 @@ class Cost:
     """Samples that a fault may cost, from `before_s` before it began to `after_s` after it ended.
 
     `in_one_piece`: what comes in order is lost in order, so they are one unbroken run of each board, through the moment
-    at which the fault began, or up to it.
+    at which the fault struck, or up to it.
     """
 
     place: str
@@ -149,7 +149,7 @@ def account_of(
 
 def _ledger_faults(ledger: Ledger, board: int) -> list[Occurrence]:
     times = {"port opened": ledger.opened_ns, "port closed": ledger.closed_ns}
-    return [Occurrence(name, board, ns, ns) for name, moments in times.items() for ns in moments]
+    return [Occurrence(name, board, ns, ns, ns) for name, moments in times.items() for ns in moments]
 
 
 def _times(numbers: NDArray[np.int64], count: int, board: int, account: Account) -> NDArray[np.int64]:
@@ -191,7 +191,7 @@ class _Gap:
         """Return which samples a fault may have cost."""
         window = self._at_ns >= occurrence.begin_ns - cost.before_s * 1e9
         window &= self._at_ns <= occurrence.end_ns + cost.after_s * 1e9
-        return window & self._run(occurrence.begin_ns) if cost.in_one_piece else window
+        return window & self._run(occurrence.struck_ns) if cost.in_one_piece else window
 
     def _run(self, moment_ns: int) -> Mask:
         """Return the unbroken run of missing samples through a moment, or the last one before it."""

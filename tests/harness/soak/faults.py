@@ -27,11 +27,15 @@ _PARKED = "ball parked, coil off"  # what a campaign says
 
 @dataclass(slots=True)
 class Occurrence:
-    """A fault that has happened; `target` is the number of the board or of the gateway."""
+    """A fault that has happened; `target` is the number of the board or of the gateway.
+
+    It struck between `begin_ns` and `struck_ns`: it takes a busy machine a while to kill a process.
+    """
 
     name: str
     target: int
     begin_ns: int
+    struck_ns: int = 0
     end_ns: int = 0
 
 
@@ -222,6 +226,7 @@ class Weather:
     def _go_on(self, _: int, course: Course, occurrence: Occurrence) -> None:
         duration_s = next(course, None)
         occurrence.end_ns = time.monotonic_ns()
+        occurrence.struck_ns = occurrence.struck_ns or occurrence.end_ns
         if duration_s is None:
             self._busy[occurrence.name, occurrence.target] -= 1
             return
