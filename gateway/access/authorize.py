@@ -17,7 +17,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gateway.access.roles import ROLE_WORDS, Role, may, refusal_text
 from gateway.board.limits import TokenBucket
@@ -110,20 +110,15 @@ class Authorizer:
 
     def sender(self, key: str, arrived_ns: int, arrived_s: float) -> Sender | Refusal:
         """Return the sender of a command with this key, or a refusal."""
+        unknown = Sender(name="", role=None, arrived_ns=arrived_ns, arrived_s=arrived_s, started_ns=self._started_ns)
         if not self.guarded:
-            return Sender(name="", role=None, arrived_ns=arrived_ns, arrived_s=arrived_s, started_ns=self._started_ns)
+            return unknown
         role_and_name = topics.sender(key)
         if role_and_name is None or role_and_name[0] not in ROLE_WORDS:
             text = f"On this bus a command goes under .../command/as/ROLE/NAME, not under {key[-100:]}."
             return Refusal("not-allowed", text)
         role, name = role_and_name
-        return Sender(
-            name=name,
-            role=Role[role.upper()],
-            arrived_ns=arrived_ns,
-            arrived_s=arrived_s,
-            started_ns=self._started_ns,
-        )
+        return replace(unknown, name=name, role=Role[role.upper()])
 
     def flooded(self, sender: Sender, now_s: float) -> bool:
         """Count a command of the sender; True if its rate is exceeded.  Not for STOP."""

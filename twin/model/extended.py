@@ -4,10 +4,10 @@
     i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
 The state y has shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2),
-rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1), share of the current with a
-second time constant (A), field of a solid core (A), current sensor (A).  Then follows how far each of `OFFSETS` has
-wandered, in its unit; the caller adds it to c.  Then comes the coloured noise of the readings of i_c (A) and x (m), and
-last their lines, a pair for each harmonic.  The caller advances these and adds them to the readings.
+rate of the sensor s' (m/s), place of the iron on its loop (-1 to 1), share of the current with a second time constant
+(A), field of a solid core (A), current sensor (A).  Then follows how far each of `OFFSETS` has wandered, in its unit;
+the caller adds it to c.  Then comes the coloured noise of the readings of i_c (A) and x (m), and last their lines, a
+pair for each harmonic.  The caller advances these and adds them to the readings.
 
 Rule 1: with `catalogue.neutral()` the model is exactly (1) and (6), and f = i_c, s = x.
 Rule 2: within a substep the amplifier is integrated exactly for any T_A and slew rate.  The ball is integrated by

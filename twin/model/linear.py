@@ -53,17 +53,7 @@ from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
-_DELTA = {
-    I_C: 1e-5,
-    X: 1e-7,
-    V: 1e-5,
-    FIELD: 1e-5,
-    SENSOR: 1e-7,
-    RATE: 1e-5,
-    SECOND: 1e-5,
-    CORE: 1e-5,
-    I_SENSOR: 1e-5,
-}  # SI units
+_DELTA = dict.fromkeys((I_C, V, FIELD, RATE, SECOND, CORE, I_SENSOR), 1e-5) | {X: 1e-7, SENSOR: 1e-7}  # SI units
 _DELTA_U = 1e-4  # V
 
 
