@@ -37,6 +37,7 @@ from twin.diagnosis.report.sentences import (
     beginning_sentence,
     beyond_sentence,
     contradiction_sentence,
+    overlap_sentence,
     rival_sentence,
 )
 from twin.diagnosis.result import Diagnosis, Finding, Proposal
@@ -232,7 +233,7 @@ def _where(search: SearchResult, names: _Names, outcome: Judgement, verdict: Ver
 def _warnings(search: SearchResult, names: _Names, outcome: Judgement, where: str, *, harms: bool) -> list[str]:
     """Return the warnings; `harms`: whether a curve for the rest was refused."""
     warnings = _inconsistent(search) + [rival_sentence(rival) for rival in names.rivals.values()]
-    warnings += [outcome.off] if outcome.off else []
+    warnings += [sentence for sentence in (overlap_sentence(names.account), outcome.off) if sentence]
     if harms:
         warnings.append("a curve for the rest was tried and refused: the judge recordings get worse with it")
     if search.is_adequate:

@@ -54,11 +54,15 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
     if verdict in ("causes-found", "model-adequate") and not static:
         if left > 0.0:
             yield f"{verdict}, and {left} of the excess is unexplained"
+        if data["jointly_explained"]["share_of_excess"] > 0.5:
+            yield f"{verdict}, and the names explain more jointly than apart"
         if beyond:
             yield f"{verdict}, and the judge recordings lie surely above the noise floor: {low:.3f} times at least"
     if verdict in ("partly-explained", "unknown-cause"):
         rivalled = any(cause.get("rival") for cause in _listed(data))  # what is not known is then where it belongs
-        if left == 0.0 and not beyond and not data["unexplained"]["where"] and not rivalled:
+        jointly = data["jointly_explained"]["share_of_excess"]
+        overlap = jointly > sum(cause["share_of_excess_explained"] for cause in _listed(data))
+        if left == 0.0 and not beyond and not data["unexplained"]["where"] and not (rivalled or overlap):
             yield f"{verdict}, and nothing is said to be left"
         if not data["unexplained"]["where"] and not data["warnings"]:
             yield f"{verdict} without a word on what is left"

@@ -19,6 +19,8 @@ Rule 5: names hold in part if they remove most of the error above the noise on t
 Rule 6: names that hold in part need a leading cause.  Alone it explains at least as much as is left and as several
         explain jointly.  A cause that explains less may only correct the form of another, and is a candidate.  Three
         causes with two thirds of their gain in common imitated the spring of a wire.
+Rule 7: several names hold only if they explain more apart than jointly.  Names that imitate one unknown effect are each
+        like it, and so like each other; causes that act together are as alike only by chance.
 """
 
 from __future__ import annotations
@@ -64,6 +66,11 @@ class Account:
     def leads(self, cause: str) -> bool:
         """Tell whether a cause alone explains at least as much as is left and as several explain jointly."""
         return cause not in self.doubted and self.cause_shares.get(cause, 0.0) >= self.unexplained + self.jointly
+
+    @property
+    def overlaps(self) -> bool:
+        """Tell whether the causes explain more jointly than apart, as names do that imitate one effect."""
+        return self.jointly > sum(self.cause_shares.values())
 
 
 def account_of(selection: Selection, lacks: float, is_adequate: bool, doubted: Collection[str] = ()) -> Account:

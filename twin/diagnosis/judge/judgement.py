@@ -53,14 +53,14 @@ def judge(
     # A right name that does nothing to x may be surely worse by less than anybody notices: it loses the file alone.
     harm = worse(first)
     verdict = verdict_of(
-        named=bool(set(selection.causes) - account.doubted) or counted,
+        named=not account.overlaps and (bool(set(selection.causes) - account.doubted) or counted),
         is_adequate=is_adequate,
         finished=finished,
         gain=whole,
         leading=(is_adequate and counted) or any(account.leads(name) for name in selection.causes),
         worse=harm is not None and harm.ratio > settings.WORSE_ERROR,
     )
-    if account.doubted and verdict == "model-adequate":
+    if (account.doubted or account.overlaps) and verdict == "model-adequate":
         verdict = "unknown-cause"
     if bench is None or not first:
         choice = choice_without_judges(selection, has_model=model is not None)

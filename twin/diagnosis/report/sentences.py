@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from twin.diagnosis.checks.change_point import Change
     from twin.diagnosis.checks.consistency import Beginning, Contradiction
     from twin.diagnosis.checks.outlier_recording import Outlier
+    from twin.diagnosis.judge.account import Account
     from twin.diagnosis.judge.prediction_gain import Gain
     from twin.diagnosis.remainder.rivals import Rival
     from twin.diagnosis.result import Diagnosis, Finding
@@ -243,6 +244,8 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
         if diagnosis.unexplained_where.startswith(ON_JUDGES):
             rest = f" It explains the recordings for fitting, but not all {diagnosis.unexplained_where}."
         return f"The model is wrong, and none of the known causes explains it.{rest}"
+    if overlap := overlap_sentence(diagnosis.account):
+        rest = f" {capital(overlap)}.{rest}"
     nearest = _causes_sentence(diagnosis.causes, whole=False)
     nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
     return (
@@ -307,6 +310,13 @@ def _rivals_sentence(causes: Sequence[Finding]) -> str:
     """Say which names something unknown would replace."""
     rivals = dict.fromkeys(rival_sentence(one.rival) for one in causes if one.rival is not None)
     return "".join(f" {capital(sentence)}." for sentence in rivals)
+
+
+def overlap_sentence(account: Account) -> str:
+    """Say how much the names explain jointly, where that is most of it; else ""."""
+    if not account.overlaps:
+        return ""
+    return f"they explain {percent(account.jointly)} of {LACKED} only jointly, as imitations of one effect do"
 
 
 def rival_sentence(rival: Rival) -> str:

@@ -16,6 +16,7 @@ from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
 from tests.harness.diagnose.simulated_rig import controller
 from twin.diagnosis.judge.account import MAX_CONFIDENCE, account_of, verdict_of
+from twin.diagnosis.judge.judgement import judge
 from twin.diagnosis.judge.prediction_gain import Gain, bootstrap
 from twin.diagnosis.report.page import to_html
 from twin.diagnosis.report.sentences import beyond_sentence, summary_sentence
@@ -119,8 +120,23 @@ def test_names_that_explain_most_of_it_jointly_may_imitate_another() -> None:
     account = account_of(searched(900.0, a=250.0, b=100.0), 0.0, True)
 
     assert account.jointly == pytest.approx(550.0 / 900.0)
+    assert account.overlaps
     assert not account.leads("a")
     assert verdict_of(named=True, is_adequate=True, leading=False, gain=judged(1.15, 1.25)) == "unknown-cause"
+
+
+@pytest.mark.parametrize("counted", [False, True])
+def test_names_that_explain_most_of_it_jointly_do_not_hold_where_nothing_is_left_either(counted: bool) -> None:
+    alike, apart = (searched(900.0, a=gain, b=100.0) for gain in (250.0, 500.0))
+
+    verdicts = [
+        judge(
+            selection, None, None, account_of(selection, 0.0, True), is_adequate=True, finished=True, counted=counted
+        ).verdict
+        for selection in (alike, apart)
+    ]
+
+    assert verdicts == ["unknown-cause", "causes-found"]
 
 
 def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_be_confounders() -> None:
