@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
+from twin.distributions import student_above, student_quantile
 from twin.estimation.record import FloatArray, Record
 from twin.identification.horizon import HORIZONS_S
 from twin.model.parameters import Model
@@ -142,7 +142,7 @@ def _change(at: Prediction, region: str, totals: Sequence[Totals], spread: float
     """The change with Student's t for the logarithm of the ratio of mean squares."""
     blocks, ratio = min(len(side.counts) for side in totals), totals[1].rmse_m / (totals[0].rmse_m or math.nan)
     enough = blocks >= MIN_BLOCKS and math.isfinite(ratio) and spread > 0.0 and freedom > 0.0
-    width = float(student.ppf(0.975, freedom)) * spread / 2.0 if enough else math.nan  # of log rms: half the log square
+    width = student_quantile(0.975, freedom) * spread / 2.0 if enough else math.nan  # of log rms: half the log square
     return Change(
         horizon_s=at.ahead * at.interval_s,
         region=region,
@@ -150,7 +150,7 @@ def _change(at: Prediction, region: str, totals: Sequence[Totals], spread: float
         second_m=totals[1].rmse_m,
         ratio=ratio,
         ci95=(ratio * math.exp(-width), ratio * math.exp(width)),
-        chance=float(2.0 * student.sf(abs(2.0 * math.log(ratio)) / spread, freedom)) if enough else math.nan,
+        chance=2.0 * student_above(abs(2.0 * math.log(ratio)) / spread, freedom) if enough else math.nan,
         count=int(min(side.counts.sum() for side in totals)),
         blocks=blocks,
     )

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
+from twin.distributions import chi2_above
 from twin.estimation.family import holm
 from twin.model.parameters import Model, Parameter
 
@@ -67,7 +67,7 @@ def _course(name: str, estimates: Sequence[Parameter | None]) -> Course:
     if len(known) > 1:
         weights = stds[known] ** -2.0
         mean = float(weights @ values[known] / weights.sum())
-        chance = float(chi2.sf(float(weights @ (values[known] - mean) ** 2), len(known) - 1))
+        chance = chi2_above(float(weights @ (values[known] - mean) ** 2), len(known) - 1)
         first, last = known[0], known[-1]
         if values[first]:
             change = float(values[last] / values[first] - 1.0)

@@ -14,8 +14,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import norm
 
+from twin.distributions import normal_above
 from twin.estimation.record import FloatArray
 
 # Level.  The chance that a report finds a right model wrong in any test of one family.
@@ -52,4 +52,4 @@ def chance_of_worse(ratio: float, draws: FloatArray) -> float:
     if len(known) < 2 or not (math.isfinite(ratio) and ratio > 0.0):
         return math.nan
     spread = float(np.log(known).std(ddof=1))
-    return float(norm.sf(math.log(ratio) / spread)) if spread > 0.0 else math.nan
+    return normal_above(math.log(ratio) / spread) if spread > 0.0 else math.nan

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
 
+from twin.distributions import log_beta_above
 from twin.estimation.innovations import FOLLOWS, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.model.causes.sensor_line import HARMONICS, LARGEST_RATIO
@@ -82,7 +82,7 @@ class Periodogram:
     def log_chance(self, at: int, *, tried: int = TRIED) -> float:
         """Return ln of the probability that noise has such an ordinate among those tried, at most 0."""
         others = self.stretches * (float(self.ordinates[at]) - 1.0)
-        chance = float(beta.logsf(min(float(self.share[at]), 1.0 - 1e-12), self.stretches, others))
+        chance = log_beta_above(min(float(self.share[at]), 1.0 - 1e-12), self.stretches, others)
         return min(chance + math.log(tried), 0.0)
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import t as student
 
+from twin.distributions import student_above, student_quantile
 from twin.estimation.family import holm
 from twin.estimation.record import FloatArray, runs
 
@@ -279,9 +279,9 @@ def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence
     ci95, chance = None, float("nan")
     if n > 1:
         error = float(difference.std(ddof=1) / np.sqrt(n))
-        half = float(student.ppf(0.975, n - 1)) * error
+        half = student_quantile(0.975, n - 1) * error
         ci95 = (mean - half, mean + half)
-        chance = float(2.0 * student.sf(abs(mean) / error, n - 1)) if error > 0.0 else float(mean == 0.0)
+        chance = 2.0 * student_above(abs(mean) / error, n - 1) if error > 0.0 else float(mean == 0.0)
     return Compared(
         name=name,
         rig=float(rig[both].mean()) if n else float("nan"),

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from twin.distributions import chi2_above
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.estimation.record import FloatArray
 
@@ -62,7 +62,7 @@ def whiteness(series: Series, white: FloatArray) -> Whiteness:
             rho = float(np.sum(filled[lag:] * filled[:-lag] * same)) / power * n / pairs
             statistic += pairs * rho * rho
             worst = max(worst, abs(rho))
-        results.append((power / n, float(chi2.sf(statistic, LAGS)), worst))
+        results.append((power / n, chi2_above(statistic, LAGS), worst))
     (chi2_i, p_i, worst_i), (chi2_x, p_x, worst_x) = results
     known = [p for p in (p_i, p_x) if np.isfinite(p)]
     return Whiteness(

@@ -20,8 +20,8 @@ from functools import cache
 
 import numpy as np
 from scipy.linalg import null_space, toeplitz
-from scipy.stats import chi2
 
+from twin.distributions import chi2_exceeded
 from twin.estimation.contact import partly_cut_off
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
@@ -74,7 +74,7 @@ def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | N
             _coloured([*i_c, *captured]),
             _coloured(i_c).total + max(_white(captured).total, _coloured(captured).total),
         )
-        if 2.0 * (separate - joint.total) < chi2.isf(settings.COLOUR_CHANCE, 3):
+        if 2.0 * (separate - joint.total) < chi2_exceeded(settings.COLOUR_CHANCE, 3):
             # One colour unless two are significantly better: it has three numbers less.
             i_c_colour = captured_colour = joint.colour
     return i_c_colour, _colour(x), captured_colour
@@ -102,7 +102,7 @@ def _colour(windows: Sequence[_Windows]) -> Colour | None:
         return None
     white, coloured = _white(windows), _coloured(windows)
     gains = coloured.each - white.each
-    min_gain = 0.5 * float(chi2.isf(settings.COLOUR_CHANCE, 2))
+    min_gain = 0.5 * chi2_exceeded(settings.COLOUR_CHANCE, 2)
     # Without the best window: one disturbed window would otherwise make coloured noise of a whole campaign.
     surely = float(gains.sum() - gains.max()) > min_gain and coloured.total > _wandering(windows).total
     assert coloured.colour is not None

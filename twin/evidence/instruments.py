@@ -27,9 +27,8 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.signal import lfilter
-from scipy.stats import chi2, norm
 
+from twin.distributions import chi2_above, normal_exceeded
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X, Series
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.estimation.record import BoolArray, FloatArray, runs
@@ -166,6 +165,8 @@ def smooth(series: Series, column: int, *, before: int = 0, around: int = 0) -> 
 
 def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
     """Return i_c minus its linear regression on filtered u_c, over the samples `used`; all of shape (n,)."""
+    from scipy.signal import lfilter  # here: it takes 45 MB, and the running twin filters nothing
+
     before = np.concatenate((u[:1], u[:-1]))
     lagged = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, SHOWS + 1)]
     slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
@@ -240,7 +241,7 @@ def _groups(windows: _Windows) -> list[_Group]:
     # Levels are compared as logarithms of squares: their scatter is the same for any level, and nearly normal for
     # windows of this length.  An F test of the squares would rely on Gaussian tails.
     groups = [_Group((int(first),), windows.log[windows.source == first]) for first in present[counts >= FEWEST]]
-    surely = float(norm.isf(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1)))
+    surely = normal_exceeded(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1))
     while len(groups) > 1:
         # Merging from below, not splitting: with no difference all recordings end in one group, the simplest answer.
         # The level is that of all pairs together (Bonferroni).
@@ -279,7 +280,7 @@ def _follows(flown: _Windows, curve: Channel) -> bool:
     after = left - powers @ np.linalg.lstsq(powers, left, rcond=None)[0]
     left = left - float(np.mean(left))
     gained = float(left @ left - after @ after) / float(np.var(after, ddof=_BENDS + 1))
-    return bool(chi2.sf(gained, _BENDS) > settings.INSTRUMENT_CHANCE)
+    return bool(chi2_above(gained, _BENDS) > settings.INSTRUMENT_CHANCE)
 
 
 def _fitted(windows: _Windows, group: IntArray) -> Channel:
@@ -295,7 +296,7 @@ def _fitted(windows: _Windows, group: IntArray) -> Channel:
         gained = float(left @ left - after @ after) / float(np.var(after, ddof=bends))
         change = float(np.std(left - after))
         # Significant and large: with many windows a bend of 1 % is significant, but does not matter.
-        if chi2.sf(gained, 1) > settings.INSTRUMENT_CHANCE or change < math.log(TOLERANCE):
+        if chi2_above(gained, 1) > settings.INSTRUMENT_CHANCE or change < math.log(TOLERANCE):
             break
         curve, left = Channel(bend=tuple(bend.tolist()), range_m=(low, high)), after
     return curve

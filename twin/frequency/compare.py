@@ -18,9 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
+from twin.distributions import chi2_above, fisher_above
 from twin.estimation.record import BoolArray, FloatArray
 from twin.frequency.spectra import ComplexArray, Spectra
 
@@ -96,7 +95,7 @@ def chances(d: Deviations) -> tuple[FloatArray, float]:
         mean, covariance = mean + gain @ error[k], covariance - gain @ slopes[k] @ covariance
     in_turn = _chance(error, noise, parameter_part, d.dof)
     single = _chance(z, noise, slopes @ slopes.transpose(0, 2, 1), d.dof)
-    return single, float(chi2.sf(-2.0 * np.sum(np.log(np.maximum(in_turn, 1e-300))), 2 * len(z)))
+    return single, chi2_above(-2.0 * np.sum(np.log(np.maximum(in_turn, 1e-300))), 2 * len(z))
 
 
 def _chance(z: FloatArray, noise: FloatArray, parameter_part: FloatArray, dof: FloatArray) -> FloatArray:
@@ -104,7 +103,7 @@ def _chance(z: FloatArray, noise: FloatArray, parameter_part: FloatArray, dof: F
     whole = noise + parameter_part
     share = np.trace(noise, axis1=1, axis2=2) / np.trace(whole, axis1=1, axis2=2)
     size = 0.5 * np.einsum("fa,fab,fb->f", z, np.linalg.inv(whole), z)
-    return np.asarray(f_distribution.sf(size, 2.0, 2.0 * dof / share**2))
+    return np.asarray(fisher_above(size, 2.0, 2.0 * dof / share**2))
 
 
 def holm(p: FloatArray, level: float) -> BoolArray:

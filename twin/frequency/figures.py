@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from scipy.stats import f as f_distribution
 
+from twin.distributions import fisher_quantile
 from twin.estimation.record import FloatArray
 from twin.frequency.bode import Height, Measured
 from twin.frequency.residual_psd import ResidualSpectrum
@@ -23,7 +23,7 @@ SENSITIVITIES: tuple[Name, ...] = ("S", "T")
 
 def radius(m: Measured) -> FloatArray:
     """Return the radius of the disc that holds the response with 95 %, shape (F,)."""
-    return np.asarray(m.std * np.sqrt(f_distribution.ppf(0.95, 2.0, 2.0 * m.dof)))
+    return np.asarray(m.std * np.sqrt(fisher_quantile(0.95, 2.0, 2.0 * m.dof)))
 
 
 @styled

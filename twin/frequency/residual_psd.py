@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import welch
-from scipy.stats import chi2
 
+from twin.distributions import chi2_below, chi2_quantile
 from twin.estimation.record import FloatArray, runs
 from twin.estimation.rollout import SETTLE_S
 from twin.frequency.compare import holm
@@ -62,8 +62,8 @@ def _spectrum(filtered: Sequence[Filtered], column: int, name: str) -> ResidualS
         return None
     power = np.asarray(total / segments)
     dof = 36.0 * segments**2 / (19.0 * segments - 1.0)
-    tail = chi2.cdf(dof * power, dof)
+    tail = chi2_below(dof * power, dof)
     tested = slice(1, None, BINS)
     wrong = holm(2.0 * np.minimum(tail, 1.0 - tail)[tested], LEVEL)
-    low, high = (float(chi2.ppf(tail_p, dof) / dof) for tail_p in (0.025, 0.975))
+    low, high = (chi2_quantile(tail_p, dof) / dof for tail_p in (0.025, 0.975))
     return ResidualSpectrum(channel=name, f_hz=f_hz, power=power, low=low, high=high, wrong_hz=f_hz[tested][wrong])

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import t as student
 
+from twin.distributions import student_quantile
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import LoopRun, Response
 from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, label, legend_above, styled, ticks_125
@@ -146,7 +146,7 @@ def step_figure(responses: Sequence[Response]) -> Figure:
     legend_above(top)
     bottom.plot(t, difference.mean(axis=0), color=MEASURED, lw=1.2, label="rig - simulation")
     if len(responses) > 1:
-        half = student.ppf(0.975, len(responses) - 1) * difference.std(axis=0, ddof=1) / np.sqrt(len(responses))
+        half = student_quantile(0.975, len(responses) - 1) * difference.std(axis=0, ddof=1) / np.sqrt(len(responses))
         middle = difference.mean(axis=0)
         bottom.fill_between(t, middle - half, middle + half, color=MEASURED, alpha=0.25, lw=0, label="95 % interval")
     bottom.axhline(0.0, color="black", lw=0.6)

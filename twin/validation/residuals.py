@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import toeplitz
-from scipy.stats import chi2
 
+from twin.distributions import chi2_above
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import FloatArray
 from twin.estimation.rollout import SETTLE_S
@@ -82,7 +82,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
     if count < 10 * LAGS or lag_pairs.min() < 50 or power == 0.0:
         return None
     rho = lag_products / lag_pairs / (power / count)
-    p_white = float(chi2.sf(float(np.sum(lag_pairs * rho**2)), LAGS))
+    p_white = chi2_above(float(np.sum(lag_pairs * rho**2)), LAGS)
     p_input, r = 1.0, np.zeros(LAGS)
     if u_power > 0.0:
         r = cross / cross_pairs / np.sqrt(power / count * u_power / u_count)
@@ -91,7 +91,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
         values, vectors = np.linalg.eigh(toeplitz(of_u))
         retained = values > 1e-3 * values.max()
         statistic = float(np.mean(cross_pairs)) * float(np.sum((vectors.T @ r)[retained] ** 2 / values[retained]))
-        p_input = float(chi2.sf(statistic, int(retained.sum())))
+        p_input = chi2_above(statistic, int(retained.sum()))
     size = power / count
     # The stated noise was estimated from a recording of similar length: both estimates have a scatter of sqrt(2 / n).
     bound = BOUND_99 * np.sqrt(4.0 / count)

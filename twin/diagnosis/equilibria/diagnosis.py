@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.stats import f as f_distribution
-from scipy.stats import t as t_distribution
 
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
@@ -36,6 +34,7 @@ from twin.diagnosis.equilibria.points import (
     strength_of,
 )
 from twin.diagnosis.judge.reference_model import check_plant, theta_of
+from twin.distributions import fisher_quantile, student_quantile
 from twin.estimation.record import FloatArray, Record
 from twin.inference.theta import Theta
 from twin.model.assumed import assumption_warning, mark
@@ -264,7 +263,7 @@ def _verdict(
         rough = base.std_a > 3.0 * round_a > 0.0 and base.freedom > 0
         return [], "unknown-cause" if rough else "model-adequate", 0.0
     best = possible[0]
-    limit = float(f_distribution.ppf(1.0 - settings.STATIC_LEVEL, best.fit.freedom, best.fit.freedom))
+    limit = float(fisher_quantile(1.0 - settings.STATIC_LEVEL, best.fit.freedom, best.fit.freedom))
     members = [
         explanation
         for explanation in possible
@@ -340,7 +339,7 @@ def _extended(
         name: replace(entry, std=None, ci95=None, verdict="assumed", method=f"{origin}; not in these data")
         for name, entry in like.parameters.items()
     }
-    t = float(t_distribution.ppf(1.0 - settings.STATIC_LEVEL / 2.0, max(fit.freedom, 1)))
+    t = student_quantile(1.0 - settings.STATIC_LEVEL / 2.0, max(fit.freedom, 1))
     std = standard_error(points, plant, fit, of_gain=True) * fit.theta.K_c
     parameters["K_c"] = Parameter(
         value=fit.theta.K_c,

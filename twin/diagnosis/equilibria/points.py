@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq, least_squares
-from scipy.stats import f as f_distribution
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
+from twin.distributions import fisher_above, fisher_quantile
 from twin.estimation.record import FloatArray, Record
 from twin.inference.theta import Theta, parameter_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -184,7 +184,7 @@ def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float
     """
     strength = BY_NAME[fit.cause].strength
     best = strength.coordinate(fit.theta.value(strength_of(fit.cause)))
-    limit = fit.rss_a2 * (1.0 + float(f_distribution.ppf(1.0 - settings.STATIC_LEVEL, 1, fit.freedom)) / fit.freedom)
+    limit = fit.rss_a2 * (1.0 + float(fisher_quantile(1.0 - settings.STATIC_LEVEL, 1, fit.freedom)) / fit.freedom)
     ends = []
     for edge in sorted(_edges(fit.cause)):
         sign = 1.0 if edge > best else -1.0
@@ -229,7 +229,7 @@ def f_test(base: StaticFit, fit: StaticFit) -> tuple[float, float]:
     if fit.freedom <= 0:
         return math.nan, 1.0
     ratio = (base.rss_a2 - fit.rss_a2) / max(fit.rss_a2 / fit.freedom, 1e-300)
-    return ratio, float(f_distribution.sf(max(ratio, 0.0), 1, fit.freedom))
+    return ratio, float(fisher_above(max(ratio, 0.0), 1, fit.freedom))
 
 
 def left_out(points: Points, plant: Plant, whole: StaticFit) -> FloatArray:

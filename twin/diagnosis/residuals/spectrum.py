@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from twin.distributions import chi2_quantile
 from twin.estimation.record import FloatArray, runs
 
 SEGMENT_S = 1.0
@@ -57,8 +57,8 @@ def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | 
         extended=densities[1][1:],
         floor=floor_m * np.sqrt(2.0 * tick_s),
         spread=(
-            float(np.sqrt(freedom / chi2.ppf(0.975, freedom))),
-            float(np.sqrt(freedom / chi2.ppf(0.025, freedom))),
+            float(np.sqrt(freedom / chi2_quantile(0.975, freedom))),
+            float(np.sqrt(freedom / chi2_quantile(0.025, freedom))),
         ),
         segments=len(starts),
     )

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import t as student_t
 
+from twin.distributions import student_quantile
 from twin.estimation.record import FloatArray, Record, intervals, runs
 from twin.settings import identification as settings
 
@@ -104,7 +104,7 @@ def find_levels(records: list[Record]) -> Levels | None:
     total = np.sqrt(error**2 + extra**2) / np.maximum(weight * error, 1e-6)
     covariance = np.linalg.inv((columns / total[:, None] ** 2).T @ columns)
     # With few levels their scatter is uncertain: Student's factor.
-    widen = float(student_t.ppf(0.975, max(len(u) - 2, 1)) / 1.96) if distinct > 2 else 1.0
+    widen = student_quantile(0.975, max(len(u) - 2, 1)) / 1.96 if distinct > 2 else 1.0
     bend, at, systematic = _bend(u, i - columns @ solution, error)
     return Levels(
         K_A=float(solution[0]),
@@ -140,7 +140,7 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
     k = int(np.argmax(np.abs(mean)))
     at = np.array([float(u[g].mean()) for g in groups])
     slope_error = float(np.sqrt(np.sum(mean**2) / (len(mean) - 2) / np.sum((at - at.mean()) ** 2)))
-    return float(mean[k]), float(at[k]), slope_error * float(student_t.ppf(0.975, len(mean) - 2) / 1.96)
+    return float(mean[k]), float(at[k]), slope_error * (student_quantile(0.975, len(mean) - 2) / 1.96)
 
 
 def _plateaus(record: Record) -> list[Level]:

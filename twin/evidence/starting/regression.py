@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import fftconvolve, lfilter
 
 from protocol.campaign import Plant
 from twin.estimation.prepare import flights
@@ -88,6 +87,8 @@ def amplifier_start(records: list[Record]) -> AmplifierStart | None:
 
 def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) -> tuple[float, float]:
     """Return (K_A, sum of squares) of the regression of i_c on the filtered u_c and the decay of the first current."""
+    from scipy.signal import lfilter  # here: it takes 45 MB, and the running twin filters nothing
+
     cross = power = 0.0
     prepared = []
     for step, u, i in pieces:
@@ -197,6 +198,8 @@ def _mean_square(i: FloatArray, u: FloatArray, step: float, amplifier: Amplifier
 
 
 def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: Plant) -> FloatArray:
+    from scipy.signal import fftconvolve
+
     s = np.linspace(-1.0, 1.0, width + 1)
     reach_s = 0.5 * width * step
     phi = (1.0 - s**2) ** 3

@@ -27,9 +27,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from twin.diagnosis.search.score_test import two_sided
+from twin.distributions import chi2_exceeded
 from twin.estimation.record import FloatArray
 from twin.live.naming.evidence import Signature, WindowEvidence
 from twin.live.naming.windows import Window
@@ -64,7 +64,7 @@ class Proposal:
 def min_gain(probes: int) -> float:
     """Return the threshold of rule 1."""
     tests = WEEK_S / WINDOW_S * WINDOWS * max(probes, 1)
-    return 0.5 * float(chi2.isf(FALSE_NAMES_PER_WEEK / tests, 1))
+    return 0.5 * chi2_exceeded(FALSE_NAMES_PER_WEEK / tests, 1)
 
 
 def without_best(slopes: FloatArray, information: FloatArray) -> tuple[FloatArray, FloatArray]:
