@@ -26,7 +26,7 @@ def test_the_default_campaign_gives_the_rig_back_and_its_judges_agree(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, model = tmp_path / "c", tmp_path / "model.json"
-    with emulated_line(tmp_path) as line:
+    with emulated_line(tmp_path, seed=7) as line:
         assert line.run(folder) == 0
     capsys.readouterr()
 

@@ -81,6 +81,7 @@ def emulated_line(
     firmware: Callable[..., Board] = Firmware,
     rig: str = "ce152",
     known: str = PLANT,
+    seed: int = 5,
     **board: Any,
 ) -> Iterator[Line]:
     plant = tmp_path / "plant.toml"
@@ -88,7 +89,7 @@ def emulated_line(
     with (
         pytest.MonkeyPatch.context() as patch,
         Emulator(
-            tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5, firmware=firmware, rig=rig
+            tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=seed, firmware=firmware, rig=rig
         ) as emulator,
     ):
         # Each campaign waits for these two.  Within 5 s a rig three times as fast sends 7500 samples.
