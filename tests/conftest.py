@@ -6,6 +6,7 @@ What is slow to make is made once, not in each process of the run: fixtures of a
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -89,6 +90,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
                 f"pytest {pytest.__version__} and pytest-xdist do not group tests: {lost[0]} and {len(lost) - 1} more"
             )
             raise pytest.UsageError(text)
+    # What was imported and collected stays until the end: the garbage collector need not look through it in each test.
+    gc.collect()
+    gc.freeze()
 
 
 def _compile_one_at_a_time() -> None:

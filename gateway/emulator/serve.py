@@ -130,22 +130,23 @@ class Server:
 
     def _run_in_time(self, ticks: int | None, speed: float) -> None:
         period_ns = _T_NS / speed
+        together = max(1, min(int(speed), _BURST))  # a host reads once in a tick of real time
         start_ns = time.monotonic_ns()
         ticks_run, allowed, before_ns = 0, 0.0, start_ns
         while not self._stopped and ticks_run != ticks:
             now_ns = time.monotonic_ns()
             allowed = min(allowed + _CATCH_UP * (now_ns - before_ns) / period_ns, _BURST)
             before_ns = now_ns
-            behind_ns = now_ns - start_ns - int((ticks_run + 1) * period_ns)
-            early_ns = max(-behind_ns, (1.0 - allowed) * period_ns / _CATCH_UP)
+            behind_ns = now_ns - start_ns - int((ticks_run + together) * period_ns)
+            early_ns = max(-behind_ns, (together - allowed) * period_ns / _CATCH_UP)
             self._rest(max(early_ns, 0.0) * 1e-9)
             if early_ns > 0:
                 continue
-            due = 1 + int(behind_ns / period_ns)
+            due = together + int(behind_ns / period_ns)
             now = min(due, int(allowed), ticks - ticks_run if ticks is not None else due)
             allowed -= now
-            if due > 1:
-                self.overdue_ticks += min(due - 1, now)
+            if due > together:
+                self.overdue_ticks += min(due - together, now)
                 self.worst_lateness_s = max(self.worst_lateness_s, behind_ns * 1e-9)
             for _ in range(now):
                 for line in self.lines:

@@ -66,8 +66,9 @@ def test_six_seconds_of_anything_give_the_same_frames(library: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3, 11))
+@pytest.mark.parametrize("seed", [3, 6, *(pytest.param(n, marks=pytest.mark.sample) for n in (4, 5, 7, 8, 9, 10))])
 def test_a_minute_of_anything_gives_the_same_frames(seed: int, library: Path) -> None:
+    """3 and 6 reach every branch of the core that all of them reach (gcov)."""
     here, there, _ = both(seed, 30_000, library)
 
     counts = compared(here, there)

@@ -17,6 +17,7 @@ from gateway.commands import start
 from gateway.processes.command import listens
 from protocol.arguments import Parser
 from tests.harness.gateway.gateway_peers import client, wait_for
+from tests.harness.gateway.heavy_rig import HEAVY_RIG
 from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
@@ -50,21 +51,10 @@ def test_one_command_flies_shows_and_ends_everything(tmp_path: Path) -> None:
     assert list((tmp_path / "logs").glob("*.mcap"))
 
 
-RIG = """
-[plant]
-name = "heavy"
-mass_kg = 20e-3
-travel_m = 12e-3
-x_max_m = 16e-3
-[emulated]
-force_constant_n_m2_a2 = 5e-5
-"""
-
-
 @pytest.mark.slow
 def test_another_emulated_rig_has_its_plant_card_and_its_limits(tmp_path: Path) -> None:
     page, bus = free_port(), free_port()
-    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "rig.toml").write_text(HEAVY_RIG)
     words = ["--emulated", "--rig", str(tmp_path / "rig.toml"), "--page", f"127.0.0.1:{page}", "--no-browser"]
     process = subprocess.Popen(
         [*START, *words, "--listen", f"tcp/127.0.0.1:{bus}", "--log-dir", str(tmp_path / "logs")],

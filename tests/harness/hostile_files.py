@@ -36,6 +36,7 @@ from protocol.campaign import Recording, load, load_stated_plant
 from protocol.diagnosis import load_diagnosis
 from protocol.log.reader import LogReader, read
 from tests.harness import mutations
+from tests.harness.gateway.heavy_rig import HEAVY_RIG
 from tests.harness.hostile_messages import message, usual_messages, write_log
 from tests.harness.twin.true_model import true_model
 from twin.control_design.controller_file import read_controller
@@ -62,7 +63,6 @@ skip_s = 0.5
 x = {column = "x", scale = 1e-3, offset = 0.0, table = [[0.0, 1.0], [1.0, 2.0]]}
 u_c = "u"
 """
-RIG = "[plant]\nmass_kg = 20e-3\ntravel_m = 12e-3\nx_max_m = 16e-3\n[emulated]\nforce_constant_n_m2_a2 = 5e-5\n"
 TABLE = "t,u_c,i_c,x\n" + "".join(f"{n * 2e-3:.3f},1.0,0.{n},0.00{n % 5}\n" for n in range(20))
 CONTROLLER = {
     "law": "lqi", "gains": [0.49, 1700.0, 17.7, -17600.0], "sample_time_s": 2e-3,
@@ -222,7 +222,7 @@ GAINS = ("The file", "law ", "gains ", "The gains", "operating_point ")
 READERS = {
     "campaign": Reader("campaign.toml", _toml(CAMPAIGN), load),
     "plant": Reader("plant.toml", _toml(CAMPAIGN), load_stated_plant),
-    "own rig": Reader("rig.toml", _toml(RIG), load_rig, ("Rig: ",)),
+    "own rig": Reader("rig.toml", _toml(HEAVY_RIG), load_rig, ("Rig: ",)),
     "configuration": Reader("gateway.toml", _toml(documented_toml()), partial(load_config, environment={})),
     "model": Reader("model.json", _json(true_model(effects={"quadratic-drag": 1.0}).to_json()), Model.load),
     "controller": Reader("controller.json", _json(CONTROLLER), read_controller),

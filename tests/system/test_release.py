@@ -142,7 +142,8 @@ def installed(builds: list[dict[str, Path]], tmp_path: Path) -> Path:
     """The programs of an empty environment into which the wheel with all parts was installed."""
     programs = tmp_path / "env" / "bin"
     venv.create(tmp_path / "env", with_pip=True)
-    pip = [str(programs / "pip"), "install", "--quiet", "--disable-pip-version-check"]
+    # Bytecode of the modules that are used is written when they are.
+    pip = [str(programs / "pip"), "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
     probe = [str(programs / "pip"), "download", "--quiet", "--no-deps", "--retries", "0", "annotated-types"]
     reached = subprocess.run(probe, cwd=tmp_path, capture_output=True, text=True, check=False)
     if reached.returncode:

@@ -13,19 +13,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from tests.harness.gateway.campaign_line import Line, emulated_line, words
 from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.heavy_rig import DRAGGED_RIG, HEAVY, TRUTH
 
-TRUTH = {"K_A": 0.297, "T_A": 3e-4, "K_c": 5e-5, "b": 0.05}
-RIG = f"""
-[plant]
-name = "heavy"
-mass_kg = 20e-3
-travel_m = 12e-3
-x_max_m = 16e-3
-[emulated]
-force_constant_n_m2_a2 = {TRUTH["K_c"]}
-drag_n_s_m = {TRUTH["b"]}
-"""
-HEAVY = pb.Plant(name="heavy", mass_kg=20e-3, travel_m=12e-3, x_max_m=16e-3, gravity_m_s2=9.81)
 LIMITS = LimitsConfig(x_ref_min_m=0.7e-3, x_ref_max_m=10.9e-3, x_ref_step_m=5.2e-3, x_ref_slew_m_s=42e-3)
 
 
@@ -44,7 +33,7 @@ def test_nobody_s_plant_is_assumed_and_said_and_a_card_ends_that(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig, folder = tmp_path / "rig.toml", tmp_path / "c"
-    rig.write_text(RIG)
+    rig.write_text(DRAGGED_RIG)
     with emulated_line(tmp_path, rig=str(rig), limits=LIMITS) as line:
         assert run(line, folder, "--experiment", "lift-off", "--quick") == 0
         assumed, said = load(folder).plant, capsys.readouterr().err
@@ -68,7 +57,7 @@ def test_nobody_s_plant_is_assumed_and_said_and_a_card_ends_that(
 @pytest.mark.slow
 def test_with_its_card_another_ball_is_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, folder, model = tmp_path / "rig.toml", tmp_path / "c", tmp_path / "model.json"
-    rig.write_text(RIG)
+    rig.write_text(DRAGGED_RIG)
     with emulated_line(tmp_path, rig=str(rig), limits=LIMITS) as line:
         state(line)
         assert run(line, folder, "--quick") == 0

@@ -14,16 +14,8 @@ from gateway.emulator.plant.constants import CE152
 from gateway.emulator.serve import rig_of
 from protocol.errors import Board51Error
 from tests.harness.gateway.board_host import Host, skip_without_compiler
+from tests.harness.gateway.heavy_rig import HEAVY_RIG
 
-HEAVY = """
-[plant]
-name = "heavy"
-mass_kg = 20e-3
-travel_m = 12e-3
-x_max_m = 16e-3
-[emulated]
-force_constant_n_m2_a2 = 5e-5
-"""
 LIGHT = "[plant]\nmass_kg = 3e-3\ntravel_m = 3e-3\nx_max_m = 5e-3\n"
 
 
@@ -40,7 +32,7 @@ def test_the_gains_of_a_ce_152_are_its_own() -> None:
     assert profile.gains.mantissas == GAINS.mantissas
 
 
-@pytest.mark.parametrize("text", [HEAVY, LIGHT], ids=["heavy", "light"])
+@pytest.mark.parametrize("text", [HEAVY_RIG, LIGHT], ids=["heavy", "light"])
 @pytest.mark.parametrize("make", [Firmware, NativeFirmware])
 def test_another_ball_is_lifted_and_follows_references(
     make: type[Firmware] | type[NativeFirmware], text: str, tmp_path: Path
@@ -74,7 +66,7 @@ def test_another_ball_is_lifted_and_follows_references(
 )
 def test_a_rig_that_cannot_be_is_refused(change: tuple[str, str], said: str, tmp_path: Path) -> None:
     with pytest.raises(Board51Error, match=said):
-        load_rig(file(tmp_path, HEAVY.replace(*change)))
+        load_rig(file(tmp_path, HEAVY_RIG.replace(*change)))
 
 
 def test_a_rig_that_is_neither_known_nor_a_file_is_refused() -> None:

@@ -54,7 +54,8 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "i"
-    with emulated_line(tmp_path, effects={"quadratic-drag": 2.0}) as line:
+    # At the speed of a real board: the diagnoses take longer than the flights, and beside them each sample costs.
+    with emulated_line(tmp_path, speed=1.0, effects={"quadratic-drag": 2.0}) as line:
         process = begun(line, folder)
         wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight")
         process.send_signal(signal.SIGINT)

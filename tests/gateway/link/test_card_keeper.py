@@ -8,9 +8,9 @@ from gateway.link.card_keeper import CardKeeper
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import EMULATED
 from tests.harness.gateway.gateway_peers import Collector
+from tests.harness.gateway.heavy_rig import HEAVY
 
-OWN = pb.Plant(name="heavy", mass_kg=20e-3, travel_m=12e-3, x_max_m=16e-3, gravity_m_s2=9.81)
-OF_FILE = pb.PlantCard(plant=OWN, who="ana", stated_ns=5)
+OF_FILE = pb.PlantCard(plant=HEAVY, who="ana", stated_ns=5)
 CE152, OWN_RIG, REAL = (1, "1.2 emulated"), (1, "1.2 emul-own"), (7, "1.0 at89c51")
 
 
@@ -37,7 +37,7 @@ def test_a_card_of_a_file_takes_the_first_board_that_comes() -> None:
 
     card = seen.after(REAL, REAL)
 
-    assert (card.plant, card.who, card.stated_ns, card.board) == (OWN, "ana", 5, "7 at89c51")
+    assert (card.plant, card.who, card.stated_ns, card.board) == (HEAVY, "ana", 5, "7 at89c51")
     assert len(seen.sink.messages["plant"]) == 1
 
 
@@ -45,7 +45,7 @@ def test_a_card_of_a_file_takes_the_first_board_that_comes() -> None:
 def test_another_version_of_the_firmware_is_the_same_board(firmware: str) -> None:
     seen = Seen(OF_FILE)
 
-    assert seen.after(REAL, (7, firmware)).plant == OWN
+    assert seen.after(REAL, (7, firmware)).plant == HEAVY
     assert seen.events == []
 
 
@@ -55,7 +55,7 @@ def test_with_another_board_a_card_is_doubted_once(other: tuple[int, str]) -> No
 
     card = seen.after(REAL, other, other)
 
-    assert card.plant == OWN
+    assert card.plant == HEAVY
     assert seen.events == ["plant-of-another-board"]
 
 
@@ -74,9 +74,9 @@ def test_what_was_stated_for_an_emulated_ce_152_stays() -> None:
     seen = Seen(pb.PlantCard())
     seen.after(CE152)
     seen.keeper.take(
-        pb.Command(who="ana", set_plant=pb.SetPlant(plant=OWN)), 200, tick=0, session=0, highest_reference_m=None
+        pb.Command(who="ana", set_plant=pb.SetPlant(plant=HEAVY)), 200, tick=0, session=0, highest_reference_m=None
     )
 
     card = seen.after(CE152)
 
-    assert (card.plant, card.who, card.board) == (OWN, "ana", "1 emulated")
+    assert (card.plant, card.who, card.board) == (HEAVY, "ana", "1 emulated")

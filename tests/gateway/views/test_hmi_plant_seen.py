@@ -15,6 +15,7 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, start_job
 from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.heavy_rig import DRAGGED_RIG, TRUTH
 from tests.harness.gateway.hmi_peers import hmi
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.patience import HANG_MS, WORK_MS
@@ -24,17 +25,6 @@ pytestmark = [
     pytest.mark.xdist_group("hmi-plant"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
-TRUTH = {"K_c": 5e-5, "b": 0.05}
-RIG = f"""
-[plant]
-name = "heavy"
-mass_kg = 20e-3
-travel_m = 12e-3
-x_max_m = 16e-3
-[emulated]
-force_constant_n_m2_a2 = {TRUTH["K_c"]}
-drag_n_s_m = {TRUTH["b"]}
-"""
 NOBODY = "Assumed: nobody stated the plant of this rig."
 
 
@@ -119,7 +109,7 @@ def test_what_is_typed_is_judged_beside_its_field_before_it_is_sent(
 def rig(tmp_path: Path) -> Iterator[Rig]:
     """An emulated rig with another ball, whose gateway has its limits and knows nothing else of it."""
     file, config = tmp_path / "rig.toml", tmp_path / "gateway.toml"
-    file.write_text(RIG)
+    file.write_text(DRAGGED_RIG)
     config.write_text(limits_toml(load_rig(file)[1], "rig"))
     with emulated_rig(tmp_path, "--rig", str(file), config=config) as rig:
         yield rig

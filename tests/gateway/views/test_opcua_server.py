@@ -15,6 +15,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
 from tests.harness.gateway.bus_peers import ticking
+from tests.harness.gateway.heavy_rig import HEAVY
 from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, peer, received, subscribe, until
 
 pytestmark = pytest.mark.xdist_group("opcua")
@@ -68,8 +69,6 @@ def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> Non
 
 
 def test_a_plant_that_nobody_stated_has_no_values_and_one_that_was_stated_is_read_only(server: Served) -> None:
-    plant = pb.Plant(name="heavy", mass_kg=20e-3, travel_m=12e-3, x_max_m=16e-3, gravity_m_s2=9.81)
-
     async def send(client: Peer, card: pb.PlantCard, status: int) -> None:
         async def seen() -> bool | None:
             server.gateway.send("plant", card, "card")
@@ -81,7 +80,7 @@ def test_a_plant_that_nobody_stated_has_no_values_and_one_that_was_stated_is_rea
         async with peer(server.port) as client:
             await client.await_status("card/state/x_m", S.Good)
             await send(client, pb.PlantCard(), S.BadDataUnavailable)
-            await send(client, pb.PlantCard(plant=plant, who="ana", stated_ns=5), S.Good)
+            await send(client, pb.PlantCard(plant=HEAVY, who="ana", stated_ns=5), S.Good)
             assert (await client.read("card/plant/plant.mass_kg")).Value.Value == 20e-3
             assert (await client.read("card/plant/who")).Value.Value == "ana"
             diameter = await client.read("card/plant/plant.ball_diameter_m")

@@ -15,9 +15,11 @@ from typing import Any
 import pytest
 
 import board51
+from gateway.bus import plant_cards
 from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.line import Board
 from gateway.emulator.serve import Emulator
+from gateway.link import keepalive
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.gateway_peers import Bus, client, gateway_config, running, wait_for
 
@@ -79,13 +81,20 @@ def emulated_line(
     firmware: Callable[..., Board] = Firmware,
     rig: str = "ce152",
     known: str = PLANT,
+    seed: int = 5,
     **board: Any,
 ) -> Iterator[Line]:
     plant = tmp_path / "plant.toml"
     plant.write_text(known)
-    with Emulator(
-        tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5, firmware=firmware, rig=rig
-    ) as emulator:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        Emulator(
+            tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=seed, firmware=firmware, rig=rig
+        ) as emulator,
+    ):
+        # Each campaign waits for these two.  Within 5 s a rig three times as fast sends 7500 samples.
+        patch.setattr(keepalive, "PARAMETERS_S", 0.5)
+        patch.setattr(plant_cards, "EVERY_S", 0.5)
         # The board's second is a third of ours: a busy machine must not look like a lost host.
         config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, "stale_s": 1.0, **board})
         with running(config), client(config.zenoh.listen[0]) as bus:

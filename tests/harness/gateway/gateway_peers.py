@@ -34,13 +34,16 @@ T = TypeVar("T")
 
 
 def wait_for(look: Callable[[], T | None], what: str, timeout_s: float = HANG_S) -> T:
-    """The first truthy value of `look`, polled; fails with `what` at the deadline."""
-    deadline_s = time.monotonic() + timeout_s
-    while time.monotonic() < deadline_s:
+    """The first truthy value of `look`, polled; fails with `what` at the deadline.
+
+    A look may ask a server.  The longer it takes, the rarer it is asked: what is awaited needs the processor.
+    """
+    start_s = time.monotonic()
+    while (waited_s := time.monotonic() - start_s) < timeout_s:
         value = look()
         if value:
             return value
-        time.sleep(0.005)
+        time.sleep(min(0.1, 0.005 + 0.02 * waited_s))
     raise AssertionError(f"no {what} within {timeout_s:g} s")
 
 
