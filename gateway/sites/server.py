@@ -1,0 +1,149 @@
+"""Answers what the log of a site holds: the queryable `<site>/_logs/<id of this session>`.
+
+Rule 1: every request is whole in itself; what is kept between two of them only saves time.
+Rule 2: memory is bounded: MAX_PARTS indexes of parts, the records of one block, and replies of REPLY_BYTES.  These are
+        small: on a slow line the samples wait behind a reply in the router's queue, and must not be dropped.
+Rule 3: a request that cannot be served gets a reply that says why.  Of a damaged part everything intact is served.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import OrderedDict
+from pathlib import Path
+
+import zenoh
+import zstandard
+from zenoh.handlers import RingChannel
+
+from gateway.record.blocks import Place, unpack
+from gateway.record.contents import Contents
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import parse, zenoh_encoding
+from protocol.errors import DataError
+from protocol.log.reader import RawLogRecord
+
+MAX_PARTS = 8
+MAX_BLOCKS = 2000  # of a reply
+REPLY_BYTES = 1 << 18  # of records, before they are packed
+LOOK_S = 0.1
+_QUERIES = 16  # that may wait; the asker of an older one asks again
+
+_logger = logging.getLogger("gateway.sites")
+
+
+class LogServer:
+    """The answers from a folder of logs; `serve` puts them on the bus.
+
+    Args:
+        folder: Of the parts, finished or being written.
+        site: Of the keys that are served.
+    """
+
+    def __init__(self, folder: Path, site: str) -> None:
+        self._folder, self._site = folder, site
+        self._contents: OrderedDict[str, Contents] = OrderedDict()
+        self._block: tuple[tuple[str, Place, int], list[tuple[int, RawLogRecord]]] | None = None
+
+    def answer(self, payload: bytes) -> pb.LogReply:
+        """Return the reply to a serialised LogRequest."""
+        request, reply = parse(pb.LogRequest, payload), pb.LogReply(now_ns=time.time_ns())
+        if request is None:
+            reply.problem = "The request is malformed: use the same version of board51 at both sites."
+            return reply
+        try:
+            if not request.part:
+                reply.parts.extend(self._parts())
+                return reply
+            contents = self._opened(request.part)
+            if request.HasField("block"):
+                self._add_records(reply, contents, request)
+            else:
+                self._add_blocks(reply, contents, request.from_byte)
+        except (DataError, OSError) as error:
+            reply.problem = str(error)
+        return reply
+
+    def serve(self, session: zenoh.Session, stop: threading.Event) -> None:
+        """Answer the queries of a session until `stop` is set."""
+        key = f"{self._site}/{topics.LOGS}/{session.info.zid()}"
+        queryable = session.declare_queryable(key, RingChannel(_QUERIES))
+        while not stop.is_set():
+            query = queryable.try_recv()
+            if query is None:
+                stop.wait(LOOK_S)
+                continue
+            with query:
+                reply = self.answer(query.payload.to_bytes() if query.payload is not None else b"")
+                if reply.problem:
+                    _logger.warning("%s", reply.problem)
+                packed = zstandard.ZstdCompressor().compress(reply.SerializeToString())
+                query.reply(key, packed, encoding=zenoh_encoding(pb.LogReply))
+
+    def _parts(self) -> list[pb.LogPart]:
+        parts = []
+        for path in self._folder.glob("*.mcap"):
+            try:
+                status = path.stat()
+            except OSError:  # deleted meanwhile
+                continue
+            if status.st_size:
+                parts.append(pb.LogPart(name=path.name, bytes=status.st_size, changed_ns=status.st_mtime_ns))
+        return sorted(parts, key=lambda part: (part.changed_ns, part.name))
+
+    def _opened(self, name: str) -> Contents:
+        """Return the contents of a part as it is now; raises DataError if there is no such part."""
+        if all(part.name != name for part in self._parts()):  # a name from the network is never part of a path
+            raise DataError(f"The log has no part {name}", remedy="Ask for the parts again")
+        contents = self._contents.get(name) or Contents(self._folder / name)
+        self._contents[name] = contents
+        self._contents.move_to_end(name)
+        if len(self._contents) > MAX_PARTS:
+            self._contents.popitem(last=False)
+        contents.refresh()
+        return contents
+
+    def _add_blocks(self, reply: pb.LogReply, contents: Contents, from_byte: int) -> None:
+        found = sorted(
+            ((entry.end_byte, place) for place, entry in contents.blocks.items() if self._serves(place)),
+        )
+        for end_byte, place in found:
+            if end_byte < from_byte:
+                continue
+            # Those that end in the same chunk come together: the next request begins behind it.
+            if len(reply.blocks) >= MAX_BLOCKS and end_byte != reply.blocks[-1].end_byte:
+                reply.more = True
+                return
+            entry = contents.blocks[place]
+            reply.blocks.add(
+                place=place.place, session=place.session, number=place.number, count=entry.count, digest=entry.digest,
+                last_ns=entry.last_ns, end_byte=end_byte,
+            )  # fmt: skip
+        reply.problem = contents.damage
+
+    def _add_records(self, reply: pb.LogReply, contents: Contents, request: pb.LogRequest) -> None:
+        place = Place(request.block.place, request.block.session, request.block.number)
+        entry, have = contents.blocks.get(place), unpack(request.have)
+        if entry is None or not self._serves(place):
+            raise DataError(
+                f"{contents.path.name} has no block {place.number} of {place.place}, session {place.session}",
+                remedy="Ask for the blocks again",
+            )
+        version = (contents.path.name, place, entry.digest)
+        if self._block is None or self._block[0] != version:
+            self._block = (version, list(contents.records(place)))
+        size = 0
+        for number, record in self._block[1]:
+            if number in have:
+                continue
+            if size >= REPLY_BYTES:
+                reply.more = True
+                return
+            reply.records.add(key=record.key, time_ns=record.time_ns, data=record.data)
+            size += len(record.data)
+
+    def _serves(self, place: Place) -> bool:
+        return place.place.startswith(f"{self._site}/")
