@@ -43,10 +43,10 @@ class Record(Protocol):
         """The serialised message."""
 
 
-class Place(NamedTuple):
+class BlockId(NamedTuple):
     """A block."""
 
-    place: str  # <site>/<board>/<topic> of ticks, <site>/<board> of other topics
+    stream: str  # <site>/<board>/<topic> of ticks, <site>/<board> of other topics
     session: int
     number: int
 
@@ -54,7 +54,7 @@ class Place(NamedTuple):
 class Located(NamedTuple):
     """Where a record belongs."""
 
-    block: Place
+    block: BlockId
     id: int
     stamp_ns: int | None  # its own time, of the gateway's clock
 
@@ -74,11 +74,11 @@ def locate(record: Record) -> Located | None:
         return None
     stamp = stamp_ns(message)
     if topic in EVERY_TICK:
-        return Located(Place(record.key, message.session, message.tick >> TICKS_BITS), message.tick, stamp)
+        return Located(BlockId(record.key, message.session, message.tick >> TICKS_BITS), message.tick, stamp)
     if stamp is None:
         return None
     digest = hashlib.blake2b(topic.encode() + b"\0" + record.data, digest_size=8).digest()
-    return Located(Place(board, 0, stamp // 10**9 // SECONDS), int.from_bytes(digest, "little"), stamp)
+    return Located(BlockId(board, 0, stamp // 10**9 // SECONDS), int.from_bytes(digest, "little"), stamp)
 
 
 def pack(ids: Iterable[int]) -> tuple[bytes, int]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.record.blocks import LOGGED, Place, locate, pack, unpack
+from gateway.record.blocks import LOGGED, BlockId, locate, pack, unpack
 from protocol.log.reader import LogReader, RawLogRecord
 
 
@@ -28,7 +28,7 @@ class Entry:
 class _Fresh:
     """What this pass has read of a block."""
 
-    def __init__(self, block: Place, begin_byte: int) -> None:
+    def __init__(self, block: BlockId, begin_byte: int) -> None:
         self.block, self.ids, self.last_ns, self.end_byte = block, set[int](), 0, begin_byte
 
 
@@ -44,7 +44,7 @@ class Contents:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.blocks: dict[Place, Entry] = {}
+        self.blocks: dict[BlockId, Entry] = {}
         self.damage = ""  # what could not be read; empty: nothing
         self._reader = LogReader(path)
         self._scan = self._reader.scans[0]
@@ -59,18 +59,18 @@ class Contents:
         self._scan.grow()
         if self._scan.size == self._read_bytes:
             return
-        fresh: dict[str, _Fresh] = {}  # of each place the block that is being read
+        fresh: dict[str, _Fresh] = {}  # of each stream the block that is being read
         for record in self._reader.raw(topics_=LOGGED, from_byte=self._scan.offset if self._read_bytes else 0):
             located = locate(record)
             if located is None:
                 continue
             block, here = located.block, self._scan.offset
-            known = fresh.get(block.place)
+            known = fresh.get(block.stream)
             if known is None or known.block != block:
                 if known is not None:
                     self._merge(known)
                 self.blocks.setdefault(block, Entry(b"", 0, 0, 0, here, here))  # in the order of the part
-                known = fresh[block.place] = _Fresh(block, here)
+                known = fresh[block.stream] = _Fresh(block, here)
             known.ids.add(located.id)
             known.last_ns, known.end_byte = max(known.last_ns, record.time_ns), here
         for known in fresh.values():
@@ -83,23 +83,23 @@ class Contents:
                 f" {sum(damage.bytes for damage in lost)} bytes cannot be read"
             )
 
-    def ids(self, place: Place) -> set[int]:
+    def ids(self, block: BlockId) -> set[int]:
         """Return the ids of a block; empty if it is not here."""
-        entry = self.blocks.get(place)
+        entry = self.blocks.get(block)
         return set() if entry is None else unpack(entry.ids)
 
-    def records(self, place: Place) -> Iterator[tuple[int, RawLogRecord]]:
+    def records(self, block: BlockId) -> Iterator[tuple[int, RawLogRecord]]:
         """Yield id and record of each record of a block, once, with the log time that a recorder at another site gives.
 
         That is its own time.  What bears none has the newest time of its board before it (`client/recording.py`).
         """
-        wanted, entry = self.ids(place), self.blocks.get(place)
-        _, board, *topic = place.place.split("/", 2)
+        missing, entry = self.ids(block), self.blocks.get(block)
+        _, board, *topic = block.stream.split("/", 2)
         newest_ns = 0
         waiting: list[tuple[int, RawLogRecord]] = []  # without a time, before the first that bears one
         begin = 0 if entry is None else entry.begin_byte
         for record in self._reader.raw(topics_=[*topic, "state"] if topic else LOGGED, boards=[board], from_byte=begin):
-            if not wanted and not waiting:
+            if not missing and not waiting:
                 return
             located = locate(record)
             if located is None:
@@ -108,9 +108,9 @@ class Contents:
                 newest_ns = max(newest_ns, located.stamp_ns)
                 yield from ((number, early._replace(time_ns=newest_ns)) for number, early in waiting)
                 waiting.clear()
-            if located.block != place or located.id not in wanted:
+            if located.block != block or located.id not in missing:
                 continue
-            wanted.discard(located.id)
+            missing.discard(located.id)
             if located.stamp_ns is None and not newest_ns:
                 waiting.append((located.id, record))
             else:

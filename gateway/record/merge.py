@@ -19,8 +19,8 @@ from protocol.errors import DataError, UsageError
 from protocol.log.reader import LogReader
 
 _TABLE = """
-CREATE TABLE record (place TEXT, session INTEGER, id INTEGER, key TEXT, time_ns INTEGER, data BLOB,
-PRIMARY KEY (place, session, id)) WITHOUT ROWID
+CREATE TABLE record (stream TEXT, session INTEGER, id INTEGER, key TEXT, time_ns INTEGER, data BLOB,
+PRIMARY KEY (stream, session, id)) WITHOUT ROWID
 """
 _HALF = 1 << 63
 
@@ -89,9 +89,9 @@ def _take(database: sqlite3.Connection, path: Path, boards: Sequence[str] | None
         nonlocal read
         for record in reader.raw(boards=boards):
             located, read = locate(record), read + 1
-            place, session, number = (*located.block[:2], located.id) if located else ("", result.parts, read)
+            stream, session, number = (*located.block[:2], located.id) if located else ("", result.parts, read)
             signed = number - 2 * _HALF if number >= _HALF else number
-            yield place, session, signed, record.key, min(record.time_ns, _HALF - 1), record.data
+            yield stream, session, signed, record.key, min(record.time_ns, _HALF - 1), record.data
 
     try:
         reader = LogReader(path)

@@ -18,15 +18,15 @@ from pathlib import Path
 import zenoh
 from zenoh.handlers import Handler
 
-from gateway.record.blocks import LARGEST_REPLY, Place, decompress, locate, pack
+from gateway.record.blocks import LARGEST_REPLY, BlockId, decompress, locate, pack
 from gateway.record.writer import LogWriter
-from gateway.sites.own_log import OwnLog
+from gateway.sites.local_log import LocalLog
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
 from protocol.errors import ServiceError
 
-ASK_S = 30.0
+REPLY_S = 30.0
 LOOK_S = 0.005
 ROTATE_BYTES = 256_000_000
 DAY_NS = 86_400 * 10**9
@@ -73,9 +73,9 @@ class Filler:
         self._session, self._site, self._folder, self._board = session, site, folder, board
         self._stop = stop or threading.Event()
         self._settle_ns, self._oldest_ns, self._report = round(settle_s * 1e9), round(days * DAY_NS), report
-        self._own = OwnLog(folder)
+        self._local = LocalLog(folder)
         self._done: dict[tuple[str, str], tuple[int, int]] = {}  # of server, part: size and first byte of the next look
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._writer: LogWriter | None = None
 
     def fill(self) -> Tally:
@@ -87,7 +87,7 @@ class Filler:
         """
         tally, failed = Tally(), None
         try:
-            for key, reply in self._ask(f"{self._site}/{topics.LOGS}/*", pb.LogRequest()):
+            for key, reply in self._request(f"{self._site}/{topics.LOGS}/*", pb.LogRequest()):
                 tally.servers += 1
                 try:
                     self._fill_from(key, reply, tally)
@@ -122,35 +122,35 @@ class Filler:
     def _fill_part(self, key: str, part: str, from_byte: int, tally: Tally) -> tuple[int, bool]:
         """Fill from one part; return where the next look begins, and whether all of it was old enough."""
         while True:
-            reply = self._ask_one(key, pb.LogRequest(part=part, from_byte=from_byte))
-            if reply.problem and reply.problem not in self._said:
-                self._said.add(reply.problem)
+            reply = self._request_one(key, pb.LogRequest(part=part, from_byte=from_byte))
+            if reply.problem and reply.problem not in self._reported:
+                self._reported.add(reply.problem)
                 self._report(f"{part} cannot be served as a whole: {reply.problem}")
             if not reply.blocks:
                 return from_byte, True
             times_ns = [block.last_ns for block in reply.blocks]
-            self._own.look(min(times_ns), max(times_ns))
-            for block in reply.blocks:
+            self._local.look(min(times_ns), max(times_ns))
+            for listed in reply.blocks:
                 # Not the sign: the clock of that site may have been set back since.
-                if abs(reply.now_ns - block.last_ns) < self._settle_ns:
-                    return block.end_byte, False
+                if abs(reply.now_ns - listed.last_ns) < self._settle_ns:
+                    return listed.end_byte, False
                 tally.compared += 1
-                place = Place(block.place, block.session, block.number)
-                if self._is_of_site(place) and self._own.digest(place) != block.digest:
-                    self._fill_block(key, part, place, tally)
+                block = BlockId(listed.stream, listed.session, listed.number)
+                if self._is_of_site(block) and self._local.digest(block) != listed.digest:
+                    self._fill_block(key, part, block, tally)
             from_byte = reply.blocks[-1].end_byte + 1
             if not reply.more:
                 return from_byte, True
 
-    def _fill_block(self, key: str, part: str, place: Place, tally: Tally) -> None:
-        have, more = self._own.ids(place), True
-        wanted = pb.LogBlock(place=place.place, session=place.session, number=place.number)
+    def _fill_block(self, key: str, part: str, block: BlockId, tally: Tally) -> None:
+        have, more = self._local.ids(block), True
+        request = pb.LogBlock(stream=block.stream, session=block.session, number=block.number)
         while more:
-            reply = self._ask_one(key, pb.LogRequest(part=part, block=wanted, have=pack(have)[0]))
+            reply = self._request_one(key, pb.LogRequest(part=part, block=request, have=pack(have)[0]))
             before = len(have)
             for record in reply.records:
                 located = locate(record) if topics.split(record.key) is not None else None
-                if located is None or located.block != place:
+                if located is None or located.block != block:
                     tally.refused += 1
                 elif located.id not in have:
                     have.add(located.id)
@@ -161,8 +161,8 @@ class Filler:
                 self._writer.flush()  # what is on disk now, a kill does not cost
             more = reply.more and len(have) > before
 
-    def _is_of_site(self, place: Place) -> bool:
-        site, _, rest = place.place.partition("/")
+    def _is_of_site(self, block: BlockId) -> bool:
+        site, _, rest = block.stream.partition("/")
         return site == self._site and self._board in (None, rest.partition("/")[0])
 
     def _write(self, record: pb.LogRecord) -> None:
@@ -176,9 +176,9 @@ class Filler:
             self._writer = LogWriter(path, metadata={"fill": {"site": self._site}})
         self._writer.write(record.key, record.data, record.time_ns)
 
-    def _ask(self, key: str, request: pb.LogRequest) -> Iterator[tuple[str, pb.LogReply]]:
+    def _request(self, key: str, request: pb.LogRequest) -> Iterator[tuple[str, pb.LogReply]]:
         replies = self._session.get(
-            key, payload=request.SerializeToString(), encoding=zenoh_encoding(pb.LogRequest), timeout=ASK_S,
+            key, payload=request.SerializeToString(), encoding=zenoh_encoding(pb.LogRequest), timeout=REPLY_S,
             target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE,
         )  # fmt: skip
         for answer in self._arriving(replies):
@@ -200,8 +200,8 @@ class Filler:
             elif self._stop.wait(LOOK_S):
                 raise ServerGoneError("The fill was ended", remedy="The next one goes on where it was")
 
-    def _ask_one(self, key: str, request: pb.LogRequest) -> pb.LogReply:
-        for _, reply in self._ask(key, request):
+    def _request_one(self, key: str, request: pb.LogRequest) -> pb.LogReply:
+        for _, reply in self._request(key, request):
             return reply
         raise ServerGoneError(
             f"The log server {key} does not answer any more", remedy="The next fill goes on where this one was"

@@ -18,7 +18,7 @@ import zenoh
 import zstandard
 from zenoh.handlers import RingChannel
 
-from gateway.record.blocks import Place, unpack
+from gateway.record.blocks import BlockId, unpack
 from gateway.record.contents import Contents
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -29,7 +29,8 @@ from protocol.log.reader import RawLogRecord
 MAX_PARTS = 8
 MAX_BLOCKS = 2000  # of a reply
 REPLY_BYTES = 1 << 18  # of records, before they are packed
-LOOK_S = 0.1
+LOOK_S = 0.1  # longest wait for a query
+SOON_S = 0.001
 _QUERIES = 16  # that may wait; the asker of an older one asks again
 
 _logger = logging.getLogger("gateway.sites")
@@ -46,7 +47,7 @@ class LogServer:
     def __init__(self, folder: Path, site: str) -> None:
         self._folder, self._site = folder, site
         self._contents: OrderedDict[str, Contents] = OrderedDict()
-        self._block: tuple[tuple[str, Place, int], list[tuple[int, RawLogRecord]]] | None = None
+        self._block: tuple[tuple[str, BlockId, int], list[tuple[int, RawLogRecord]]] | None = None
 
     def answer(self, payload: bytes) -> pb.LogReply:
         """Return the reply to a serialised LogRequest."""
@@ -71,11 +72,13 @@ class LogServer:
         """Answer the queries of a session until `stop` is set."""
         key = f"{self._site}/{topics.LOGS}/{session.info.zid()}"
         queryable = session.declare_queryable(key, RingChannel(_QUERIES))
-        while not stop.is_set():
+        wait_s = LOOK_S
+        while not stop.wait(wait_s):
             query = queryable.try_recv()
             if query is None:
-                stop.wait(LOOK_S)
+                wait_s = min(2.0 * wait_s, LOOK_S)
                 continue
+            wait_s = SOON_S  # the next request follows the reply
             with query:
                 reply = self.answer(query.payload.to_bytes() if query.payload is not None else b"")
                 if reply.problem:
@@ -108,33 +111,33 @@ class LogServer:
 
     def _add_blocks(self, reply: pb.LogReply, contents: Contents, from_byte: int) -> None:
         found = sorted(
-            ((entry.end_byte, place) for place, entry in contents.blocks.items() if self._serves(place)),
+            ((entry.end_byte, block) for block, entry in contents.blocks.items() if self._serves(block)),
         )
-        for end_byte, place in found:
+        for end_byte, block in found:
             if end_byte < from_byte:
                 continue
             # Those that end in the same chunk come together: the next request begins behind it.
             if len(reply.blocks) >= MAX_BLOCKS and end_byte != reply.blocks[-1].end_byte:
                 reply.more = True
                 return
-            entry = contents.blocks[place]
+            entry = contents.blocks[block]
             reply.blocks.add(
-                place=place.place, session=place.session, number=place.number, count=entry.count, digest=entry.digest,
+                stream=block.stream, session=block.session, number=block.number, count=entry.count, digest=entry.digest,
                 last_ns=entry.last_ns, end_byte=end_byte,
             )  # fmt: skip
         reply.problem = contents.damage
 
     def _add_records(self, reply: pb.LogReply, contents: Contents, request: pb.LogRequest) -> None:
-        place = Place(request.block.place, request.block.session, request.block.number)
-        entry, have = contents.blocks.get(place), unpack(request.have)
-        if entry is None or not self._serves(place):
+        block = BlockId(request.block.stream, request.block.session, request.block.number)
+        entry, have = contents.blocks.get(block), unpack(request.have)
+        if entry is None or not self._serves(block):
             raise DataError(
-                f"{contents.path.name} has no block {place.number} of {place.place}, session {place.session}",
+                f"{contents.path.name} has no block {block.number} of {block.stream}, session {block.session}",
                 remedy="Ask for the blocks again",
             )
-        version = (contents.path.name, place, entry.digest)
+        version = (contents.path.name, block, entry.digest)
         if self._block is None or self._block[0] != version:
-            self._block = (version, list(contents.records(place)))
+            self._block = (version, list(contents.records(block)))
         size = 0
         for number, record in self._block[1]:
             if number in have:
@@ -145,5 +148,5 @@ class LogServer:
             reply.records.add(key=record.key, time_ns=record.time_ns, data=record.data)
             size += len(record.data)
 
-    def _serves(self, place: Place) -> bool:
-        return place.place.startswith(f"{self._site}/")
+    def _serves(self, block: BlockId) -> bool:
+        return block.stream.startswith(f"{self._site}/")

@@ -679,22 +679,22 @@ class LogPart(_message.Message):
     def __init__(self, name: _Optional[str] = ..., bytes: _Optional[int] = ..., changed_ns: _Optional[int] = ...) -> None: ...
 
 class LogBlock(_message.Message):
-    __slots__ = ("place", "session", "number", "count", "digest", "last_ns", "end_byte")
-    PLACE_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("stream", "session", "number", "count", "digest", "last_ns", "end_byte")
+    STREAM_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     COUNT_FIELD_NUMBER: _ClassVar[int]
     DIGEST_FIELD_NUMBER: _ClassVar[int]
     LAST_NS_FIELD_NUMBER: _ClassVar[int]
     END_BYTE_FIELD_NUMBER: _ClassVar[int]
-    place: str
+    stream: str
     session: int
     number: int
     count: int
     digest: int
     last_ns: int
     end_byte: int
-    def __init__(self, place: _Optional[str] = ..., session: _Optional[int] = ..., number: _Optional[int] = ..., count: _Optional[int] = ..., digest: _Optional[int] = ..., last_ns: _Optional[int] = ..., end_byte: _Optional[int] = ...) -> None: ...
+    def __init__(self, stream: _Optional[str] = ..., session: _Optional[int] = ..., number: _Optional[int] = ..., count: _Optional[int] = ..., digest: _Optional[int] = ..., last_ns: _Optional[int] = ..., end_byte: _Optional[int] = ...) -> None: ...
 
 class LogRecord(_message.Message):
     __slots__ = ("key", "time_ns", "data")

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
             try:
                 text = _as_text(tally) if (tally := filler.fill()).records else ""
             except Board51Error as error:  # the line, a server or the disk: all may come back
-                text = str(error)
+                text = "" if stop.is_set() else str(error)
             if text and text != said:
                 _say(text)
             said = text

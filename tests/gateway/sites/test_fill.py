@@ -133,8 +133,8 @@ def test_a_bad_request_gets_a_reply_that_says_why(sites: tuple[Path, Path]) -> N
     lab, plant = sites
     write(lab / "a-000.mcap", flight(100))
     write(plant / "secret.mcap", flight(100))
-    block = pb.LogBlock(place="board51/rig1/state", session=7, number=0)
-    other = pb.LogBlock(place="board51/rig1/state", session=8, number=0)
+    block = pb.LogBlock(stream="board51/rig1/state", session=7, number=0)
+    other = pb.LogBlock(stream="board51/rig1/state", session=8, number=0)
     server = LogServer(lab, "board51")
 
     assert "malformed" in server.answer(b"\xff\xff").problem

@@ -69,19 +69,25 @@ def without(records: Records, *cuts: tuple[float, float]) -> Records:
     return [r for r in records if not any(a <= (r[2] - first_ns) / span_ns < b for a, b in cuts)]
 
 
-def held(folder: Path) -> Counter[tuple[str, bytes]]:
+def held(folder: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> Counter[tuple[str, bytes]]:
     """The records of a folder that a fill is about, and how often each is there."""
     counts: Counter[tuple[str, bytes]] = Counter()
-    for path in folder.glob("*.mcap"):
+    for path in folder.glob(parts):
         if path.stat().st_size:
-            counts.update((r.key, r.data) for r in LogReader(path).raw(topics_=LOGGED))
+            records = LogReader(path).raw(topics_=LOGGED)
+            counts.update((r.key, r.data) for r in records if r.time_ns < before_ns)
     return Counter({key: n for key, n in counts.items() if not key[0].endswith("twin/model")})
+
+
+def missing(lab: Path, plant: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> int:
+    """How many records of the lab's log the plant lacks."""
+    here = held(plant, parts=parts)
+    return sum(key not in here for key in held(lab, before_ns=before_ns))
 
 
 def account(lab: Path, plant: Path) -> tuple[int, int]:
     """How many records of the lab's log the plant lacks, and how many it has more than once."""
-    there, here = held(lab), held(plant)
-    return sum(key not in here for key in there), sum(n > 1 for n in here.values())
+    return missing(lab, plant), sum(n > 1 for n in held(plant).values())
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from gateway.record.blocks import Place, pack
+from gateway.record.blocks import BlockId, pack
 from gateway.record.contents import Contents
 from protocol.errors import DataError
 from protocol.log.scan import Scan
@@ -16,7 +16,7 @@ from protocol.log.scan import Scan
 MARGIN_NS = 600 * 10**9  # more than a block is long, and than messages of one time come apart
 
 
-class OwnLog:
+class LocalLog:
     """The parts of a folder, also those that are being written."""
 
     def __init__(self, folder: Path) -> None:
@@ -26,24 +26,24 @@ class OwnLog:
 
     def look(self, first_ns: int, last_ns: int) -> None:
         """Read what is new in the parts that may hold records of this time."""
-        near = [path for path in sorted(self._folder.glob("*.mcap")) if self._is_near(path, first_ns, last_ns)]
-        self._contents = {path: self._contents[path] for path in near if path in self._contents}
-        for path in near:
+        overlapping = [path for path in sorted(self._folder.glob("*.mcap")) if self._overlaps(path, first_ns, last_ns)]
+        self._contents = {path: self._contents[path] for path in overlapping if path in self._contents}
+        for path in overlapping:
             with contextlib.suppress(DataError):  # not a log (yet), or deleted meanwhile
                 self._contents.setdefault(path, self._contents.get(path) or Contents(path)).refresh()
 
-    def ids(self, place: Place) -> set[int]:
+    def ids(self, block: BlockId) -> set[int]:
         """Return the ids of a block in all these parts."""
-        return set().union(*(contents.ids(place) for contents in self._contents.values()))
+        return set().union(*(contents.ids(block) for contents in self._contents.values()))
 
-    def digest(self, place: Place) -> int:
+    def digest(self, block: BlockId) -> int:
         """Return the digest of a block; 0 if it is nowhere."""
-        entries = [entry for contents in self._contents.values() if (entry := contents.blocks.get(place)) is not None]
+        entries = [entry for contents in self._contents.values() if (entry := contents.blocks.get(block)) is not None]
         if len(entries) == 1:
             return entries[0].digest
-        return pack(self.ids(place))[1] if entries else 0
+        return pack(self.ids(block))[1] if entries else 0
 
-    def _is_near(self, path: Path, first_ns: int, last_ns: int) -> bool:
+    def _overlaps(self, path: Path, first_ns: int, last_ns: int) -> bool:
         extent = self._extents.get(path)
         if extent is None:
             with contextlib.suppress(DataError):
