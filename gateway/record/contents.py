@@ -5,6 +5,8 @@ Memory: about 300 bytes for each block, so 30 kB for an hour of one board withou
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,19 +50,24 @@ class Contents:
         self.damage = ""  # what could not be read; empty: nothing
         self._reader = LogReader(path)
         self._scan = self._reader.scans[0]
-        self._read_bytes = 0
+        self._read_bytes = self._next_byte = 0
 
-    def refresh(self) -> None:
-        """Read what has been written since.
+    def refresh(self, limit_s: float = math.inf) -> bool:
+        """Read what has been written since, for `limit_s` at most; return whether that was all.
 
         Raises:
             DataError: the file is gone.
         """
         self._scan.grow()
         if self._scan.size == self._read_bytes:
-            return
+            return True
+        end_s, complete = time.monotonic() + limit_s, True
         fresh: dict[str, _Fresh] = {}  # of each stream the block that is being read
-        for record in self._reader.raw(topics_=LOGGED, from_byte=self._scan.offset if self._read_bytes else 0):
+        # A part that was not read to its end is begun anew where that pass stood: ids are sets.
+        for record in self._reader.raw(topics_=LOGGED, from_byte=self._next_byte):
+            if time.monotonic() > end_s and self._scan.offset > self._next_byte:
+                complete = False
+                break
             located = locate(record)
             if located is None:
                 continue
@@ -75,13 +82,16 @@ class Contents:
             known.last_ns, known.end_byte = max(known.last_ns, record.time_ns), here
         for known in fresh.values():
             self._merge(known)
-        self._read_bytes = self._scan.size
+        self._next_byte = self._scan.offset
+        if complete:
+            self._read_bytes = self._scan.size
         lost = [damage for damage in self._scan.damages if not damage.is_cut]
         if lost:
             self.damage = (
                 f"{self.path.name} is damaged at byte {lost[0].offset}: {lost[0].reason};"
                 f" {sum(damage.bytes for damage in lost)} bytes cannot be read"
             )
+        return complete
 
     def ids(self, block: BlockId) -> set[int]:
         """Return the ids of a block; empty if it is not here."""
@@ -121,5 +131,5 @@ class Contents:
         known = self.blocks[fresh.block]
         ids = fresh.ids | unpack(known.ids)
         packed, digest = pack(ids)
-        last_ns = max(fresh.last_ns, known.last_ns)
-        self.blocks[fresh.block] = Entry(packed, digest, len(ids), last_ns, known.begin_byte, fresh.end_byte)
+        last_ns, end_byte = max(fresh.last_ns, known.last_ns), max(fresh.end_byte, known.end_byte)
+        self.blocks[fresh.block] = Entry(packed, digest, len(ids), last_ns, known.begin_byte, end_byte)

@@ -127,6 +127,8 @@ class Filler:
                 self._reported.add(reply.problem)
                 self._report(f"{part} cannot be served as a whole: {reply.problem}")
             if not reply.blocks:
+                if reply.more:  # the server has not read so far yet
+                    continue
                 return from_byte, True
             times_ns = [block.last_ns for block in reply.blocks]
             self._local.look(min(times_ns), max(times_ns))

@@ -12,6 +12,7 @@ import logging
 import threading
 import time
 from collections import OrderedDict
+from contextlib import suppress
 from pathlib import Path
 
 import zenoh
@@ -31,6 +32,7 @@ MAX_BLOCKS = 2000  # of a reply
 REPLY_BYTES = 1 << 18  # of records, before they are packed
 LOOK_S = 0.1  # longest wait for a query
 SOON_S = 0.001
+LOOK_FOR_S = 5.0  # into a part, before there is a reply
 _QUERIES = 16  # that may wait; the asker of an older one asks again
 
 _logger = logging.getLogger("gateway.sites")
@@ -47,6 +49,8 @@ class LogServer:
     def __init__(self, folder: Path, site: str) -> None:
         self._folder, self._site = folder, site
         self._contents: OrderedDict[str, Contents] = OrderedDict()
+        self._complete = True  # whether the part was read to its end
+        self._reported = ""
         self._block: tuple[tuple[str, BlockId, int], list[tuple[int, RawLogRecord]]] | None = None
 
     def answer(self, payload: bytes) -> pb.LogReply:
@@ -81,10 +85,12 @@ class LogServer:
             wait_s = SOON_S  # the next request follows the reply
             with query:
                 reply = self.answer(query.payload.to_bytes() if query.payload is not None else b"")
-                if reply.problem:
+                if reply.problem and reply.problem != self._reported:
+                    self._reported = reply.problem
                     _logger.warning("%s", reply.problem)
                 packed = zstandard.ZstdCompressor().compress(reply.SerializeToString())
-                query.reply(key, packed, encoding=zenoh_encoding(pb.LogReply))
+                with suppress(zenoh.ZError):  # the asker has gone
+                    query.reply(key, packed, encoding=zenoh_encoding(pb.LogReply))
 
     def _parts(self) -> list[pb.LogPart]:
         parts = []
@@ -106,7 +112,7 @@ class LogServer:
         self._contents.move_to_end(name)
         if len(self._contents) > MAX_PARTS:
             self._contents.popitem(last=False)
-        contents.refresh()
+        self._complete = contents.refresh(LOOK_FOR_S)
         return contents
 
     def _add_blocks(self, reply: pb.LogReply, contents: Contents, from_byte: int) -> None:
@@ -125,7 +131,7 @@ class LogServer:
                 stream=block.stream, session=block.session, number=block.number, count=entry.count, digest=entry.digest,
                 last_ns=entry.last_ns, end_byte=end_byte,
             )  # fmt: skip
-        reply.problem = contents.damage
+        reply.more, reply.problem = not self._complete, contents.damage
 
     def _add_records(self, reply: pb.LogReply, contents: Contents, request: pb.LogRequest) -> None:
         block = BlockId(request.block.stream, request.block.session, request.block.number)

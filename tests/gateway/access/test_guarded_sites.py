@@ -1,0 +1,54 @@
+"""A log is served and filled on a guarded bus: by the gateway's account, for everybody who is let in."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from gateway.access.folder import SecurityFolder
+from gateway.client.connection import open_bus
+from gateway.sites.filler import Filler
+from gateway.sites.server import LogServer
+from protocol.errors import ServiceError
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_port
+from tests.harness.sites.logs import account, flight, write
+
+pytestmark = pytest.mark.xdist_group("guarded-bus")
+
+
+@pytest.mark.parametrize("account_of_server", ["gateway", "ben"])
+def test_the_gateway_s_account_serves_the_log_and_nobody_else(
+    keys: SecurityFolder, tmp_path: Path, account_of_server: str
+) -> None:
+    lab, plant, stop = tmp_path / "lab", tmp_path / "plant", threading.Event()
+    plant.mkdir()
+    write(lab / "a-000.mcap", flight(500))
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    with (
+        zenoh.open(zenoh.Config.from_json5(keys.router([endpoint]))),
+        open_bus(endpoint, keys.identity(account_of_server)) as serving,
+        open_bus(endpoint, keys.identity("vic")) as asking,
+    ):
+        thread = threading.Thread(target=LogServer(lab, "board51").serve, args=(serving, stop))
+        thread.start()
+        filler = Filler(asking, "board51", plant, settle_s=1.0, days=1e5)
+
+        def filled() -> bool:
+            try:
+                return filler.fill().records > 0
+            except ServiceError:  # it is not there yet
+                return False
+
+        if account_of_server == "gateway":
+            wait_for(filled, "records")
+            assert account(lab, plant) == (0, 0)
+        else:  # a session hears itself without a router
+            wait_for(lambda: list(serving.get("board51/_logs/*", payload=b"")), "its own answer")
+            list(serving.get("board51/_logs/nobody"))  # there and back: its declaration has arrived
+            assert not filled()
+        stop.set()
+        thread.join()
