@@ -6,7 +6,9 @@ Rule 3: a user's command has the key `command/as/<role>/<name>` with the user's 
         whether the role suffices (roles.py), because it can give a reason and log the attempt, which the router cannot.
 Rule 4: the views' account may send under any name: OPC UA and the web page have checked the password themselves.
 Rule 5: the gateway's account serves the log of its site, and all accounts may ask for it.
-Rule 6: over TLS and QUIC a password is valid only together with the certificate of the same name.  The other protocols
+Rule 6: the router that this one connects to, known by its certificate, reads everything and asks for logs.  It cannot
+        send commands: here nobody has checked who sent them.
+Rule 7: over TLS and QUIC a password is valid only together with the certificate of the same name.  The other protocols
         have no certificates; `listeners.py` restricts them to this machine.
 """
 
@@ -19,6 +21,7 @@ from gateway.access.roles import Role
 from protocol.bus import topics
 
 SERVICES = ("gateway", "twin", "views")  # reserved names; users cannot have them
+ROUTER = "bus-router"  # common name of the certificates of routers
 LARGEST_COMMAND = 65_536  # bytes that pass the router; the gateway refuses commands over 4 KiB as "oversize"
 LARGEST_MODEL = 4_000_000  # bytes
 LARGEST_LOG_REQUEST = 1_000_000  # bytes
@@ -67,11 +70,15 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
         keys = [_as(site, topic, role, who) for topic in ("command", "twin/command")]
         rules.append(_rule(f"{name}-commands", "ingress", ("query",), keys))
         policies.append({"subjects": _subject_ids(name), "rules": ["read", "told", "asks-logs", f"{name}-commands"]})
+    policies.append({"subjects": [ROUTER], "rules": ["read", "told", "served", "asks-logs"]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [subject for name in (*SERVICES, *people) for subject in _subjects(name)],
+        "subjects": [
+            *(subject for name in (*SERVICES, *people) for subject in _subjects(name)),
+            {"id": ROUTER, "cert_common_names": [ROUTER]},
+        ],
         "policies": policies,
     }
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import zenoh
 from zenoh.handlers import Handler
 
-from gateway.record.blocks import LARGEST_REPLY, BlockId, decompress, locate, pack
+from gateway.record.blocks import LARGEST_REPLY, MAX_IDS, BlockId, decompress, locate, pack
 from gateway.record.writer import LogWriter
 from gateway.sites.local_log import LocalLog
 from protocol.bus import board51_pb2 as pb
@@ -29,6 +29,7 @@ from protocol.errors import ServiceError
 REPLY_S = 30.0
 LOOK_S = 0.005
 ROTATE_BYTES = 256_000_000
+MAX_REPLIES = 1000  # about the blocks of a part in a round; no server keeps a fill busy for ever
 DAY_NS = 86_400 * 10**9
 
 
@@ -121,7 +122,7 @@ class Filler:
 
     def _fill_part(self, key: str, part: str, from_byte: int, tally: Tally) -> tuple[int, bool]:
         """Fill from one part; return where the next look begins, and whether all of it was old enough."""
-        while True:
+        for _ in range(MAX_REPLIES):
             reply = self._request_one(key, pb.LogRequest(part=part, from_byte=from_byte))
             if reply.problem and reply.problem not in self._reported:
                 self._reported.add(reply.problem)
@@ -143,6 +144,7 @@ class Filler:
             from_byte = reply.blocks[-1].end_byte + 1
             if not reply.more:
                 return from_byte, True
+        return from_byte, False
 
     def _fill_block(self, key: str, part: str, block: BlockId, tally: Tally) -> None:
         have, more = self._local.ids(block), True
@@ -161,7 +163,7 @@ class Filler:
                     tally.bytes += len(record.data)
             if self._writer is not None:
                 self._writer.flush()  # what is on disk now, a kill does not cost
-            more = reply.more and len(have) > before
+            more = reply.more and before < len(have) < MAX_IDS
 
     def _is_of_site(self, block: BlockId) -> bool:
         site, _, rest = block.stream.partition("/")
