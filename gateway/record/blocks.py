@@ -52,7 +52,7 @@ class BlockId(NamedTuple):
 
 
 class Located(NamedTuple):
-    """Where a record belongs."""
+    """The block of a record, and its id there."""
 
     block: BlockId
     id: int

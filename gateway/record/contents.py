@@ -1,4 +1,4 @@
-"""What one part of a log holds, block by block; of a part that grows only what is new is read.
+"""The blocks of one part of a log; of a part that grows only what is new is read.
 
 Memory: about 300 bytes for each block, so 30 kB for an hour of one board without a twin.
 """
@@ -28,7 +28,7 @@ class Entry:
 
 
 class _Fresh:
-    """What this pass has read of a block."""
+    """The records of a block that this pass has read."""
 
     def __init__(self, block: BlockId, begin_byte: int) -> None:
         self.block, self.ids, self.last_ns, self.end_byte = block, set[int](), 0, begin_byte
@@ -71,15 +71,15 @@ class Contents:
             located = locate(record)
             if located is None:
                 continue
-            block, here = located.block, self._scan.offset
+            block, offset = located.block, self._scan.offset
             known = fresh.get(block.stream)
             if known is None or known.block != block:
                 if known is not None:
                     self._merge(known)
-                self.blocks.setdefault(block, Entry(b"", 0, 0, 0, here, here))  # in the order of the part
-                known = fresh[block.stream] = _Fresh(block, here)
+                self.blocks.setdefault(block, Entry(b"", 0, 0, 0, offset, offset))  # in the order of the part
+                known = fresh[block.stream] = _Fresh(block, offset)
             known.ids.add(located.id)
-            known.last_ns, known.end_byte = max(known.last_ns, record.time_ns), here
+            known.last_ns, known.end_byte = max(known.last_ns, record.time_ns), offset
         for known in fresh.values():
             self._merge(known)
         self._next_byte = self._scan.offset

@@ -35,7 +35,7 @@ DAY_NS = 86_400 * 10**9
 
 @dataclass(slots=True)
 class Tally:
-    """What a round has done."""
+    """The counts of a round."""
 
     servers: int = 0
     compared: int = 0  # blocks
@@ -75,7 +75,9 @@ class Filler:
         self._stop = stop or threading.Event()
         self._settle_ns, self._oldest_ns, self._report = round(settle_s * 1e9), round(days * DAY_NS), report
         self._local = LocalLog(folder)
-        self._done: dict[tuple[str, str], tuple[int, int]] = {}  # of server, part: size and first byte of the next look
+        self._progress: dict[
+            tuple[str, str], tuple[int, int]
+        ] = {}  # of server, part: size and first byte of the next look
         self._reported: set[str] = set()
         self._writer: LogWriter | None = None
 
@@ -92,7 +94,7 @@ class Filler:
                 tally.servers += 1
                 try:
                     self._fill_from(key, reply, tally)
-                except ServerGoneError as error:  # the others are still there
+                except ServerLostError as error:  # the others are still there
                     failed = error
         finally:
             if self._writer is not None:
@@ -109,21 +111,23 @@ class Filler:
 
     def _fill_from(self, key: str, listing: pb.LogReply, tally: Tally) -> None:
         for part in listing.parts:
-            size, from_byte = self._done.get((key, part.name), (0, 0))
+            size, from_byte = self._progress.get((key, part.name), (0, 0))
             if part.bytes == size or part.changed_ns < listing.now_ns - self._oldest_ns:
                 continue
             filled = tally.records
-            next_byte, settled = self._fill_part(key, part.name, from_byte, tally)
-            self._done[key, part.name] = (part.bytes if settled else 0, next_byte)
-            if tally.records > filled:
-                self._report(f"{part.name}: {tally.records - filled} records filled")
-            if not settled:
+            try:
+                next_byte, complete = self._fill_part(key, part.name, from_byte, tally)
+            finally:
+                if tally.records > filled:
+                    self._report(f"{part.name}: {tally.records - filled} records filled in")
+            self._progress[key, part.name] = (part.bytes if complete else 0, next_byte)
+            if not complete:
                 tally.settling += 1
 
     def _fill_part(self, key: str, part: str, from_byte: int, tally: Tally) -> tuple[int, bool]:
         """Fill from one part; return where the next look begins, and whether all of it was old enough."""
         for _ in range(MAX_REPLIES):
-            reply = self._request_one(key, pb.LogRequest(part=part, from_byte=from_byte))
+            reply = self._request_first(key, pb.LogRequest(part=part, from_byte=from_byte))
             if reply.problem and reply.problem not in self._reported:
                 self._reported.add(reply.problem)
                 self._report(f"{part} cannot be served as a whole: {reply.problem}")
@@ -150,7 +154,7 @@ class Filler:
         have, more = self._local.ids(block), True
         request = pb.LogBlock(stream=block.stream, session=block.session, number=block.number)
         while more:
-            reply = self._request_one(key, pb.LogRequest(part=part, block=request, have=pack(have)[0]))
+            reply = self._request_first(key, pb.LogRequest(part=part, block=request, have=pack(have)[0]))
             before = len(have)
             for record in reply.records:
                 located = locate(record) if topics.split(record.key) is not None else None
@@ -193,7 +197,7 @@ class Filler:
                 yield str(answer.ok.key_expr), reply
 
     def _arriving(self, replies: Handler[zenoh.Reply]) -> Iterator[zenoh.Reply]:
-        """Yield the replies until the last; raise ServerGoneError at the order to end."""
+        """Yield the replies until the last; raise ServerLostError at the order to end."""
         while True:
             try:
                 answer = replies.try_recv()
@@ -202,15 +206,15 @@ class Filler:
             if answer is not None:
                 yield answer
             elif self._stop.wait(LOOK_S):
-                raise ServerGoneError("The fill was ended", remedy="The next one goes on where it was")
+                raise ServerLostError("The fill was ended", remedy="The next one goes on where it was")
 
-    def _request_one(self, key: str, request: pb.LogRequest) -> pb.LogReply:
+    def _request_first(self, key: str, request: pb.LogRequest) -> pb.LogReply:
         for _, reply in self._request(key, request):
             return reply
-        raise ServerGoneError(
+        raise ServerLostError(
             f"The log server {key} does not answer any more", remedy="The next fill goes on where this one was"
         )
 
 
-class ServerGoneError(ServiceError):
+class ServerLostError(ServiceError):
     """A server, or the line to it, went away in the middle of a round."""

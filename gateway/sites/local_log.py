@@ -1,4 +1,4 @@
-"""What the recording of one's own holds, for the time that is compared; parts of other times are let go.
+"""Reads what the own recording holds for the time that is compared; parts of other times are let go.
 
 Parts that are finished say in their index from when to when they are, the others are read.
 """

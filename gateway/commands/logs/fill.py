@@ -48,14 +48,14 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{args.folder} is not a folder", remedy="Give the folder of the recording")
     stop = threading.Event()
     on_end_signal(stop.set)
-    with _alone(args.folder), open_bus(args.connect, find_identity(args.identity)) as session:
+    with _locked(args.folder), open_bus(args.connect, find_identity(args.identity)) as session:
         filler = Filler(
             session, args.site, args.folder,
-            board=args.board, settle_s=args.settle, days=args.days, report=_say, stop=stop,
+            board=args.board, settle_s=args.settle, days=args.days, report=_print_line, stop=stop,
         )  # fmt: skip
         if args.every is None:
             tally = filler.fill()
-            _say(_as_text(tally))
+            _print_line(_as_text(tally))
             return 1 if tally.settling else 0
         said = ""
         while not stop.is_set():
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             except Board51Error as error:  # the line, a server or the disk: all may come back
                 text = "" if stop.is_set() else str(error)
             if text and text != said:
-                _say(text)
+                _print_line(text)
             said = text
             stop.wait(args.every)
     return 0
@@ -79,12 +79,12 @@ def _as_text(tally: Tally) -> str:
     return text
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _locked(folder: Path) -> Iterator[None]:
     """Let one process at a time fill a folder: two would fill in the same records."""
     try:
         import fcntl
