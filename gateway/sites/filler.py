@@ -29,7 +29,7 @@ from protocol.errors import ServiceError
 REPLY_S = 30.0
 LOOK_S = 0.005
 ROTATE_BYTES = 256_000_000
-MAX_REPLIES = 1000  # about the blocks of a part in a round; no server keeps a fill busy for ever
+MAX_REPLIES = 200  # about the blocks of a part in a round; no server keeps a fill busy for ever
 DAY_NS = 86_400 * 10**9
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import zenoh
 
 import board51
 from gateway.client.connection import open_bus
@@ -15,8 +16,10 @@ from gateway.record.merge import merge
 from gateway.sites.filler import Filler, Tally
 from gateway.sites.server import LogServer
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.endpoint import zenoh_config
 from protocol.log.reader import LogReader
 from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.ports import free_endpoint
 from tests.harness.sites.logs import account, flight, served, without, write
 from tests.harness.soak.processes import Service
 
@@ -97,16 +100,21 @@ def test_a_killed_fill_goes_on_where_it_was(sites: tuple[Path, Path], tmp_path: 
     write(lab / "a-000.mcap", records)
     write(plant / "bus-000.mcap", without(records, (0.1, 1.1)))
 
-    with served(lab) as endpoint:
-        words = ("-m", "board51", "fill", str(plant), "--connect", endpoint, "--settle", "1", "--days", "99999")
+    endpoint = free_endpoint()
+    with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))):
+        bus = ("--connect", endpoint)
+        server = Service("server", tmp_path, "-m", "board51", "serve-log", str(lab), *bus, ready="serving")
+        server.start()
+        words = ("-m", "board51", "fill", str(plant), *bus, "--settle", "1", "--days", "99999")
         killed = Service("fill", tmp_path, *words)
         killed.start()
         wait_for(lambda: sum(p.stat().st_size for p in plant.glob("fill-*.mcap")) > 20_000, "a part that grows")
         code = killed.kill()
         missing, twice = account(lab, plant)
         fill(endpoint, plant)
+        ended = server.end()
 
-    assert code == -9
+    assert (code, ended) == (-9, 0)
     assert missing > 0
     assert twice == 0
     assert account(lab, plant) == (0, 0)
