@@ -97,9 +97,7 @@ class Filler:
                 except ServerLostError as error:  # the others are still there
                     failed = error
         finally:
-            if self._writer is not None:
-                self._writer.close()
-                self._writer = None
+            self._end_part()
         if failed is not None:
             raise failed
         if not tally.servers:
@@ -175,14 +173,21 @@ class Filler:
 
     def _write(self, record: pb.LogRecord) -> None:
         if self._writer is not None and self._writer.bytes_written >= ROTATE_BYTES:
-            self._writer.close()
-            self._writer = None
+            self._end_part()
         if self._writer is None:
             run, number = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()), 0
             while (path := self._folder / f"fill-{run}-{number:03d}.mcap").exists():
                 number += 1
             self._writer = LogWriter(path, metadata={"fill": {"site": self._site}})
         self._writer.write(record.key, record.data, record.time_ns)
+
+    def _end_part(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.close()
+            finally:
+                writer.abandon()  # what a full disk does not take is asked for once more
 
     def _request(self, key: str, request: pb.LogRequest) -> Iterator[tuple[str, pb.LogReply]]:
         replies = self._session.get(

@@ -57,15 +57,15 @@ def run(args: argparse.Namespace) -> int:
             tally = filler.fill()
             _print_line(_as_text(tally))
             return 1 if tally.settling else 0
-        said = ""
+        printed = ""
         while not stop.is_set():
             try:
                 text = _as_text(tally) if (tally := filler.fill()).records else ""
             except Board51Error as error:  # the line, a server or the disk: all may come back
                 text = "" if stop.is_set() else str(error)
-            if text and text != said:
+            if text and text != printed:
                 _print_line(text)
-            said = text
+            printed = text
             stop.wait(args.every)
     return 0
 

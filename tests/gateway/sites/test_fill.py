@@ -13,6 +13,7 @@ import zenoh
 import board51
 from gateway.client.connection import open_bus
 from gateway.record.merge import merge
+from gateway.record.writer import LogError
 from gateway.sites.filler import Filler, Tally
 from gateway.sites.server import LogServer
 from protocol.bus import board51_pb2 as pb
@@ -20,8 +21,9 @@ from protocol.bus.endpoint import zenoh_config
 from protocol.log.reader import LogReader
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_endpoint
-from tests.harness.sites.logs import account, flight, served, without, write
+from tests.harness.sites.logs import account, flight, missing, served, without, write
 from tests.harness.soak.processes import Service
+from tests.harness.soak.stage import Disk
 
 
 def fill(endpoint: str, folder: Path, report: Callable[[str], None] = lambda line: None) -> Tally:
@@ -118,6 +120,29 @@ def test_a_killed_fill_goes_on_where_it_was(sites: tuple[Path, Path], tmp_path: 
     assert missing > 0
     assert twice == 0
     assert account(lab, plant) == (0, 0)
+
+
+def test_a_full_disk_ends_a_round_and_the_next_one_goes_on(sites: tuple[Path, Path], tmp_path: Path) -> None:
+    lab, _ = sites
+    disk = Disk(tmp_path / "disk")
+    if not disk.mounted:
+        pytest.skip("no right to mount a small disk")
+    write(lab / "a-000.mcap", flight(18_000))
+    try:
+        with served(lab) as endpoint, open_bus(endpoint) as session:
+            filler = Filler(session, "board51", disk.folder, settle_s=1.0, days=1e5)
+            disk.fill()
+            with pytest.raises(LogError, match="disk full"):
+                filler.fill()
+            lacked = missing(lab, disk.folder)
+            disk.free()
+            filler.fill()
+        result = account(lab, disk.folder)
+    finally:
+        disk.close()
+
+    assert lacked > 0
+    assert result == (0, 0)
 
 
 def test_of_a_damaged_part_everything_intact_is_filled_in(sites: tuple[Path, Path]) -> None:
