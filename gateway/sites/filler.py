@@ -85,7 +85,7 @@ class Filler:
         """Make one round through all servers.
 
         Raises:
-            ServiceError: no log server answers, or the last one stopped to.
+            ServiceError: no log server answers, or one went away; the others were filled from.
             LogError: the folder cannot be written.
         """
         tally, failed = Tally(), None

@@ -61,7 +61,7 @@ def test_a_tree_of_guarded_routers_passes_samples_and_logs_up_and_no_commands_do
     plant.mkdir()
     write(lab / "a-000.mcap", flight(500))
     upper, lower = (f"tls/127.0.0.1:{free_port()}" for _ in range(2))
-    states, commands = [], []
+    states, commands = list[zenoh.Sample](), list[zenoh.Query]()
     with (
         zenoh.open(zenoh.Config.from_json5(keys.router([upper]))),
         zenoh.open(zenoh.Config.from_json5(keys.router([lower], [upper], wait_for_router=False))),

@@ -10,8 +10,9 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.record.blocks import MAX_IDS, BlockId, decompress, pack, unpack
+from gateway.record.blocks import EVERY_TICK, MAX_IDS, BlockId, decompress, pack, unpack
 from gateway.record.contents import Contents
+from protocol.bus.topics import TOPIC_OF_NAME
 from protocol.errors import DataError
 from tests.harness.sites.logs import flight, write
 
@@ -37,6 +38,11 @@ def test_a_part_that_is_read_while_it_grows_has_the_contents_of_the_whole(tmp_pa
         b: (e.digest, e.count, e.end_byte) for b, e in at_once.blocks.items()
     }  # fmt: skip
     assert growing.damage == ""
+
+
+def test_topics_of_every_tick_are_told_apart_by_tick() -> None:
+    assert {"state", "twin/state", "twin/divergence"} == EVERY_TICK
+    assert all({"tick", "session"} <= set(TOPIC_OF_NAME[t].message.DESCRIPTOR.fields_by_name) for t in EVERY_TICK)
 
 
 def test_records_without_a_time_of_their_own_get_that_of_their_board(tmp_path: Path) -> None:
