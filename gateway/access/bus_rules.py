@@ -6,8 +6,8 @@ Rule 3: a user's command has the key `command/as/<role>/<name>` with the user's 
         whether the role suffices (roles.py), because it can give a reason and log the attempt, which the router cannot.
 Rule 4: the views' account may send under any name: OPC UA and the web page have checked the password themselves.
 Rule 5: the gateway's account serves the log of its site, and all accounts may ask for it.
-Rule 6: the router that this one connects to, known by its certificate, reads everything and asks for logs.  It cannot
-        send commands: here nobody has checked who sent them.
+Rule 6: where this router connects to another one, that one, known by its certificate, reads everything and asks for
+        logs.  It cannot send commands: here nobody has checked who sent them.
 Rule 7: over TLS and QUIC a password is valid only together with the certificate of the same name.  The other protocols
         have no certificates; `listeners.py` restricts them to this machine.
 """
@@ -33,12 +33,13 @@ _DELIVERED = ("put", "delete", "reply", "liveliness_token")
 _SERVED = ("query", "declare_subscriber", "declare_queryable")  # messages that a publisher or queryable must receive
 
 
-def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
+def access_control(site: str, people: Mapping[str, Role], *, upper: bool = False) -> dict[str, Any]:
     """The `access_control` section of a router's configuration for one site.
 
     Args:
         site: first chunk of the keys.
         people: role of each user, by name.
+        upper: whether this router connects to another one.
     """
     published = {
         who: [topics.key(site, "*", t.name) for t in topics.TOPICS if t.bus and t.source == who]
@@ -70,15 +71,15 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
         keys = [_as(site, topic, role, who) for topic in ("command", "twin/command")]
         rules.append(_rule(f"{name}-commands", "ingress", ("query",), keys))
         policies.append({"subjects": _subject_ids(name), "rules": ["read", "told", "asks-logs", f"{name}-commands"]})
-    policies.append({"subjects": [ROUTER], "rules": ["read", "told", "served", "asks-logs"]})
+    subjects = [subject for name in (*SERVICES, *people) for subject in _subjects(name)]
+    if upper:
+        subjects.append({"id": ROUTER, "cert_common_names": [ROUTER]})
+        policies.append({"subjects": [ROUTER], "rules": ["read", "told", "served", "asks-logs"]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [
-            *(subject for name in (*SERVICES, *people) for subject in _subjects(name)),
-            {"id": ROUTER, "cert_common_names": [ROUTER]},
-        ],
+        "subjects": subjects,
         "policies": policies,
     }
 

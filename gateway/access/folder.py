@@ -221,7 +221,7 @@ class SecurityFolder:
             "close_link_on_expiration": True,
         }
         transport["link"]["rx"] = {"max_message_size": LARGEST_MESSAGE}
-        config["access_control"] = access_control(self.site, self.people())
+        config["access_control"] = access_control(self.site, self.people(), upper=bool(connect))
         config["low_pass_filter"] = size_limits(self.site)
         return json.dumps(config, indent=2)
 

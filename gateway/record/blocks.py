@@ -95,7 +95,7 @@ def unpack(packed: bytes) -> set[int]:
     try:
         steps.frombytes(decompress(packed, 8 * MAX_IDS))
     except ValueError:  # not whole numbers
-        raise DataError("A list of ids is malformed", remedy="Use the same version of board51 at both sites") from None
+        raise DataError("A list of ids is malformed", remedy="Install the same version at both sites") from None
     return set(accumulate(steps))
 
 
@@ -109,5 +109,5 @@ def decompress(packed: bytes, largest: int) -> bytes:
         plain = None
     if plain is None or len(plain) > largest:
         problem = "Bytes from another site do not unpack" if plain is None else f"They unpack to more than {largest}"
-        raise DataError(problem, remedy="Use the same version of board51 at both sites")
+        raise DataError(problem, remedy="Install the same version at both sites")
     return plain

@@ -57,7 +57,7 @@ class LogServer:
         """Return the reply to a serialised LogRequest."""
         request, reply = parse(pb.LogRequest, payload), pb.LogReply(now_ns=time.time_ns())
         if request is None:
-            reply.problem = "The request is malformed: use the same version of board51 at both sites."
+            reply.problem = "The request is malformed: install the same version at both sites."
             return reply
         try:
             if not request.part:
