@@ -54,6 +54,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "send": ("gateway.commands.send", "one command to a board, through the gateway"),
     "watch": ("gateway.commands.watch", "print what travels on the bus"),
     "record": ("gateway.commands.logs.record", "log the bus to MCAP without a gateway"),
+    "serve-log": ("gateway.commands.logs.serve_log", "the log of a site on the bus, for `fill` at another site"),
+    "fill": ("gateway.commands.logs.fill", "what a recording has missed, from the log servers"),
+    "merge": ("gateway.commands.logs.merge", "the parts of a folder into one log, each record once"),
     "import": ("gateway.commands.logs.import_", "CSV or MATLAB recordings into MCAP"),
     "export": ("gateway.commands.logs.export", "MCAP into CSV, MATLAB or Parquet"),
     "replay": ("gateway.commands.logs.replay", "a log back onto the bus, or its bytes into a pty"),
@@ -70,7 +73,7 @@ PURPOSES = {  # the order of the help: what one wants to do, and the commands fo
     "fly": "start demo emulate send watch flash selftest",
     "measure and model": "campaign identify validate bode design twin predict what-if compare diagnose investigate"
     " export-model",
-    "logs": "record info logs plot export import replay recover",
+    "logs": "record info logs plot export import replay recover serve-log fill merge",
     "views": "hmi opcua foxglove",
     "operate": "gateway router security completion compile bench",
 }
@@ -86,7 +89,9 @@ EXTRAS = {  # what a command needs beyond the core; what is not here runs withou
 }
 # A missing module of these packages is a fault of the installation, not an extra that is not installed.
 PACKAGES = frozenset({"board51", "protocol", "gateway", "twin"})
-SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record"})  # run until they are told
+SERVICES = frozenset(
+    {"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record", "serve-log", "fill"}
+)  # run until they are told
 # Those that say nothing while they work: on a terminal they give signs of life.
 SILENT = frozenset(
     {"bode", "design", "export", "export-model", "import", "info", "plot", "predict", "recover", "what-if"}

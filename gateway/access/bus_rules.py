@@ -5,7 +5,10 @@ Rule 2: all accounts may read; only the gateway publishes states, and only the t
 Rule 3: a user's command has the key `command/as/<role>/<name>` with the user's own role and name.  The gateway decides
         whether the role suffices (roles.py), because it can give a reason and log the attempt, which the router cannot.
 Rule 4: the views' account may send under any name: OPC UA and the web page have checked the password themselves.
-Rule 5: over TLS and QUIC a password is valid only together with the certificate of the same name.  The other protocols
+Rule 5: the gateway's account serves the log of its site, and all accounts may ask for it.
+Rule 6: where this router connects to another one, that one, known by its certificate, reads everything and asks for
+        logs.  It cannot send commands: here nobody has checked who sent them.
+Rule 7: over TLS and QUIC a password is valid only together with the certificate of the same name.  The other protocols
         have no certificates; `listeners.py` restricts them to this machine.
 """
 
@@ -18,8 +21,10 @@ from gateway.access.roles import Role
 from protocol.bus import topics
 
 SERVICES = ("gateway", "twin", "views")  # reserved names; users cannot have them
+ROUTER = "bus-router"  # common name of the certificates of routers
 LARGEST_COMMAND = 65_536  # bytes that pass the router; the gateway refuses commands over 4 KiB as "oversize"
 LARGEST_MODEL = 4_000_000  # bytes
+LARGEST_LOG_REQUEST = 1_000_000  # bytes
 LARGEST_MESSAGE = 16_000_000  # bytes of a fragmented message
 
 _WITHOUT_CERTIFICATES = ("tcp", "udp", "ws", "serial", "unixsock-stream", "unixpipe", "vsock")  # zenoh's names
@@ -28,19 +33,22 @@ _DELIVERED = ("put", "delete", "reply", "liveliness_token")
 _SERVED = ("query", "declare_subscriber", "declare_queryable")  # messages that a publisher or queryable must receive
 
 
-def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
+def access_control(site: str, people: Mapping[str, Role], *, upper: bool = False) -> dict[str, Any]:
     """The `access_control` section of a router's configuration for one site.
 
     Args:
         site: first chunk of the keys.
         people: role of each user, by name.
+        upper: whether this router connects to another one.
     """
     published = {
         who: [topics.key(site, "*", t.name) for t in topics.TOPICS if t.bus and t.source == who]
         for who in ("gateway", "twin")
     }
-    everything = [f"{site}/**"]
+    everything, logs = [f"{site}/**"], [f"{site}/{topics.LOGS}/*"]
     rules = [
+        _rule("asks-logs", "ingress", ("query",), logs),
+        _rule("serves-logs", "ingress", ("declare_queryable", "reply"), logs),
         _rule("read", "ingress", _READ, everything),
         _rule("told", "egress", _DELIVERED, everything),
         _rule("served", "egress", _SERVED, everything),
@@ -51,8 +59,9 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
             _rule(f"{service}-puts", "ingress", ("put",), published[service]),
             _rule(f"{service}-answers", "ingress", ("declare_queryable", "reply"), [_as(site, topic, "*", "*")]),
         ]
-        names = ["read", "told", "served", f"{service}-puts", f"{service}-answers"]
+        names = ["read", "told", "served", "asks-logs", f"{service}-puts", f"{service}-answers"]
         policies.append({"subjects": _subject_ids(service), "rules": names})
+    policies[0]["rules"].append("serves-logs")
     alive = topics.key(site, "*", topics.ALIVE), f"{site}/*/{topics.TWIN_ALIVE}/*"
     for policy, service, token in zip(policies, ("gateway", "twin"), alive, strict=True):
         rules.append(_rule(f"{service}-lives", "ingress", ("liveliness_token",), [token]))
@@ -61,28 +70,36 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
     for name, (role, who) in senders.items():
         keys = [_as(site, topic, role, who) for topic in ("command", "twin/command")]
         rules.append(_rule(f"{name}-commands", "ingress", ("query",), keys))
-        policies.append({"subjects": _subject_ids(name), "rules": ["read", "told", f"{name}-commands"]})
+        policies.append({"subjects": _subject_ids(name), "rules": ["read", "told", "asks-logs", f"{name}-commands"]})
+    subjects = [subject for name in (*SERVICES, *people) for subject in _subjects(name)]
+    if upper:
+        subjects.append({"id": ROUTER, "cert_common_names": [ROUTER]})
+        policies.append({"subjects": [ROUTER], "rules": ["read", "told", "served", "asks-logs"]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [subject for name in (*SERVICES, *people) for subject in _subjects(name)],
+        "subjects": subjects,
         "policies": policies,
     }
 
 
 def size_limits(site: str) -> list[dict[str, Any]]:
     """The `low_pass_filter` section of a router's configuration: it drops larger messages."""
-    sizes = (("command", LARGEST_COMMAND), ("twin/command", LARGEST_MODEL))
+    sizes = (
+        ("command", _as(site, "command", "*", "*"), LARGEST_COMMAND),
+        ("twin-command", _as(site, "twin/command", "*", "*"), LARGEST_MODEL),
+        ("log-request", f"{site}/{topics.LOGS}/*", LARGEST_LOG_REQUEST),
+    )
     return [
         {
-            "id": f"largest-{topic.replace('/', '-')}",
+            "id": f"largest-{what}",
             "flows": ["ingress"],
             "messages": ["query"],
-            "key_exprs": [_as(site, topic, "*", "*")],
+            "key_exprs": [key],
             "size_limit": size,
         }
-        for topic, size in sizes
+        for what, key, size in sizes
     ]
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from gateway.access.bus_rules import LARGEST_MESSAGE, SERVICES, access_control, size_limits
+from gateway.access.bus_rules import LARGEST_MESSAGE, ROUTER, SERVICES, access_control, size_limits
 from gateway.access.certificates import DAYS, Authority, Issued, check_certificate, days_left
 from gateway.access.private import check_private, read_private, write_private
 from gateway.access.roles import Role
@@ -133,9 +133,10 @@ class SecurityFolder:
         Raises:
             UsageError: the name is reserved, or the password is too short or too long.
         """
-        if user.name in SERVICES:
+        reserved = (*SERVICES, ROUTER)
+        if user.name in reserved:
             raise UsageError(
-                f"{user.name} is the name of a service", remedy=f"Choose another than {', '.join(SERVICES)}"
+                f"{user.name} is the name of a service", remedy=f"Choose another than {', '.join(reserved)}"
             )
         authority = self._authority()
         set_user(self.users, user, password)
@@ -220,7 +221,7 @@ class SecurityFolder:
             "close_link_on_expiration": True,
         }
         transport["link"]["rx"] = {"max_message_size": LARGEST_MESSAGE}
-        config["access_control"] = access_control(self.site, self.people())
+        config["access_control"] = access_control(self.site, self.people(), upper=bool(connect))
         config["low_pass_filter"] = size_limits(self.site)
         return json.dumps(config, indent=2)
 

@@ -18,7 +18,7 @@ from gateway.client.connection import BusBoard, Subscription
 from gateway.client.values import Samples, read_log
 from gateway.record.recorder import Recorder, RecorderOptions, RecorderStats
 from protocol.bus import topics
-from protocol.bus.encoding import parse
+from protocol.bus.encoding import parse, stamp_ns
 from protocol.files import make_folder
 
 
@@ -118,7 +118,7 @@ class Recording(AbstractContextManager["Recording"]):
         message = parse(topics.TOPIC_OF_NAME[topic].message, data)
         # Log time is the gateway's, as in its own log.  Messages without a time (twin/*) get that of the board's newest
         # message, as the clock of this host may differ.
-        stamp_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
-        if stamp_ns is not None:
-            self._newest_ns[board] = max(stamp_ns, self._newest_ns.get(board, 0))
-        self._recorder.put(key, data, self._newest_ns.get(board, time.time_ns()) if stamp_ns is None else stamp_ns)
+        stamp = None if message is None else stamp_ns(message)
+        if stamp is not None:
+            self._newest_ns[board] = max(stamp, self._newest_ns.get(board, 0))
+        self._recorder.put(key, data, self._newest_ns.get(board, time.time_ns()) if stamp is None else stamp)

@@ -655,3 +655,69 @@ class TwinDiagnosis(_message.Message):
     for_s: float
     sentence: str
     def __init__(self, host_time_ns: _Optional[int] = ..., session: _Optional[int] = ..., tick: _Optional[int] = ..., cause: _Optional[str] = ..., value: _Optional[float] = ..., unit: _Optional[str] = ..., probability: _Optional[float] = ..., others: _Optional[_Iterable[str]] = ..., since_ns: _Optional[int] = ..., for_s: _Optional[float] = ..., sentence: _Optional[str] = ...) -> None: ...
+
+class LogRequest(_message.Message):
+    __slots__ = ("part", "from_byte", "block", "have")
+    PART_FIELD_NUMBER: _ClassVar[int]
+    FROM_BYTE_FIELD_NUMBER: _ClassVar[int]
+    BLOCK_FIELD_NUMBER: _ClassVar[int]
+    HAVE_FIELD_NUMBER: _ClassVar[int]
+    part: str
+    from_byte: int
+    block: LogBlock
+    have: bytes
+    def __init__(self, part: _Optional[str] = ..., from_byte: _Optional[int] = ..., block: _Optional[_Union[LogBlock, _Mapping]] = ..., have: _Optional[bytes] = ...) -> None: ...
+
+class LogPart(_message.Message):
+    __slots__ = ("name", "bytes", "changed_ns")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    BYTES_FIELD_NUMBER: _ClassVar[int]
+    CHANGED_NS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    bytes: int
+    changed_ns: int
+    def __init__(self, name: _Optional[str] = ..., bytes: _Optional[int] = ..., changed_ns: _Optional[int] = ...) -> None: ...
+
+class LogBlock(_message.Message):
+    __slots__ = ("stream", "session", "number", "count", "digest", "last_ns", "end_byte")
+    STREAM_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    LAST_NS_FIELD_NUMBER: _ClassVar[int]
+    END_BYTE_FIELD_NUMBER: _ClassVar[int]
+    stream: str
+    session: int
+    number: int
+    count: int
+    digest: int
+    last_ns: int
+    end_byte: int
+    def __init__(self, stream: _Optional[str] = ..., session: _Optional[int] = ..., number: _Optional[int] = ..., count: _Optional[int] = ..., digest: _Optional[int] = ..., last_ns: _Optional[int] = ..., end_byte: _Optional[int] = ...) -> None: ...
+
+class LogRecord(_message.Message):
+    __slots__ = ("key", "time_ns", "data")
+    KEY_FIELD_NUMBER: _ClassVar[int]
+    TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    key: str
+    time_ns: int
+    data: bytes
+    def __init__(self, key: _Optional[str] = ..., time_ns: _Optional[int] = ..., data: _Optional[bytes] = ...) -> None: ...
+
+class LogReply(_message.Message):
+    __slots__ = ("now_ns", "parts", "blocks", "records", "more", "problem")
+    NOW_NS_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    BLOCKS_FIELD_NUMBER: _ClassVar[int]
+    RECORDS_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
+    PROBLEM_FIELD_NUMBER: _ClassVar[int]
+    now_ns: int
+    parts: _containers.RepeatedCompositeFieldContainer[LogPart]
+    blocks: _containers.RepeatedCompositeFieldContainer[LogBlock]
+    records: _containers.RepeatedCompositeFieldContainer[LogRecord]
+    more: bool
+    problem: str
+    def __init__(self, now_ns: _Optional[int] = ..., parts: _Optional[_Iterable[_Union[LogPart, _Mapping]]] = ..., blocks: _Optional[_Iterable[_Union[LogBlock, _Mapping]]] = ..., records: _Optional[_Iterable[_Union[LogRecord, _Mapping]]] = ..., more: _Optional[bool] = ..., problem: _Optional[str] = ...) -> None: ...

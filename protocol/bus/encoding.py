@@ -70,6 +70,12 @@ def parse(message: type[M], data: bytes) -> M | None:
         return None
 
 
+def stamp_ns(message: Message) -> int | None:
+    """Return the time that a message bears, the gateway's clock; None for those that bear none (twin/state, ...)."""
+    stamp: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
+    return stamp
+
+
 def state_batch(states: Iterable[bytes]) -> bytes:
     """Return the serialised pb.StateBatch of serialised pb.State: each behind its tag and length."""
     parts = bytearray()

@@ -105,6 +105,7 @@ class LogReader:
         boards: Sequence[str] | None = None,
         start_s: float = 0.0,
         end_s: float | None = None,
+        from_byte: int = 0,
     ) -> Iterator[RawLogRecord]:
         """Yield unparsed records; damage is recorded in `scans` and skipped.
 
@@ -113,13 +114,14 @@ class LogReader:
             boards: Names of boards; None means all.
             start_s: From the first message of the log.
             end_s: The same; None means to the end.
+            from_byte: See `Scan.messages`; of a log of one part.
         """
         self.foreign.clear()
         low_ns = self.start_ns + round(start_s * 1e9) if start_s > 0 else 0
         high_ns = 1 << 64 if end_s is None else self.start_ns + round(end_s * 1e9)
         for scan in self.scans:
             known: dict[McapChannel, tuple[str, str, str] | None] = {}
-            for channel, time_ns, data in scan.messages(start_ns=low_ns, end_ns=high_ns):
+            for channel, time_ns, data in scan.messages(start_ns=low_ns, end_ns=high_ns, from_byte=from_byte):
                 if channel not in known:
                     known[channel] = _board_topic(channel)
                 parts = known[channel]

@@ -115,20 +115,38 @@ class Scan:
         self.library = ""
         self.size = _check(path)
         self.unpacked = 0  # bytes of chunks in this pass, also of those that were no chunks
+        # Of the record that is being read.  After a pass: where the next one may begin, if the file has grown.
+        self.offset = len(MAGIC)
         # From where, and the next intact chunk: the size if there is none.
         self._searched: tuple[int, int] | None = None
         self.first_ns: int | None = None  # the first log time, by the index
         self.last_ns: int | None = None  # the last one
         self.indexed = self._read_summary()  # if so, topics and times are known without a pass
 
-    def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64) -> Iterator[McapMessage]:
-        """Yield all messages with start_ns <= log time < end_ns, in the order of the file."""
+    def grow(self) -> None:
+        """Take in what was written since: the size, and the summary if there is one now.
+
+        Raises:
+            DataError: the file is gone or has become another one.
+        """
+        self.size = _check(self.path)
+        self.indexed = self.indexed or self._read_summary()
+
+    def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64, from_byte: int = 0) -> Iterator[McapMessage]:
+        """Yield all messages with start_ns <= log time < end_ns, in the order of the file.
+
+        Args:
+            start_ns: The first log time.
+            end_ns: The log time behind the last.
+            from_byte: An `offset` of an earlier pass: only what follows there is read.
+        """
         self.damages.clear()
         self.unknown_channel = self.unpacked = 0
         self.finished = False
         self._searched = None
         with self.path.open("rb") as file:
-            at = proven = len(MAGIC)  # everything before `proven` was verified
+            at = proven = max(from_byte, len(MAGIC))  # everything before `proven` was verified
+            self.offset = at
             while at < self.size:
                 file.seek(at)
                 head = file.read(RECORD.size)
@@ -145,14 +163,14 @@ class Scan:
                     self._damage(min(at, after), abs(after - at), wrong)
                     if resumed is None:
                         return
-                    at = proven = resumed
+                    self.offset = at = proven = resumed
                     continue
                 content = file.read(length) if opcode in _READ else b""
                 if opcode == _CHUNK:
                     start, stop = struct.unpack_from("<QQ", content) if length >= 16 else (0, 0)
                     # Only with an index: without it, a chunk that is passed over may hold the description of a channel.
                     if self.indexed and (stop < start_ns or start >= end_ns):
-                        at = end  # its channels are known from the index
+                        self.offset = at = end  # its channels are known from the index
                         continue
                     plain, problem = self._unpack(content)
                     if problem:
@@ -170,7 +188,7 @@ class Scan:
                 for message in self._messages_between(plain, at, end):
                     if start_ns <= message.time_ns < end_ns:
                         yield message
-                at = end
+                self.offset = at = end
 
     def _unpack(self, content: bytes) -> tuple[bytes, str]:
         """Unpack a chunk within what the file may still expand to; failed attempts count as well."""
