@@ -3,6 +3,8 @@
 Rule 1: e(k) is correlated with u_c(k - lag) for lags of 1 and more only.  In closed loop u_c depends on past
         innovations, so it is correlated with them at other lags under a right model, too.
 Rule 2: the bounds in the figure are 99 % bounds of one lag; the verdict is a joint chi-square test over all lags.
+Rule 3: each test fails at a chance of LEVEL at most, and only by what matters.  In a long campaign the rounding of the
+        converters is significant, too: a size within NOISE_TOLERANCE is right, as it is for `diagnose`.
 """
 
 from __future__ import annotations
@@ -18,9 +20,11 @@ from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import FloatArray
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.whiteness import LAGS, LEVEL, SMALL
+from twin.settings.diagnosis import NOISE_TOLERANCE
 from twin.validation.source import Filtered
 
 BOUND_99 = 2.576
+BOUND_SIZE = 3.291  # of a normal number, at LEVEL
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +34,7 @@ class Channel:
     name: str  # i_c | x
     count: int
     chi2: float  # mean square of the whitened innovations: 1 under a right model
-    chi2_bound: float  # 99 % bound of |chi2 - 1|
+    chi2_bound: float  # of |chi2 - 1|
     mean: float  # of the whitened innovations
     autocorrelation: FloatArray  # lags 1 .. LAGS
     cross_correlation: FloatArray  # with u_c, the same lags
@@ -94,7 +98,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
         p_input = chi2_above(statistic, int(retained.sum()))
     size = power / count
     # The stated noise was estimated from a recording of similar length: both estimates have a scatter of sqrt(2 / n).
-    bound = BOUND_99 * np.sqrt(4.0 / count)
+    bound = max(BOUND_SIZE * np.sqrt(4.0 / count), (1.0 + NOISE_TOLERANCE) ** 2 - 1.0)
     return Channel(
         name=name,
         count=count,
