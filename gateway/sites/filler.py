@@ -75,9 +75,8 @@ class Filler:
         self._stop = stop or threading.Event()
         self._settle_ns, self._oldest_ns, self._report = round(settle_s * 1e9), round(days * DAY_NS), report
         self._local = LocalLog(folder)
-        self._progress: dict[
-            tuple[str, str], tuple[int, int]
-        ] = {}  # of server, part: size and first byte of the next look
+        # Of server and part: size, and first byte of the next look.
+        self._progress: dict[tuple[str, str], tuple[int, int]] = {}
         self._reported: set[str] = set()
         self._writer: LogWriter | None = None
 

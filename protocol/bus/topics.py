@@ -75,9 +75,8 @@ TOPIC_OF_NAME = {topic.name: topic for topic in TOPICS}
 AS = "as"
 ALIVE = "alive"  # liveliness token <site>/<board>/alive, held while the gateway serves the board
 TWIN_ALIVE = "twin/alive"  # liveliness token <site>/<board>/twin/alive/<name of a process>, held by a twin
-LOGS = (
-    "_logs"  # queryable <site>/_logs/<server> over the log of a site: LogRequest in, LogReply out; not a board's name
-)
+# Queryable <site>/_logs/<server> over the log of a site: LogRequest in, LogReply out.  No board has this name.
+LOGS = "_logs"
 EVERY_BOARD = "_every"  # in place of the board, in the token of a twin of all boards; not a board's name
 
 

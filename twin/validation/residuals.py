@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import toeplitz
 
-from twin.distributions import chi2_above
+from twin.distributions import chi2_above, normal_exceeded
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import FloatArray
 from twin.estimation.rollout import SETTLE_S
@@ -24,7 +24,7 @@ from twin.settings.diagnosis import NOISE_TOLERANCE
 from twin.validation.source import Filtered
 
 BOUND_99 = 2.576
-BOUND_SIZE = 3.291  # of a normal number, at LEVEL
+BOUND_SIZE = normal_exceeded(0.5 * LEVEL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
