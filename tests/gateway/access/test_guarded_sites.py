@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import pytest
@@ -11,11 +10,10 @@ import zenoh
 from gateway.access.folder import SecurityFolder
 from gateway.client.connection import open_bus
 from gateway.sites.filler import Filler
-from gateway.sites.server import LogServer
 from protocol.errors import ServiceError
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
-from tests.harness.sites.logs import account, flight, write
+from tests.harness.sites.logs import account, answering, flight, write
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")
 
@@ -24,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("guarded-bus")
 def test_the_gateway_s_account_serves_the_log_and_nobody_else(
     keys: SecurityFolder, tmp_path: Path, account_of_server: str
 ) -> None:
-    lab, plant, stop = tmp_path / "lab", tmp_path / "plant", threading.Event()
+    lab, plant = tmp_path / "lab", tmp_path / "plant"
     plant.mkdir()
     write(lab / "a-000.mcap", flight(500))
     endpoint = f"tls/127.0.0.1:{free_port()}"
@@ -32,9 +30,8 @@ def test_the_gateway_s_account_serves_the_log_and_nobody_else(
         zenoh.open(zenoh.Config.from_json5(keys.router([endpoint]))),
         open_bus(endpoint, keys.identity(account_of_server)) as serving,
         open_bus(endpoint, keys.identity("vic")) as asking,
+        answering(serving, lab),
     ):
-        thread = threading.Thread(target=LogServer(lab, "board51").serve, args=(serving, stop))
-        thread.start()
         filler = Filler(asking, "board51", plant, settle_s=1.0, days=1e5)
 
         def filled() -> bool:
@@ -50,14 +47,12 @@ def test_the_gateway_s_account_serves_the_log_and_nobody_else(
             wait_for(lambda: list(serving.get("board51/_logs/*", payload=b"")), "its own answer")
             list(serving.get("board51/_logs/nobody"))  # there and back: its declaration has arrived
             assert not filled()
-        stop.set()
-        thread.join()
 
 
 def test_a_tree_of_guarded_routers_passes_samples_and_logs_up_and_no_commands_down(
     keys: SecurityFolder, tmp_path: Path
 ) -> None:
-    lab, plant, stop = tmp_path / "lab", tmp_path / "plant", threading.Event()
+    lab, plant = tmp_path / "lab", tmp_path / "plant"
     plant.mkdir()
     write(lab / "a-000.mcap", flight(500))
     upper, lower = (f"tls/127.0.0.1:{free_port()}" for _ in range(2))
@@ -72,9 +67,7 @@ def test_a_tree_of_guarded_routers_passes_samples_and_logs_up_and_no_commands_do
     ):
         vic.declare_subscriber("board51/rig/state", states.append)
         gateway.declare_queryable("board51/rig/command/as/*/*", commands.append)
-        thread = threading.Thread(target=LogServer(lab, "board51").serve, args=(gateway, stop))
-        thread.start()
-        try:
+        with answering(gateway, lab):
             wait_for(lambda: gateway.put("board51/rig/state", b"") or states, "a state above")
             filler = Filler(vic, "board51", plant, settle_s=1.0, days=1e5)
             wait_for(lambda: list(vic.get("board51/_logs/*", payload=b"")), "the log server, above")
@@ -83,9 +76,6 @@ def test_a_tree_of_guarded_routers_passes_samples_and_logs_up_and_no_commands_do
             above = len(commands)
             ben.get("board51/rig/command/as/operator/ben", timeout=1.0)
             wait_for(lambda: commands, "a command from below")
-        finally:
-            stop.set()
-            thread.join()
 
     assert account(lab, plant) == (0, 0)
     assert above == 0

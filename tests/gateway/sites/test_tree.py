@@ -17,12 +17,11 @@ from gateway.config import ZenohConfig
 from gateway.record.merge import merge
 from gateway.record.summary import summarise
 from gateway.sites.filler import Filler, Tally
-from gateway.sites.server import LogServer
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 from tests.harness.ports import free_endpoint
-from tests.harness.sites.logs import account, held
+from tests.harness.sites.logs import account, answering, held
 from tests.harness.sites.relay import Relay
 
 CUT_S = 10.0
@@ -38,15 +37,8 @@ def router(*connect: str) -> Iterator[str]:
 
 @contextmanager
 def serving(endpoint: str, folder: Path) -> Iterator[None]:
-    stop = threading.Event()
-    with open_bus(endpoint) as session:
-        thread = threading.Thread(target=LogServer(folder, "board51").serve, args=(session, stop))
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join()
+    with open_bus(endpoint) as session, answering(session, folder):
+        yield
 
 
 def filled(endpoint: str, folder: Path) -> Tally:

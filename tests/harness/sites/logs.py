@@ -91,15 +91,25 @@ def account(lab: Path, plant: Path) -> tuple[int, int]:
 
 
 @contextmanager
+def answering(session: zenoh.Session, folder: Path, *, site: str = "board51") -> Iterator[None]:
+    """A log server on a session."""
+    stop = Event()
+    thread = Thread(target=LogServer(folder, site).serve, args=(session, stop))
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
 def served(folder: Path, *, site: str = "board51") -> Iterator[str]:
     """A router with a log server; its endpoint."""
-    endpoint, stop = free_endpoint(), Event()
-    with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))) as session:
-        thread = Thread(target=LogServer(folder, site).serve, args=(session, stop))
-        thread.start()
-        try:
-            wait_for(lambda: list(session.get(f"{site}/_logs/*", payload=b"")), "log server")
-            yield endpoint
-        finally:
-            stop.set()
-            thread.join()
+    endpoint = free_endpoint()
+    with (
+        zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))) as session,
+        answering(session, folder, site=site),
+    ):
+        wait_for(lambda: list(session.get(f"{site}/_logs/*", payload=b"")), "log server")
+        yield endpoint

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from twin.diagnosis.report.sentences import BLIND, adequate_sentence, capital, cause_sentence
+from twin.diagnosis.report.sentences import BLIND, adequate_sentence, candidates_sentence, capital, cause_sentence
 from twin.diagnosis.result import Diagnosis, Finding
 from twin.model.causes.catalogue import BY_NAME
 
@@ -31,7 +31,7 @@ def _answer(diagnosis: Diagnosis) -> tuple[str, ...]:
         return f"{_difference(sure)}{partly}.", _action(first, alone=len(sure) == 1)
     if first is not None:
         return (
-            "The model is wrong, and the known causes do not explain all of it.",
+            candidates_sentence(diagnosis),
             f"The nearest candidate, {first.name}, may only imitate an unknown cause.",
         )
     where = diagnosis.unexplained_where

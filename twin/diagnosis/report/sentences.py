@@ -249,7 +249,7 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
     nearest = _causes_sentence(diagnosis.causes, whole=False)
     nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
     return (
-        "The model is wrong, and the known causes do not explain all of it. The nearest candidates may only "
+        f"{candidates_sentence(diagnosis)} The nearest candidates may only "
         f"imitate an unknown cause: {nearest}{_classes_sentence(diagnosis.causes)}{_rivals_sentence(unsure)}"
         f"{rest}{gain}"
     )
@@ -310,6 +310,13 @@ def _rivals_sentence(causes: Sequence[Finding]) -> str:
     """Say which names something unknown would replace."""
     rivals = dict.fromkeys(rival_sentence(one.rival) for one in causes if one.rival is not None)
     return "".join(f" {capital(sentence)}." for sentence in rivals)
+
+
+def candidates_sentence(diagnosis: Diagnosis) -> str:
+    """Say that the model is wrong where no name holds: because something is left, or because of the names."""
+    if diagnosis.account.unexplained > 0.0 or diagnosis.unexplained_where:
+        return "The model is wrong, and the known causes do not explain all of it."
+    return "The model is wrong, and no known cause is sure to be the reason."
 
 
 def overlap_sentence(account: Account) -> str:
