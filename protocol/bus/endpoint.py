@@ -80,7 +80,9 @@ def zenoh_config(
         "timestamping": {"enabled": False},
     }
     link: dict[str, Any] = {}
-    config["transport"] = {"link": link}
+    # zenoh would pass messages from 3 KiB on through 16 MiB of shared memory, which each process at both ends maps and
+    # keeps: 27 MB of a gateway and 52 MB of a router after the first one. On a busy machine one was seen to be lost.
+    config["transport"] = {"link": link, "shared_memory": {"enabled": False}}
     if listen:
         link["tx"] = {"queue": ROUTER_QUEUE}
         config["qos"] = ROUTER_QOS

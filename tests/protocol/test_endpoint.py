@@ -19,15 +19,15 @@ def _open(text: str) -> zenoh.Session:
     return zenoh.open(zenoh.Config.from_json5(text))
 
 
-def _reaches(publisher: zenoh.Session, subscriber: zenoh.Session, limit_s: float = 15.0) -> bool:
-    """Whether a put of one arrives at the other; repeated, because routes spread in their own time."""
+def _reaches(publisher: zenoh.Session, subscriber: zenoh.Session, limit_s: float = 15.0, data: bytes = b"1") -> bool:
+    """Whether a put of `data` arrives at the other; repeated, because routes spread in their own time."""
     got: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     with subscriber.declare_subscriber("t/x", lambda sample: got.put(sample.payload.to_bytes())):
         end = time.monotonic() + limit_s
         while time.monotonic() < end:
-            publisher.put("t/x", b"1")
+            publisher.put("t/x", data)
             try:
-                return got.get(timeout=0.05) == b"1"
+                return got.get(timeout=0.05) == data
             except queue.Empty:
                 continue
     return False
@@ -50,6 +50,17 @@ def test_daemons_that_started_before_their_router_hear_each_other_through_it() -
 def test_a_command_without_a_router_fails_instead_of_waiting_for_ever() -> None:
     with pytest.raises(zenoh.ZError):
         _open(zenoh_config("client", connect=[free_endpoint()]))
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").is_file(), reason="the memory of a process is read in /proc")
+def test_a_large_message_maps_no_shared_memory() -> None:
+    endpoint = free_endpoint()
+    with (
+        _open(zenoh_config("router", listen=[endpoint])) as router,
+        _open(zenoh_config("client", connect=[endpoint])) as client,
+    ):
+        assert _reaches(client, router, data=b"x" * 1_000_000)
+        assert ".zenoh" not in Path("/proc/self/maps").read_text(encoding="ascii")
 
 
 @pytest.mark.parametrize("apart", [False, True], ids=["the gateway is the router", "router apart"])
