@@ -71,7 +71,8 @@ def played(keys: list[tuple[Part, int]]) -> list[Outcome]:
     causes, others = ([key for key in keys if (key[0] == "causes") is quick] for quick in (True, False))
     program = program_digest()
     outcomes = [*play(others, program=program), *play(causes, program=program, quick=True)]
-    return sorted(outcomes, key=lambda outcome: keys.index((outcome.part, outcome.seed)))
+    by_key = {(outcome.part, outcome.seed): outcome for outcome in outcomes}
+    return [by_key[key] for key in keys]
 
 
 def right(outcome: Outcome) -> bool | None:
