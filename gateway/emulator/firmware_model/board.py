@@ -11,7 +11,6 @@ Every rule of 'Behaviour of the board' in protocol/README.md holds here; this fi
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Protocol
 
 from gateway.emulator.firmware_model.calibration import Calibration
@@ -26,12 +25,12 @@ from gateway.emulator.firmware_model.commands import (
     parameters,
     refuse_range,
 )
-from gateway.emulator.firmware_model.control_loop import ControlLoop, HostWatch, Tick
+from gateway.emulator.firmware_model.control_loop import ControlLoop, CountedEvent, HostWatch, Tick
+from gateway.emulator.firmware_model.exchange import Answers, CommandQueue
 from gateway.emulator.firmware_model.flash import (
     BOOT_TICKS,
     CE152_BOARD,
     T_S_US,
-    TICKS_PER_S,
     WATCHDOG_TICKS,
     BoardProfile,
     Settings,
@@ -50,17 +49,12 @@ from protocol.wire.messages import (
     Message,
     Mode,
     Reason,
-    Value,
 )
 
-RETAINED_IDS = 8
-PENDING_COMMANDS = 8
-COMMANDS_PER_TICK = 1
 _PLANT_STEP_US = 20
 _STATE_TYPE = bytes((ROW_OF_NAME["STATE"].type,))
 _WITHOUT_SESSION = {"HELLO", "PING", "STOP"}
 _REVOKED = {"SET_MODE", "CAPTURE"}  # by a STOP: they could turn the coil on again
-_PRIORITY = {"EVENT": Priority.EVENT, "CAPTURE_BLOCK": Priority.CAPTURE_BLOCK}
 
 
 class AnalogSide(Protocol):
@@ -101,17 +95,13 @@ class Firmware:
         self.next_tick = 0
         self.outbox.clear()
         self._inbox = Inbox()
-        self._pending: deque[tuple[bytes, Message | Nack]] = deque()
-        self._overtaken = 0  # of them, the first, by a STOP
-        self._commands_left = COMMANDS_PER_TICK  # to execute before the next tick
-        self._unanswered = 0
-        self._ticks_since_overload = TICKS_PER_S
+        self._commands = CommandQueue()
+        self._answers = Answers(self.outbox)
+        self._unanswered = CountedEvent()
         self._session: int | None = None
-        self._retained: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=RETAINED_IDS)  # id, type, frame
         self._divider = 1
         self._events = 0
-        self._overruns = 0
-        self._ticks_since_overrun_event = TICKS_PER_S
+        self._overruns = CountedEvent()
         self._reset_cause = cause
         self._reset_wait = 0  # ticks left to get the ACK of RESET out; 0: no reset pending
         self._hung_ticks = 0
@@ -138,10 +128,8 @@ class Firmware:
 
     def overrun(self) -> None:
         """Let the board report the next tick as late."""
-        self._overruns = min(self._overruns + 1, 0xFFFF)
         self.loop.overrun = True
-        if self._ticks_since_overrun_event >= TICKS_PER_S:
-            self._ticks_since_overrun_event = 0
+        if self._overruns.add():
             self._emit(EventCode.OVERRUN, 0)
 
     def break_stack(self) -> None:
@@ -190,9 +178,9 @@ class Firmware:
         if self._divider and self.next_tick % self._divider == 0 and not lost:
             self.outbox.put(_state_frame(self.next_tick, state), Priority.STATE)
         self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
-        self._ticks_since_overrun_event += 1
-        self._ticks_since_overload += 1
-        self._commands_left = COMMANDS_PER_TICK
+        self._overruns.pass_tick()
+        self._unanswered.pass_tick()
+        self._commands.begin_tick()
         self._execute_pending()
 
     def take_frame(self) -> bytes:
@@ -249,65 +237,47 @@ class Firmware:
         command = decoded if isinstance(decoded, Message) else _refusal(decoded, body)
         if isinstance(command, Message) and command.name == "STOP":
             self._advance_to(into_tick_us // _PLANT_STEP_US * _PLANT_STEP_US)
-            self._overtaken = len(self._pending)
+            self._commands.overtake()
             self.loop.switch_off()
             if self._reset_wait:
                 return
-            if self._has_room(body):
-                self._answer(body, acknowledge(body[0], self.next_tick))
-            else:
-                self._leave_unanswered()
-        elif len(self._pending) < PENDING_COMMANDS:
-            self._pending.append((body, command))
-        elif self._has_room(body):
-            self._answer(body, Nack(Reason.BUSY), keep=False)
+            answer: Acceptance | Nack = acknowledge(body[0], self.next_tick)
+        elif self._commands.add(body, command):
+            return
         else:
-            self._leave_unanswered()
-
-    def _has_room(self, body: bytes) -> bool:
-        """Return whether an answer to this command would not be lost."""
-        blocks = body[0] == ROW_OF_NAME["READ_CAPTURE"].type and self.outbox.full(Priority.CAPTURE_BLOCK)
-        return not self.outbox.full(Priority.ANSWER) and not blocks
-
-    def _leave_unanswered(self) -> None:
+            answer = Nack(Reason.BUSY)
+        if self._answers.has_room(body):
+            self._answers.put(body, answer, keep=isinstance(answer, Acceptance))
+            return
         self._inbox.count_bad()
-        self._unanswered = min(self._unanswered + 1, 0xFFFF)
-        if self._ticks_since_overload >= TICKS_PER_S:
-            self._ticks_since_overload = 0
-            self._emit(EventCode.OVERLOAD, self._unanswered)
+        if self._unanswered.add():
+            self._emit(EventCode.OVERLOAD, self._unanswered.count)
 
     def _execute_pending(self) -> None:
         """Execute what waits, as far as the tick's budget and the room for answers go; none after a RESET."""
-        while self._pending and self._commands_left and not self._reset_wait and self._has_room(self._pending[0][0]):
-            body, command = self._pending.popleft()
-            self._commands_left -= 1
-            revoked = self._overtaken > 0
-            self._overtaken = max(self._overtaken - 1, 0)
+        while (due := self._commands.due) and not self._reset_wait and self._answers.has_room(due):
+            body, command, is_overtaken = self._commands.take()
             if isinstance(command, Message) and command.name == "HELLO":
-                self._answer(body, self._hello(command), keep=False)
+                self._answers.put(body, self._hello(command), keep=False)
+            elif self._answers.repeat(body):
                 continue
-            retained = next((entry for entry in self._retained if entry[0] == body[1]), None)
-            if retained is not None and retained[1] == body[0]:
-                self.outbox.put(retained[2], retained[3])
-            elif retained is not None:
-                self._answer(body, Nack(Reason.BUSY), keep=False)
             elif isinstance(command, Nack):
                 # Not kept: noise at the end of a good frame may leave the CRC right and the length wrong, and the
                 # repetition of that command must not meet the noise again.
-                self._answer(body, command, keep=False)
+                self._answers.put(body, command, keep=False)
             elif self._session is None and command.name not in _WITHOUT_SESSION:
-                self._answer(body, Nack(Reason.NO_SESSION), keep=False)
-            elif revoked and command.name in _REVOKED:
-                self._answer(body, Nack(Reason.BUSY))
+                self._answers.put(body, Nack(Reason.NO_SESSION), keep=False)
+            elif is_overtaken and command.name in _REVOKED:
+                self._answers.put(body, Nack(Reason.BUSY))
             else:
-                self._answer(body, self._execute(command))
+                self._answers.put(body, self._execute(command))
 
     def _execute(self, message: Message) -> Acceptance | Nack:
         row, tick = ROW_OF_NAME[message.name], self.next_tick
         match message.name:
             case "PING":
-                values: dict[str, Value] = {"tick": tick, "bad_frames": self.bad_frames, "overruns": self._overruns}
-                return Acceptance("PONG", values)
+                counts = {"bad_frames": self.bad_frames, "overruns": self._overruns.count}
+                return Acceptance("PONG", {"tick": tick, **counts})
             case "SET_STREAM":
                 self._divider = message.int("divider")
             case "SET_HOST_LOSS":
@@ -329,23 +299,12 @@ class Firmware:
                 return HANDLERS[message.name](self.loop, message, tick)
         return acknowledge(row.type, tick)
 
-    def _answer(self, body: bytes, answer: Acceptance | Nack, *, keep: bool = True) -> None:
-        if isinstance(answer, Nack):
-            values = {"command": body[0], "reason": int(answer.reason), "detail": answer.detail}
-            answer = Acceptance("NACK", values)
-        frame = encode_frame(encode_body(answer.name, id=body[1], **answer.values))
-        priority = _PRIORITY.get(answer.name, Priority.ANSWER)
-        if keep:
-            self._retained = deque((entry for entry in self._retained if entry[0] != body[1]), maxlen=RETAINED_IDS)
-            self._retained.append((body[1], body[0], frame, priority))
-        self.outbox.put(frame, priority)
-
     def _hello(self, message: Message) -> Acceptance | Nack:
         if not message.int("version_min") <= VERSION <= message.int("version_max"):
             return Nack(Reason.VERSION, VERSION)
         if message.int("session") != self._session:
             self._session = message.int("session")
-            self._retained.clear()
+            self._answers.forget()
         return identity(self._board_id, self.next_tick, self._reset_cause, self._profile)
 
     def _leave(self) -> bool:

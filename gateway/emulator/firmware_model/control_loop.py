@@ -25,6 +25,37 @@ INPUT_LIMIT = 0  # detail of LIMIT_HIT
 _INPUT_SATURATED, _POSITION_RANGE, _CURRENT_RANGE, _OVERRUN, _HOST_LOST, _FAULT = (int(flag) for flag in Flag)
 
 
+class OncePerSecond:
+    """Lets an event happen at most once per second: rule 16."""
+
+    def __init__(self) -> None:
+        self._ticks = TICKS_PER_S  # since the last
+
+    def pass_tick(self) -> None:
+        """Note that a tick has passed."""
+        self._ticks += 1
+
+    def allows(self) -> bool:
+        """Return whether the event may happen now; it does then."""
+        if self._ticks < TICKS_PER_S:
+            return False
+        self._ticks = 0
+        return True
+
+
+class CountedEvent(OncePerSecond):
+    """Counts what happened since the reset; its event is sent at most once per second."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def add(self) -> bool:
+        """Count one more; return whether the event may be sent now."""
+        self.count = min(self.count + 1, 0xFFFF)
+        return self.allows()
+
+
 class Reference:
     """x_ref in force and the allowance for jumps: rule 7.
 
@@ -100,7 +131,7 @@ class ControlLoop:
         self._over_current_ticks = 0
         self._sensor_ticks = 0
         self._limited = False
-        self._ticks_since_limit_hit = TICKS_PER_S
+        self._limit_events = OncePerSecond()
 
     @property
     def u(self) -> int:
@@ -204,10 +235,9 @@ class ControlLoop:
             self._open_loop_u = value
 
     def _report_limit(self, *, limited: bool) -> None:
-        self._ticks_since_limit_hit += 1
-        if limited and not self._limited and self._ticks_since_limit_hit >= TICKS_PER_S:
+        self._limit_events.pass_tick()
+        if limited and not self._limited and self._limit_events.allows():
             self._emit(EventCode.LIMIT_HIT, INPUT_LIMIT)
-            self._ticks_since_limit_hit = 0
         self._limited = limited
 
     def _watch(self, i: int, x: int) -> None:

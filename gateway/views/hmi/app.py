@@ -36,6 +36,7 @@ from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Job, Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
+from gateway.views.hmi.login_requests import LoginRequests
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.programs import Programs
 from gateway.views.hmi.requests import Requests
@@ -134,21 +135,22 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
     acts = Acts(actions)
-    requests, api = Requests(actions, acts, work, users), Api(actions, acts, work)
+    https = settings.certificate is not None
+    requests, api = Requests(actions, acts, work), Api(actions, acts, work)
+    logins = LoginRequests(actions, users, https=https)
     static = Mount("/static", StaticFiles(directory=STATIC))
     pages = Pages(actions, work, api.document)
     sockets = [*_frames("/live", live, sessions, jobs.of), *_frames(REPLAY, replay, sessions, lambda _: jobs.of("*"))]
-    routes = [static, metrics.route(feed, release()), *sockets, *api.routes(), *requests.routes(), *pages.routes()]
-    guard = Guard(
+    endpoints = [route for part in (api, requests, logins, pages) for route in part.routes()]
+    routes = [static, metrics.route(feed, release()), *sockets, *endpoints]
+    return Guard(
         Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there}),
         sessions,
         Programs(sessions, users),
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,
-        https=settings.certificate is not None,
+        https=https,
     )
-    requests.guard = guard
-    return guard
 
 
 def _frames(
