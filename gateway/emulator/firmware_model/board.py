@@ -228,13 +228,11 @@ class Firmware:
                     self._execute_pending()
 
     def _receive(self, body: bytes, into_tick_us: int) -> None:
-        row = ROW_OF_TYPE.get(body[0])
-        if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
+        command = _command(body)
+        if command is None:
             self._inbox.count_bad()
             return
         self._host.heard()
-        decoded = decode_body(body)
-        command = decoded if isinstance(decoded, Message) else _refusal(decoded, body)
         if isinstance(command, Message) and command.name == "STOP":
             self._advance_to(into_tick_us // _PLANT_STEP_US * _PLANT_STEP_US)
             self._commands.overtake()
@@ -248,7 +246,10 @@ class Firmware:
             answer = Nack(Reason.BUSY)
         if self._answers.has_room(body):
             self._answers.put(body, answer, keep=isinstance(answer, Acceptance))
-            return
+        else:
+            self._leave_unanswered()
+
+    def _leave_unanswered(self) -> None:
         self._inbox.count_bad()
         if self._unanswered.add():
             self._emit(EventCode.OVERLOAD, self._unanswered.count)
@@ -321,9 +322,15 @@ class Firmware:
         self.outbox.put(encode_frame(body), Priority.EVENT)
 
 
-def _refusal(fault: str, body: bytes) -> Nack:
-    """Return the refusal of a body that is no command of the host; `fault` is the decoder's."""
-    reason = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH}.get(fault)
+def _command(body: bytes) -> Message | Nack | None:
+    """Return the command, or its refusal; None if it is not from the host or has no id, and so gets no answer."""
+    row = ROW_OF_TYPE.get(body[0])
+    if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
+        return None
+    decoded = decode_body(body)
+    if isinstance(decoded, Message):
+        return decoded
+    reason = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH}.get(decoded)
     return refuse_range(body) if reason is None else Nack(reason)
 
 

@@ -24,7 +24,7 @@ from starlette.types import ASGIApp
 
 from gateway.access.listeners import allow_restart
 from gateway.access.roles import Role
-from gateway.access.users import User, Users
+from gateway.access.users import Users
 from gateway.views.feed import Feed
 from gateway.views.hmi import metrics
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
@@ -107,15 +107,10 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
 def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGIApp:
     """The application, without a server around it."""
     users, data = settings.users, settings.routes.data
-    sessions = LoginSessions(
-        idle_s=settings.idle_s,
-        lifetime_s=settings.lifetime_s,
-        known=lambda session: users is None or _user_of(session, users) is not None,
-    )
+    sessions = LoginSessions(users, idle_s=settings.idle_s, lifetime_s=settings.lifetime_s)
     actions = Actions(
         feed,
         sessions,
-        users,
         jobs=jobs,
         logs=Library({"logs": settings.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, *REPORTS),
@@ -137,7 +132,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     acts = Acts(actions)
     https = settings.certificate is not None
     requests, api = Requests(actions, acts, work), Api(actions, acts, work)
-    logins = LoginRequests(actions, users, https=https)
+    logins = LoginRequests(sessions, https=https)
     static = Mount("/static", StaticFiles(directory=STATIC))
     pages = Pages(actions, work, api.document)
     sockets = [*_frames("/live", live, sessions, jobs.of), *_frames(REPLAY, replay, sessions, lambda _: jobs.of("*"))]
@@ -146,7 +141,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     return Guard(
         Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there}),
         sessions,
-        Programs(sessions, users),
+        Programs(sessions),
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,
         https=https,
@@ -162,10 +157,6 @@ def _frames(
         WebSocketRoute(f"{prefix}/{{board}}", readers.board),
         WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum),
     ]
-
-
-def _user_of(session: LoginSession, users: Users) -> User | None:
-    return users.bearer(session.grant) if session.grant else users.find(session.name)
 
 
 def _local(sessions: LoginSessions) -> LoginSession:

@@ -15,11 +15,9 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from gateway.access.logins import Logins, TooMany
-from gateway.access.users import Users
-from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import cookie_name, local_page, session_cookie, session_of
 from gateway.views.hmi.html.render import render
-from gateway.views.hmi.sessions import LoginSession
+from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.texts import text_of
 
 
@@ -27,14 +25,13 @@ class LoginRequests:
     """The endpoints.
 
     Args:
-        actions: knows the open sessions and their rights.
-        users: Users who may log in; None: no login is needed.
+        sessions: those that are open.
         https: whether the server speaks TLS.
     """
 
-    def __init__(self, actions: Actions, users: Users | None, *, https: bool) -> None:
-        self._actions, self._sessions, self._https = actions, actions.sessions, https
-        self._logins = Logins(users) if users is not None else None
+    def __init__(self, sessions: LoginSessions, *, https: bool) -> None:
+        self._sessions, self._https = sessions, https
+        self._logins = Logins(sessions.users) if sessions.users is not None else None
 
     def routes(self) -> list[Route]:
         """Return the routes of the requests."""
@@ -50,7 +47,7 @@ class LoginRequests:
         session = session_of(request)
         left_s = self._sessions.left_s(session, time.monotonic())
         return JSONResponse(
-            {"name": session.name, "role": self._actions.role(session).word, "left_s": round(left_s)},
+            {"name": session.name, "role": self._sessions.role(session).word, "left_s": round(left_s)},
             headers={"cache-control": "no-store"},
         )
 
