@@ -11,22 +11,21 @@ Every rule of 'Behaviour of the board' in protocol/README.md holds here; this fi
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Protocol
 
+from gateway.emulator.firmware_model.answers import Answers
 from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.commands import (
     HANDLERS,
     Acceptance,
     Nack,
     acknowledge,
-    calibrate,
-    calibration,
     identity,
     parameters,
     refuse_range,
 )
 from gateway.emulator.firmware_model.control_loop import ControlLoop, CountedEvent, HostWatch, Tick
-from gateway.emulator.firmware_model.exchange import Answers, CommandQueue
 from gateway.emulator.firmware_model.flash import (
     BOOT_TICKS,
     CE152_BOARD,
@@ -51,6 +50,8 @@ from protocol.wire.messages import (
     Reason,
 )
 
+PENDING_COMMANDS = 8
+COMMANDS_PER_TICK = 1
 _PLANT_STEP_US = 20
 _STATE_TYPE = bytes((ROW_OF_NAME["STATE"].type,))
 _WITHOUT_SESSION = {"HELLO", "PING", "STOP"}
@@ -84,18 +85,18 @@ class Firmware:
         self._profile = profile
         self._board_id = board_id
         self._stored = profile.settings
-        self._calibration: Calibration | None = None  # in memory
         self._converter = InputConverter()
         self.outbox = Outbox()
         self._resets = 0
         self._elapsed_us = 0  # plant time since the last tick
-        self._boot(EventCode.RESET_POWER_ON)
+        self._boot(EventCode.RESET_POWER_ON, None)
 
-    def _boot(self, cause: EventCode) -> None:
+    def _boot(self, cause: EventCode, calibration: Calibration | None) -> None:
         self.next_tick = 0
         self.outbox.clear()
         self._inbox = Inbox()
-        self._commands = CommandQueue()
+        self._pending: deque[tuple[bytes, Message | Nack, bool]] = deque()  # and whether a STOP has overtaken it
+        self._commands_left = COMMANDS_PER_TICK  # to execute before the next tick
         self._answers = Answers(self.outbox)
         self._unanswered = CountedEvent()
         self._session: int | None = None
@@ -108,7 +109,7 @@ class Firmware:
         self._dead_ticks = 0
         field = self._stored.first_bad_field()
         settings = self._profile.settings if field else self._stored
-        self.loop = ControlLoop(self._emit, settings, self._converter, self._calibration or Calibration())
+        self.loop = ControlLoop(self._emit, settings, self._converter, calibration)
         self._host = HostWatch(self.loop, self._emit)
         self._emit(cause, self._resets)
         if field:
@@ -119,7 +120,7 @@ class Firmware:
         self._resets = 0 if cause == EventCode.RESET_POWER_ON else min(self._resets + 1, 0xFFFF)
         if cause == EventCode.RESET_POWER_ON:
             self._converter.count = 0  # the converter's own power-on value
-        self._boot(cause)
+        self._boot(cause, self.loop.stored_calibration)
         self._dead_ticks = BOOT_TICKS
 
     def hang(self) -> None:
@@ -180,7 +181,7 @@ class Firmware:
         self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
         self._overruns.pass_tick()
         self._unanswered.pass_tick()
-        self._commands.begin_tick()
+        self._commands_left = COMMANDS_PER_TICK
         self._execute_pending()
 
     def take_frame(self) -> bytes:
@@ -235,12 +236,13 @@ class Firmware:
         self._host.heard()
         if isinstance(command, Message) and command.name == "STOP":
             self._advance_to(into_tick_us // _PLANT_STEP_US * _PLANT_STEP_US)
-            self._commands.overtake()
+            self._pending = deque((*waiting[:2], True) for waiting in self._pending)
             self.loop.switch_off()
             if self._reset_wait:
                 return
             answer: Acceptance | Nack = acknowledge(body[0], self.next_tick)
-        elif self._commands.add(body, command):
+        elif len(self._pending) < PENDING_COMMANDS:
+            self._pending.append((body, command, False))
             return
         else:
             answer = Nack(Reason.BUSY)
@@ -256,8 +258,11 @@ class Firmware:
 
     def _execute_pending(self) -> None:
         """Execute what waits, as far as the tick's budget and the room for answers go; none after a RESET."""
-        while (due := self._commands.due) and not self._reset_wait and self._answers.has_room(due):
-            body, command, is_overtaken = self._commands.take()
+        while self._pending and self._commands_left and self._answers.has_room(self._pending[0][0]):
+            if self._reset_wait:
+                return
+            body, command, is_overtaken = self._pending.popleft()
+            self._commands_left -= 1
             if isinstance(command, Message) and command.name == "HELLO":
                 self._answers.put(body, self._hello(command), keep=False)
             elif self._answers.repeat(body):
@@ -288,12 +293,6 @@ class Firmware:
             case "GET_HEALTH":  # a model has no stack of its own, and its converter no memory
                 free = 0 if self.loop.stack_broken else NOT_KNOWN
                 return Acceptance("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
-            case "SET_CALIBRATION":
-                answer = calibrate(self.loop, message, tick)
-                self._calibration = self.loop.calibration if isinstance(answer, Acceptance) else self._calibration
-                return answer
-            case "GET_CALIBRATION":
-                return calibration(self.loop, is_stored=self._calibration is not None)
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:

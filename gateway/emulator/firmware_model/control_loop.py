@@ -25,35 +25,23 @@ INPUT_LIMIT = 0  # detail of LIMIT_HIT
 _INPUT_SATURATED, _POSITION_RANGE, _CURRENT_RANGE, _OVERRUN, _HOST_LOST, _FAULT = (int(flag) for flag in Flag)
 
 
-class OncePerSecond:
-    """Lets an event happen at most once per second: rule 16."""
+class CountedEvent:
+    """Counts what happened since the reset; its event is sent at most once per second: rule 16."""
 
     def __init__(self) -> None:
-        self._ticks = TICKS_PER_S  # since the last
+        self.count = 0
+        self._ticks = TICKS_PER_S  # since the last event
 
     def pass_tick(self) -> None:
         """Note that a tick has passed."""
         self._ticks += 1
 
-    def allows(self) -> bool:
-        """Return whether the event may happen now; it does then."""
-        if self._ticks < TICKS_PER_S:
-            return False
-        self._ticks = 0
-        return True
-
-
-class CountedEvent(OncePerSecond):
-    """Counts what happened since the reset; its event is sent at most once per second."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.count = 0
-
     def add(self) -> bool:
-        """Count one more; return whether the event may be sent now."""
+        """Count one more; return whether its event is sent."""
         self.count = min(self.count + 1, 0xFFFF)
-        return self.allows()
+        is_due = self._ticks >= TICKS_PER_S
+        self._ticks = 0 if is_due else self._ticks
+        return is_due
 
 
 class Reference:
@@ -101,7 +89,7 @@ class ControlLoop:
         emit: Called with each event: (code, detail).
         settings: In force after the reset.
         converter: Of u_c.
-        calibration: Of x, in force after the reset.
+        calibration: Of x, as the board keeps it; None: it has none.
     """
 
     def __init__(
@@ -109,9 +97,10 @@ class ControlLoop:
         emit: Callable[[EventCode, int], None],
         settings: Settings,
         converter: InputConverter,
-        calibration: Calibration,
+        calibration: Calibration | None,
     ) -> None:
-        self.calibration = calibration
+        self.stored_calibration = calibration
+        self.calibration = calibration or Calibration()
         self.limits = settings.limits
         self.law = ControlLaw(settings.gains)
         self.reference = Reference(settings.gains.x_0, settings.limits)
@@ -131,7 +120,7 @@ class ControlLoop:
         self._over_current_ticks = 0
         self._sensor_ticks = 0
         self._limited = False
-        self._limit_events = OncePerSecond()
+        self._limit_hits = CountedEvent()
 
     @property
     def u(self) -> int:
@@ -235,8 +224,8 @@ class ControlLoop:
             self._open_loop_u = value
 
     def _report_limit(self, *, limited: bool) -> None:
-        self._limit_events.pass_tick()
-        if limited and not self._limited and self._limit_events.allows():
+        self._limit_hits.pass_tick()
+        if limited and not self._limited and self._limit_hits.add():
             self._emit(EventCode.LIMIT_HIT, INPUT_LIMIT)
         self._limited = limited
 

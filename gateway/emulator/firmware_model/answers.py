@@ -1,4 +1,4 @@
-"""Commands that wait for their execution, and answers kept for repetitions: rules 3, 4 and 13 of protocol/README.md."""
+"""Answers to commands, kept for their repetitions: rule 3 of protocol/README.md."""
 
 from __future__ import annotations
 
@@ -8,47 +8,9 @@ from gateway.emulator.firmware_model.commands import Acceptance, Nack
 from gateway.emulator.firmware_model.uart import Outbox, Priority
 from protocol.wire.codec import encode_body
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import ROW_OF_NAME, Message, Reason
+from protocol.wire.messages import ROW_OF_NAME, Reason
 
 RETAINED_IDS = 8
-PENDING_COMMANDS = 8
-COMMANDS_PER_TICK = 1
-
-
-class CommandQueue:
-    """The commands that wait, as (body, what the decoder made of it)."""
-
-    def __init__(self) -> None:
-        self._waiting: deque[tuple[bytes, Message | Nack]] = deque()
-        self._overtaken = 0  # of them, the first, by a STOP
-        self._budget = COMMANDS_PER_TICK
-
-    def begin_tick(self) -> None:
-        """Allow the commands of the next tick."""
-        self._budget = COMMANDS_PER_TICK
-
-    def overtake(self) -> None:
-        """Note that a STOP has overtaken all that wait."""
-        self._overtaken = len(self._waiting)
-
-    def add(self, body: bytes, command: Message | Nack) -> bool:
-        """Let a command wait; return whether there was room."""
-        if len(self._waiting) >= PENDING_COMMANDS:
-            return False
-        self._waiting.append((body, command))
-        return True
-
-    @property
-    def due(self) -> bytes:
-        """The body of the command that may be executed now, or b""."""
-        return self._waiting[0][0] if self._waiting and self._budget else b""
-
-    def take(self) -> tuple[bytes, Message | Nack, bool]:
-        """Return the first command, and whether a STOP has overtaken it."""
-        is_overtaken = self._overtaken > 0
-        self._overtaken = max(self._overtaken - 1, 0)
-        self._budget -= 1
-        return *self._waiting.popleft(), is_overtaken
 
 
 class Answers:
