@@ -5,8 +5,8 @@
     firmware.tick()                    # T_s of plant time, then one run of the loop
     line.write(firmware.take_frame())
 
-Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5 and 13,
-`control_loop.py` and `commands.py` have the others.
+Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1, 2, 4, 5 and 13,
+`answers.py` has 3, `control_loop.py` and `commands.py` have the others.
 """
 
 from __future__ import annotations
