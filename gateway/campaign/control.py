@@ -65,6 +65,22 @@ class Dwell:
         return 0.0 if self._since is None else (tick - self._since) * self._sample_time_s
 
 
+def _check_state(state: pb.State, session: int) -> None:
+    if state.session != session:
+        raise Cut("board-reset", "the board began a new session in between")
+    if state.flags & Flag.FAULT:
+        raise Cut("fault", "the board reports a fault")
+    if state.flags & Flag.HOST_LOST:
+        raise Cut("host-lost", "the board missed its host and has acted on its own")
+
+
+def _lost(what: str, address: str) -> ServiceError:
+    return ServiceError(
+        f"{what} from {address} for {SILENCE_S:g} s: gateway, link or board is gone",
+        remedy="Look at `board51 watch --topic status`. When it is back, repeat the command: it continues",
+    )
+
+
 class RigControl:
     """The control of one board through its gateway.
 
@@ -97,7 +113,7 @@ class RigControl:
             while not ready():
                 self._heed()
                 if self._subscriber.silence_s() > SILENCE_S:
-                    raise self._lost("No samples")
+                    raise _lost("No samples", self._address)
                 if end_s is not None and time.monotonic() > end_s:
                     return False
                 self._subscriber.changed.wait(0.05)
@@ -113,12 +129,6 @@ class RigControl:
                 f"{self._subscriber.stop_sender} stopped the board",
                 remedy="When it is safe again, the same command continues where it stopped",
             )
-
-    def _lost(self, what: str) -> ServiceError:
-        return ServiceError(
-            f"{what} from {self._address} for {SILENCE_S:g} s: gateway, link or board is gone",
-            remedy="Look at `board51 watch --topic status`. When it is back, repeat the command: it continues",
-        )
 
     def await_board(self) -> tuple[pb.State, pb.Parameters]:
         """Wait for the first state, the gateway's status and the parameters, which are sent every 5 s.
@@ -162,21 +172,13 @@ class RigControl:
 
         def over() -> bool:
             state = self._subscriber.newest
-            self._watch(state, first.session)
+            _check_state(state, first.session)
             fallen = state.mode == pb.MODE_CLOSED_LOOP and self._at_stop(state)
             if dwell.update(state.tick, holds=fallen) > 2 * AT_STOP_S + STEADY_S:
                 raise Cut("ball-fell", "the ball fell out of the loop", cure="lower")
             return state.tick >= due
 
         self.wait(over)
-
-    def _watch(self, state: pb.State, session: int) -> None:
-        if state.session != session:
-            raise Cut("board-reset", "the board began a new session in between")
-        if state.flags & Flag.FAULT:
-            raise Cut("fault", "the board reports a fault")
-        if state.flags & Flag.HOST_LOST:
-            raise Cut("host-lost", "the board missed its host and has acted on its own")
 
     def _at_stop(self, state: pb.State) -> bool:
         height = (state.x_m - self.rest_m) / self.travel_m
@@ -199,7 +201,7 @@ class RigControl:
             if reply.accepted:
                 return reply.tick
             if reply.reason == "not-delivered":
-                raise self._lost("No answer to a command")
+                raise _lost("No answer to a command", self._address)
             if reply.reason not in _AGAIN or time.monotonic() > end_s:
                 what = str(command.WhichOneof("what")).replace("_", " ")
                 text = f"{what} was refused by the {reply.refused_by}: {reply.reason}: {reply.text}".rstrip(".")
@@ -240,7 +242,7 @@ class RigControl:
         self.command(pb.Command(capture=capture))
 
         def arrived() -> bool:
-            self._watch(self._subscriber.newest, session)
+            _check_state(self._subscriber.newest, session)
             return self._subscriber.captures > before
 
         if not self.wait(arrived, timeout_s=CAPTURE_LIMIT_S):
@@ -260,7 +262,7 @@ class RigControl:
             session = self._subscriber.newest.session
 
             def has_tick(tick: int = tick, session: int = session) -> bool:
-                self._watch(self._subscriber.newest, session)
+                _check_state(self._subscriber.newest, session)
                 return self._subscriber.newest.tick >= tick
 
             self.wait(has_tick)
@@ -278,7 +280,7 @@ class RigControl:
 
         def steady() -> bool:
             state = self._subscriber.newest
-            self._watch(state, session)
+            _check_state(state, session)
             is_close = abs(state.x_m - state.x_ref_m) < STOP_SHARE * self.travel_m and not self._at_stop(state)
             steady_s = dwell.update(state.tick, holds=is_close)
             if (state.tick - first) * period_s > SETTLE_S:

@@ -35,7 +35,113 @@ CAPTURE_WAIT_S = 10.0  # reading 2000 samples takes 63 answers of the board
 M = TypeVar("M", bound=Message)
 
 
-class Rig(BoardConnection):
+class BoardReader(BoardConnection):
+    """The base of `Rig` that receives what a board sends: samples, messages, recordings."""
+
+    def samples(
+        self, duration_s: float = math.inf, *, timeout_s: float = SILENCE_S, capacity: int = CAPACITY
+    ) -> SampleStream:
+        """Iterate over the samples from now on: `for sample in rig.samples(2.0):`.
+
+        Args:
+            duration_s: In the board's time, s; the default has no end.
+            timeout_s: Longest time without a sample, s.
+            capacity: Of the queue, samples; if it is full, the oldest is dropped and counted in `.dropped`.
+
+        Raises:
+            NoSamplesError: during the iteration, no sample arrived for `timeout_s`.
+        """
+        queue = MessageQueue(self._bus_board, ["state"], capacity=capacity)
+        return SampleStream(queue, f"{self.site}/{self.board}", duration_s, timeout_s)
+
+    def read(self, duration_s: float, *, timeout_s: float = SILENCE_S) -> Samples:
+        """Read the samples of the next `duration_s` s of the board's time, as arrays of shape (n,), SI units.
+
+        Raises:
+            NoSamplesError: no sample arrived for `timeout_s`.
+        """
+        with self.samples(duration_s, timeout_s=timeout_s) as stream:
+            return Samples.of(stream)
+
+    def messages(self, *names: str, timeout_s: float | None = None) -> MessageQueue:
+        """Iterate over the messages of some topics from now on: `for event in rig.messages("event"):`.
+
+        Args:
+            names: Topics of the interface page: "event", "status", "twin/state", ...
+            timeout_s: Time without a message after which it ends, s; None: no end.
+
+        Raises:
+            UsageError: a name is not a topic that a client can receive.
+        """
+        for name in names:
+            check_topic(name)
+        return MessageQueue(self._bus_board, names, timeout_s=timeout_s)
+
+    def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
+        """Wait for the next status of link, bus and log, which is sent every second.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
+        return self._next("status", pb.Status, timeout_s)
+
+    def parameters(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Parameters:
+        """Wait for the board's identity, gains, operating point, limits and scalings, which are sent every 5 s.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
+        return self._next("parameters", pb.Parameters, timeout_s)
+
+    def plant_card(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.PlantCard:
+        """Wait for the plant card, which is sent every 5 s; its `plant` is absent where nobody stated one.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
+        return self._next("plant", pb.PlantCard, timeout_s)
+
+    def alarms(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Alarms:
+        """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
+        return self._next("alarms", pb.Alarms, timeout_s)
+
+    def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
+        with self.messages(topic) as queue:
+            message = queue.first(kind, timeout_s)
+        if message is not None:
+            return message
+        raise ServiceError(
+            f"No {topic} from {self.site}/{self.board} within {timeout_s:g} s",
+            remedy="Is its gateway running, and is that the board's name?",
+        )
+
+    def record(self, directory: Path | str, *, prefix: str = "bus") -> Recording:
+        """Record this board to MCAP from now on, until the recording or the rig is closed.
+
+            with rig.record("logs") as recording:
+                rig.read(10.0)
+            flight = recording.samples()
+
+        Args:
+            directory: For the files; created if missing.
+            prefix: First part of their names.
+
+        Raises:
+            UsageError: the directory cannot be created.
+            LogError: it is read-only or full.
+        """
+        from gateway.client.recording import Recording  # with the writer of logs, which no command needs
+
+        recording = Recording(self._bus_board, directory, connect=self.connect, prefix=prefix)
+        self._closing.callback(recording.start().close)
+        return recording
+
+
+class Rig(BoardReader):
     """A board, through its gateway; a context manager that several threads may use at once.
 
     Args:
@@ -53,8 +159,6 @@ class Rig(BoardConnection):
         ConfigError: endpoint, name or identity is not valid.
         UsageError: `timeout_s` is not positive and finite.
     """
-
-    # --- commands
 
     def set_mode(self, mode: Mode | str) -> Reply:
         """Enter a mode: "idle" (coil off), "open-loop" or "closed-loop"; clears a fault.
@@ -198,107 +302,3 @@ class Rig(BoardConnection):
                 remedy="Start `board51 twin`; on a guarded bus only an engineer hands models over",
             )
         return accepted(command, reply)
-
-    # --- data from the board
-
-    def samples(
-        self, duration_s: float = math.inf, *, timeout_s: float = SILENCE_S, capacity: int = CAPACITY
-    ) -> SampleStream:
-        """Iterate over the samples from now on: `for sample in rig.samples(2.0):`.
-
-        Args:
-            duration_s: In the board's time, s; the default has no end.
-            timeout_s: Longest time without a sample, s.
-            capacity: Of the queue, samples; if it is full, the oldest is dropped and counted in `.dropped`.
-
-        Raises:
-            NoSamplesError: during the iteration, no sample arrived for `timeout_s`.
-        """
-        queue = MessageQueue(self._bus_board, ["state"], capacity=capacity)
-        return SampleStream(queue, f"{self.site}/{self.board}", duration_s, timeout_s)
-
-    def read(self, duration_s: float, *, timeout_s: float = SILENCE_S) -> Samples:
-        """Read the samples of the next `duration_s` s of the board's time, as arrays of shape (n,), SI units.
-
-        Raises:
-            NoSamplesError: no sample arrived for `timeout_s`.
-        """
-        with self.samples(duration_s, timeout_s=timeout_s) as stream:
-            return Samples.of(stream)
-
-    def messages(self, *names: str, timeout_s: float | None = None) -> MessageQueue:
-        """Iterate over the messages of some topics from now on: `for event in rig.messages("event"):`.
-
-        Args:
-            names: Topics of the interface page: "event", "status", "twin/state", ...
-            timeout_s: Time without a message after which it ends, s; None: no end.
-
-        Raises:
-            UsageError: a name is not a topic that a client can receive.
-        """
-        for name in names:
-            check_topic(name)
-        return MessageQueue(self._bus_board, names, timeout_s=timeout_s)
-
-    def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
-        """Wait for the next status of link, bus and log, which is sent every second.
-
-        Raises:
-            ServiceError: none arrived within `timeout_s`.
-        """
-        return self._next("status", pb.Status, timeout_s)
-
-    def parameters(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Parameters:
-        """Wait for the board's identity, gains, operating point, limits and scalings, which are sent every 5 s.
-
-        Raises:
-            ServiceError: none arrived within `timeout_s`.
-        """
-        return self._next("parameters", pb.Parameters, timeout_s)
-
-    def plant_card(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.PlantCard:
-        """Wait for the plant card, which is sent every 5 s; its `plant` is absent where nobody stated one.
-
-        Raises:
-            ServiceError: none arrived within `timeout_s`.
-        """
-        return self._next("plant", pb.PlantCard, timeout_s)
-
-    def alarms(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Alarms:
-        """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s.
-
-        Raises:
-            ServiceError: none arrived within `timeout_s`.
-        """
-        return self._next("alarms", pb.Alarms, timeout_s)
-
-    def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
-        with self.messages(topic) as queue:
-            message = queue.first(kind, timeout_s)
-        if message is not None:
-            return message
-        raise ServiceError(
-            f"No {topic} from {self.site}/{self.board} within {timeout_s:g} s",
-            remedy="Is its gateway running, and is that the board's name?",
-        )
-
-    def record(self, directory: Path | str, *, prefix: str = "bus") -> Recording:
-        """Record this board to MCAP from now on, until the recording or the rig is closed.
-
-            with rig.record("logs") as recording:
-                rig.read(10.0)
-            flight = recording.samples()
-
-        Args:
-            directory: For the files; created if missing.
-            prefix: First part of their names.
-
-        Raises:
-            UsageError: the directory cannot be created.
-            LogError: it is read-only or full.
-        """
-        from gateway.client.recording import Recording  # with the writer of logs, which no command needs
-
-        recording = Recording(self._bus_board, directory, connect=self.connect, prefix=prefix)
-        self._closing.callback(recording.start().close)
-        return recording

@@ -61,6 +61,23 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the reply as JSON")
 
 
+def _add_excite_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("shape", choices=list(map(str, commands.Shape)))
+    parser.add_argument("--on-reference", action="store_true", help="x_ref in metres instead of u_c in volts")
+    parser.add_argument("--amplitude", default="0", metavar="V|M")
+    for name in ("period", "period-end"):
+        parser.add_argument(f"--{name}", type=_number, default=0.0, metavar="S")
+    parser.add_argument("--offset", metavar="V|M", help="absolute (default 0)")
+    parser.add_argument(
+        "--duration", type=_duration, metavar="S|endless", help="length; needed for every shape except none"
+    )
+    parser.add_argument("--seed", type=_whole, default=1)
+    parser.epilog = (
+        "`excite none` ends the excitation in either mode, and the signal keeps its value. With --offset V in open loop"
+        " u_c stays at that level instead; in closed loop `reference` moves the ball."
+    )
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Board and one sub-command for each command of the bus."""
     parser.epilog = (
@@ -84,22 +101,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     gains.add_argument("gains", type=_number, nargs=4, metavar="K", help="LQI: k_i k_x k_v k_int; PID: k_p k_int k_d 0")
     gains.add_argument("--law", choices=list(map(str, commands.Law)), default=str(commands.Law.LQI))
     gains.add_argument("--operating-point", nargs=3, required=True, metavar=("I_A", "X_M", "U_V"))
-    excite = what.add_parser(
-        "excite", parents=[options], help="play a signal on u_c (open loop) or x_ref (closed loop)"
-    )
-    excite.add_argument("shape", choices=list(map(str, commands.Shape)))
-    excite.add_argument("--on-reference", action="store_true", help="x_ref in metres instead of u_c in volts")
-    excite.add_argument("--amplitude", default="0", metavar="V|M")
-    for name in ("period", "period-end"):
-        excite.add_argument(f"--{name}", type=_number, default=0.0, metavar="S")
-    excite.add_argument("--offset", metavar="V|M", help="absolute (default 0)")
-    excite.add_argument(
-        "--duration", type=_duration, metavar="S|endless", help="length; needed for every shape except none"
-    )
-    excite.add_argument("--seed", type=_whole, default=1)
-    excite.epilog = (
-        "`excite none` ends the excitation in either mode, and the signal keeps its value. With --offset V in open loop"
-        " u_c stays at that level instead; in closed loop `reference` moves the ball."
+    _add_excite_options(
+        what.add_parser("excite", parents=[options], help="play a signal on u_c (open loop) or x_ref (closed loop)")
     )
     capture = what.add_parser("capture", parents=[options], help="record i_c at 25 kHz around a step of u_c")
     for name in ("u-from", "u-to"):

@@ -36,8 +36,14 @@ class CaptureReader:
         self._under_way = False
         self._token: int | None = None  # of the READ_CAPTURE that is under way
 
-    def begin(self, scaling: Scaling, wire: WireCommand, now_s: float) -> None:
-        """Begin a capture that the board has accepted as `wire`; a previous one is abandoned."""
+    def accepted(self, wire: WireCommand, scaling: Scaling | None, now_s: float) -> None:
+        """Follow a command that the board has accepted: it begins or ends a capture, or neither."""
+        if wire.name == "CAPTURE" and scaling is not None:
+            self._begin(scaling, wire, now_s)
+        elif wire.name in ("STOP", "SET_MODE"):
+            self.interrupt("STOP" if wire.name == "STOP" else "a change of mode")
+
+    def _begin(self, scaling: Scaling, wire: WireCommand, now_s: float) -> None:
         self.interrupt("another one")
         self._scaling = scaling
         self._requested = int(wire.values["count"])

@@ -50,6 +50,18 @@ class LinkCounts:
     samples_refused: int = 0  # of a board that is not served
 
 
+def _new_session(config: BoardConfig) -> Session:
+    # Random: a gateway that restarts must not reuse the number of a session that a subscriber remembers, wherever its
+    # clock is.
+    return Session(
+        choose_session=lambda: secrets.randbits(16),
+        timeout_s=config.command_timeout_s,
+        retries=config.command_retries,
+        hello_s=max(0.25, config.command_timeout_s),
+        first_number=1 + secrets.randbits(30),
+    )
+
+
 class BoardDriver:
     """The state machine of one board's link.  All calls must come from one thread.
 
@@ -64,15 +76,7 @@ class BoardDriver:
         self.counts = LinkCounts()
         self.port = config.port
         self.deadline_s = float("inf")
-        # Random: a gateway that restarts must not reuse the number of a session that a subscriber remembers, wherever
-        # its clock is.
-        self.session = Session(
-            choose_session=lambda: secrets.randbits(16),
-            timeout_s=config.command_timeout_s,
-            retries=config.command_retries,
-            hello_s=max(0.25, config.command_timeout_s),
-            first_number=1 + secrets.randbits(30),
-        )
+        self.session = _new_session(config)
         self.known = Known()
         self.handler = CommandHandler(config.limits, self.session, self.known, sink, self._accepted)
         self.report = LinkReporter(config.name, self.session, sink, clock)
@@ -289,14 +293,8 @@ class BoardDriver:
             self.handler.plant_card.board_is(parameters.board_id, parameters.firmware, host_ns)
 
     def _accepted(self, wire: WireCommand, command: pb.Command, message: Message) -> None:
-        if wire.name == "CAPTURE" and self.known.scaling is not None:
-            self._capture.begin(self.known.scaling, wire, self._now_s)
-        elif wire.name in ("STOP", "SET_MODE"):
-            self._capture.interrupt("STOP" if wire.name == "STOP" else "a change of mode")
-        elif wire.name == "SET_HOST_LOSS":
-            self.keepalive.host_loss_is(int(wire.values["timeout"]), self._now_s)
-        if wire.name in ("SET_GAINS", "SET_STREAM", "SET_HOST_LOSS"):
-            self.keepalive.read_parameters(self._now_s)
+        self._capture.accepted(wire, self.known.scaling, self._now_s)
+        self.keepalive.accepted(wire, self._now_s)
 
     def _explain(self, now_s: float) -> None:
         if not self._refused_until_s:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from gateway.board.scaling import WireCommand
 from gateway.config import BoardConfig
 from protocol.wire.events import Answer
 from protocol.wire.messages import HostLoss, Message, Value
@@ -61,6 +62,13 @@ class Keepalive:
         self._under_way.clear()
         self._redo.clear()
         self._next_ping_s = self._next_parameters_s = self._redo_s = _NEVER
+
+    def accepted(self, wire: WireCommand, now_s: float) -> None:
+        """Follow a command of a client that the board has accepted: what it changes is read again."""
+        if wire.name == "SET_HOST_LOSS":
+            self.host_loss_is(int(wire.values["timeout"]), now_s)
+        if wire.name in ("SET_GAINS", "SET_STREAM", "SET_HOST_LOSS"):
+            self.read_parameters(now_s)
 
     def read_parameters(self, now_s: float) -> None:
         """Read the parameters again, after a change."""

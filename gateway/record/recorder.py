@@ -64,6 +64,45 @@ class RecorderOptions:
     compression: Compression = "lz4"  # of the chunks
 
 
+class _Queue:
+    """The messages that wait; a full queue drops the oldest.  Callable from any thread."""
+
+    def __init__(self, capacity: int) -> None:
+        self.dropped = 0
+        self._capacity = capacity
+        self._lock = threading.Lock()  # held for a few instructions only
+        self._entries: deque[Entry] = deque()
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def put(self, key: str, messages: Iterable[bytes], time_ns: int) -> None:
+        """Add messages of one key and time."""
+        with self._lock:
+            for data in messages:
+                if len(self._entries) >= self._capacity:
+                    self._entries.popleft()
+                    self.dropped += 1
+                self._entries.append((key, data, time_ns))
+
+    def take(self) -> tuple[deque[Entry], int]:
+        """Return (all messages, the number of those dropped so far)."""
+        with self._lock:
+            entries, self._entries = self._entries, deque()
+            return entries, self.dropped
+
+    def put_back(self, entries: deque[Entry]) -> None:
+        """Add messages that were taken, before those that came since."""
+        with self._lock:
+            self._entries.extendleft(reversed(entries))
+
+    def discard(self) -> None:
+        """Drop all messages."""
+        with self._lock:
+            self.dropped += len(self._entries)
+            self._entries.clear()
+
+
 class Recorder:
     """Writes `<prefix>-<start>-<number>.mcap` files into `directory`.
 
@@ -86,12 +125,9 @@ class Recorder:
         self.directory = directory
         self.on_event = on_event
         self.files: list[Path] = []  # all parts that were begun
-        self._options, self._capacity = options, options.queue
+        self._options = options
         self._metadata = dict(metadata or {})
-
-        self._lock = threading.Lock()  # guards _queue, _dropped; held for a few instructions only
-        self._queue: deque[Entry] = deque()
-        self._dropped = 0
+        self._queue = _Queue(options.queue)
         self._reported_dropped = 0
 
         self._stop = threading.Event()
@@ -125,12 +161,7 @@ class Recorder:
 
     def put_all(self, key: str, messages: Iterable[bytes], time_ns: int) -> None:
         """Queue messages of one key and time."""
-        with self._lock:
-            for data in messages:
-                if len(self._queue) >= self._capacity:
-                    self._queue.popleft()
-                    self._dropped += 1
-                self._queue.append((key, data, time_ns))
+        self._queue.put(key, messages, time_ns)
 
     def stats(self) -> RecorderStats:
         """Return a snapshot; callable from any thread."""
@@ -139,7 +170,7 @@ class Recorder:
             file=writer.path.name if writer else "",
             bytes=writer.bytes_written if writer else 0,
             depth=len(self._queue),
-            dropped=self._dropped,
+            dropped=self._queue.dropped,
             written=self._written,
             parts=self._part,
             state=self._state,
@@ -184,9 +215,7 @@ class Recorder:
 
     def _drain(self) -> None:
         assert self._writer is not None
-        with self._lock:
-            batch, self._queue = self._queue, deque()
-            dropped = self._dropped
+        batch, dropped = self._queue.take()
         if dropped > self._reported_dropped:
             self._publish_event(
                 "log-dropping", "warning", f"{dropped - self._reported_dropped} messages did not fit the queue"
@@ -204,9 +233,7 @@ class Recorder:
                 except ValueError as error:  # a key outside the bus table: the caller's mistake, once per message
                     _logger.warning("not logged: %s", error)
         finally:  # a full disk in the middle of a batch: the rest waits for the next part
-            if batch:
-                with self._lock:
-                    self._queue.extendleft(reversed(batch))
+            self._queue.put_back(batch)
 
     def _flush(self, now_s: float) -> None:
         assert self._writer is not None
@@ -304,12 +331,9 @@ class Recorder:
                 except LogError as error:
                     self._give_up(writer, error)
         if self._queue:
-            with self._lock:
-                self._dropped += len(self._queue)
-                self._queue.clear()
-            self._publish_event(
-                "log-dropping", "warning", f"{self._dropped - self._reported_dropped} messages were not written"
-            )
+            self._queue.discard()
+            lost = self._queue.dropped - self._reported_dropped
+            self._publish_event("log-dropping", "warning", f"{lost} messages were not written")
         self._cut_off = self._writer = None
         self._state = "off"
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import zenoh
 from zenoh.handlers import Handler
 
+from gateway.client.connection import BusBoard
 from gateway.record.blocks import LARGEST_REPLY, MAX_IDS, BlockId, decompress, locate, pack
 from gateway.record.writer import LogWriter
 from gateway.sites.local_log import LocalLog
@@ -49,10 +50,8 @@ class Filler:
     """Compares and fills; call `fill` again for what is new.
 
     Args:
-        session: Of the bus.
-        site: First chunk of the keys.
+        board: The one that is filled, or every board of a site.
         folder: Of the recording; the parts that are filled in are written there, too.
-        board: The only one that is filled; None: all.
         settle_s: Age from which a block is looked at.
         days: Age of the oldest part that is looked at.
         report: Called with a line of progress.
@@ -61,17 +60,15 @@ class Filler:
 
     def __init__(
         self,
-        session: zenoh.Session,
-        site: str,
+        board: BusBoard,
         folder: Path,
         *,
-        board: str | None = None,
         settle_s: float = 60.0,
         days: float = 7.0,
         report: Callable[[str], None] = lambda line: None,
         stop: threading.Event | None = None,
     ) -> None:
-        self._session, self._site, self._folder, self._board = session, site, folder, board
+        self._board, self._folder = board, folder
         self._stop = stop or threading.Event()
         self._settle_ns, self._oldest_ns, self._report = round(settle_s * 1e9), round(days * DAY_NS), report
         self._local = LocalLog(folder)
@@ -89,7 +86,7 @@ class Filler:
         """
         tally, failed = Tally(), None
         try:
-            for key, reply in self._request(f"{self._site}/{topics.LOGS}/*", pb.LogRequest()):
+            for key, reply in self._request(f"{self._board.site}/{topics.LOGS}/*", pb.LogRequest()):
                 tally.servers += 1
                 try:
                     self._fill_from(key, reply, tally)
@@ -101,7 +98,7 @@ class Filler:
             raise failed
         if not tally.servers:
             raise ServiceError(
-                f"No log server of {self._site} answers",
+                f"No log server of {self._board.site} answers",
                 remedy="Start `board51 serve-log` beside the gateway's log, and look whether the line to it is up",
             )
         return tally
@@ -168,7 +165,7 @@ class Filler:
 
     def _is_of_site(self, block: BlockId) -> bool:
         site, _, rest = block.stream.partition("/")
-        return site == self._site and self._board in (None, rest.partition("/")[0])
+        return site == self._board.site and self._board.board in ("*", rest.partition("/")[0])
 
     def _write(self, record: pb.LogRecord) -> None:
         if self._writer is not None and self._writer.bytes_written >= ROTATE_BYTES:
@@ -177,7 +174,7 @@ class Filler:
             run, number = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()), 0
             while (path := self._folder / f"fill-{run}-{number:03d}.mcap").exists():
                 number += 1
-            self._writer = LogWriter(path, metadata={"fill": {"site": self._site}})
+            self._writer = LogWriter(path, metadata={"fill": {"site": self._board.site}})
         self._writer.write(record.key, record.data, record.time_ns)
 
     def _end_part(self) -> None:
@@ -189,7 +186,7 @@ class Filler:
                 writer.abandon()  # what a full disk does not take is asked for once more
 
     def _request(self, key: str, request: pb.LogRequest) -> Iterator[tuple[str, pb.LogReply]]:
-        replies = self._session.get(
+        replies = self._board.session.get(
             key, payload=request.SerializeToString(), encoding=zenoh_encoding(pb.LogRequest), timeout=REPLY_S,
             target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE,
         )  # fmt: skip

@@ -19,6 +19,7 @@ from twin.settings.diagnosis import MIN_SHARE
 
 if TYPE_CHECKING:
     from twin.control_design.board import Converters
+    from twin.control_design.design import Design
     from twin.diagnosis.options import Options
     from twin.frequency.bode import Bode
 
@@ -166,17 +167,8 @@ def diagnose(
     """
     from twin.diagnosis.options import Options
     from twin.inference.budget import MILLION
-    from twin.model.causes.catalogue import SEARCHED
 
-    if not 0.0 < share <= 1.0:
-        raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")
-    if budget is not None and not 0.0 < budget < math.inf:
-        raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
-    searched = sorted(cause.name for cause in SEARCHED)
-    if unknown := [name for name in without if name not in searched]:
-        raise UsageError(
-            f"--without {unknown[0]}: not a cause that diagnose selects", remedy=f"Choose from {', '.join(searched)}"
-        )
+    _check_options(share, budget, without)
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
     campaign = _campaign(campaign)
     options = Options(
@@ -192,6 +184,20 @@ def diagnose(
         say=progress,
     )
     return _diagnosed(campaign, options, data, where)
+
+
+def _check_options(share: float, budget: float | None, without: Sequence[str]) -> None:
+    from twin.model.causes.catalogue import SEARCHED
+
+    if not 0.0 < share <= 1.0:
+        raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")
+    if budget is not None and not 0.0 < budget < math.inf:
+        raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
+    searched = sorted(cause.name for cause in SEARCHED)
+    if unknown := [name for name in without if name not in searched]:
+        raise UsageError(
+            f"--without {unknown[0]}: not a cause that diagnose selects", remedy=f"Choose from {', '.join(searched)}"
+        )
 
 
 def _diagnosed(campaign: Campaign, options: Options, data: Path | None, where: str) -> Diagnosed:
@@ -310,8 +316,6 @@ def design(
         DataError: K_A or K_c of the model is a placeholder, or the file is missing.
         UsageError: an argument is out of range, the weights have no solution, or a gain exceeds the board's format.
     """
-    import numpy as np
-
     from twin.control_design import design as work
     from twin.control_design.controller_file import read_controller
 
@@ -328,7 +332,12 @@ def design(
         seed=seed,
         before=None if before is None else read_controller(before),
     )
-    result = work.design(_model(model), specification)
+    return _designed(work.design(_model(model), specification))
+
+
+def _designed(result: Design) -> Designed:
+    import numpy as np
+
     return Designed(
         gains=np.array(result.gains, dtype=np.float64),
         poles=result.board.poles,

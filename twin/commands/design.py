@@ -72,6 +72,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--analysis", type=Path, metavar="FILE.json", help="write what --json prints")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     add_show(parser)
+    _add_board_options(parser)
+
+
+def _add_board_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the board that receives the gains."""
     parser.add_argument("--send", metavar="BOARD", help="load gains and operating point into this board")
     parser.add_argument("--site", default=DEFAULT_SITE, help="first chunk of the keys (default %(default)s)")
     parser.add_argument(

@@ -19,7 +19,7 @@ from twin.diagnosis.judge.judgement import Judgement
 from twin.diagnosis.judge.prediction_gain import Bench, Gain
 from twin.diagnosis.lines import lines_of, with_sizes
 from twin.diagnosis.options import Options
-from twin.diagnosis.remainder.remainder import Remainder, remainder_of
+from twin.diagnosis.remainder.remainder import CurveJudge, Remainder, remainder_of
 from twin.diagnosis.remainder.rivals import Rival, rivals_of
 from twin.diagnosis.report.choice import choice_sentence, harm_sentence, written_model
 from twin.diagnosis.report.headline import headline_of
@@ -40,7 +40,7 @@ from twin.diagnosis.report.sentences import (
     overlap_sentence,
     rival_sentence,
 )
-from twin.diagnosis.result import Diagnosis, Finding, Proposal
+from twin.diagnosis.result import Diagnosis, Finding, Proposal, SpectralLine
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stated_values import StatedValues, examine, with_members
 from twin.estimation.record import Record
@@ -116,11 +116,9 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     choice = outcome.choice
     with timed(stages, "remainder"):
         remainder = _remainder(inputs, search, outcome.whole, choice, options, names.rivals)
-    harms = not _harmless(bench, outcome.before, choice, remainder)
-    remainder = None if harms else remainder
-    verdict = outcome.verdict
-    if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
-        verdict = "unknown-cause"
+        harms = not _harmless(bench, outcome.before, choice, remainder)
+        remainder = None if harms else remainder
+    verdict = _verdict(outcome, remainder)
     findings = findings_of(selection, account, names.spread, proposals, verdict, lost, plant)
     findings = [_qualified(finding, search, names) for finding in findings]
     lines = lines_of(findings, search.criterion, selection.fit.theta)
@@ -144,10 +142,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         baseline=baseline,
         extended=extended,
         choice=choice,
-        warnings=(
-            *_warnings(search, names, outcome, where, harms=harms),
-            *(line.sentence for line in lines if not line.cause),
-        ),
+        warnings=tuple(_warnings(search, names, outcome, where, lines, harms=harms)),
         quick=options.quick or options.share < settings.MIN_SHARE,
         stages_s=stages,
         selection=selection,
@@ -220,6 +215,13 @@ def _qualified(finding: Finding, search: SearchResult, names: _Names) -> Finding
     return finding if search.change is None else with_change(finding, search.change)
 
 
+def _verdict(outcome: Judgement, remainder: Remainder | None) -> Verdict:
+    """Return the verdict; no name holds where a curve does as well with the paper's model alone."""
+    if outcome.verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
+        return "unknown-cause"
+    return outcome.verdict
+
+
 def _where(search: SearchResult, names: _Names, outcome: Judgement, verdict: Verdict) -> str:
     """Say where most is left; "" if nothing is."""
     refused = outcome.choice.refused
@@ -230,15 +232,25 @@ def _where(search: SearchResult, names: _Names, outcome: Judgement, verdict: Ver
     return names.where
 
 
-def _warnings(search: SearchResult, names: _Names, outcome: Judgement, where: str, *, harms: bool) -> list[str]:
+def _warnings(
+    search: SearchResult,
+    names: _Names,
+    outcome: Judgement,
+    where: str,
+    lines: Sequence[SpectralLine],
+    *,
+    harms: bool,
+) -> list[str]:
     """Return the warnings; `harms`: whether a curve for the rest was refused."""
     warnings = _inconsistent(search) + [rival_sentence(rival) for rival in names.rivals.values()]
     warnings += [sentence for sentence in (overlap_sentence(names.account), outcome.off) if sentence]
     if harms:
         warnings.append("a curve for the rest was tried and refused: the judge recordings get worse with it")
-    if search.is_adequate:
-        return [*warnings, f"not everything is explained {where}"] if where else warnings
-    return [*warnings, search.why_not]
+    if not search.is_adequate:
+        warnings.append(search.why_not)
+    elif where:
+        warnings.append(f"not everything is explained {where}")
+    return warnings + [line.sentence for line in lines if not line.cause]
 
 
 def _models(
@@ -294,14 +306,12 @@ def _remainder(
     with suppress(Spent), question, search.criterion.charging(search.budget):
         candidates = testable_causes(inputs.records, options.without)
         return remainder_of(
-            search.criterion,
+            CurveJudge(search.criterion, judge, options.seed),
             choice.fit,
             search.base if has_remainder else None,
-            judge,
             search.floor,
             candidates,
             rival=rival,
-            seed=options.seed,
         )
     return None
 

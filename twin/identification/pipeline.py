@@ -10,9 +10,9 @@ Rule 2: each parameter has a verdict; one that cannot be estimated is marked as 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -88,32 +88,25 @@ def identify_records(
     for usage, samples in zip(usages, delays, strict=True):
         usage.input_delay = samples
     tick_s = _tick(records)
-    fitted: Fit | None = None
-    white: Whiteness | None = None
-    intervals: dict[str, Interval] = {}
-    loop_delay: LoopDelay | None = None
+    estimate = _Estimate()
     flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
     if starts.amplifier is not None and starts.amplifier.K_A > 0 and (series.flags & USE_I).any():
         free, start = BASE if flying else _AT_REST, starts.theta(starts.amplifier, plant.mass_kg)
         with closing(Criterion(bare(series), plant, tick_s)) as criterion:
-            likelihood, fitted = _fitted(Blocks(criterion), start, free, usages, progress)
-            if flying and fitted.theta.b >= 0.999 * max_drag(plant):
-                fitted = _possible_drag(likelihood, fitted, starts.ball, warnings)
-            white = whiteness(likelihood.series, likelihood.white(fitted.theta))
+            likelihood, top = _fitted(Blocks(criterion), start, free, usages, progress)
+            if flying and top.theta.b >= 0.999 * max_drag(plant):
+                top = _possible_drag(likelihood, top, starts.ball, warnings)
             progress("covariance and intervals")
-            # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
-            robust = None if white.white else likelihood.sandwich(fitted)
-            intervals = quadratic_or_profile(likelihood, fitted, robust)
-            # A delay colours the residuals: where they are white there is none to look for.
-            if robust is not None and "b" in fitted.free:
-                loop_delay = find_loop_delay(likelihood, robust)
-        warnings += _not_converged(fitted)
+            estimate = _estimated(likelihood, top)
+        warnings += _not_converged(top)
     warnings += _left_out(usages)
 
+    fitted, white = estimate.fit, estimate.white
     coloured = white is not None and not white.white
     ahead = None if white is None or not coloured else _misfit(records, campaign, fitted, white, tick_s, warnings)
     levels, shape, force, ball = starts.levels, starts.shape, starts.force, starts.ball
     held = fitted.theta.b if flying and fitted is not None else None
+    intervals, loop_delay = estimate.intervals, estimate.loop_delay
     parameters = {
         "K_A": verdicts.gain(intervals.get("K_A"), levels, shape, warnings),
         "T_A": verdicts.time_constant(intervals.get("T_A"), shape, tick_s, warnings),
@@ -177,6 +170,29 @@ def _fitted(
         likelihood = Blocks(likelihood.whole.over(bare(gated)))
         fitted = fit(likelihood, fitted.theta, free)
     return likelihood, _parsimonious(likelihood, fitted)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Estimate:
+    """The maximum of the likelihood, and what it is worth; without a fit where no recording shows the amplifier."""
+
+    fit: Fit | None = None
+    white: Whiteness | None = None
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
+    loop_delay: LoopDelay | None = None
+
+
+def _estimated(likelihood: Blocks, fitted: Fit) -> _Estimate:
+    white = whiteness(likelihood.series, likelihood.white(fitted.theta))
+    # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
+    robust = None if white.white else likelihood.sandwich(fitted)
+    return _Estimate(
+        fit=fitted,
+        white=white,
+        intervals=quadratic_or_profile(likelihood, fitted, robust),
+        # A delay colours the residuals: where they are white there is none to look for.
+        loop_delay=find_loop_delay(likelihood, robust) if robust is not None and "b" in fitted.free else None,
+    )
 
 
 def _not_converged(fitted: Fit) -> list[str]:

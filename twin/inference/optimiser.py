@@ -3,6 +3,9 @@
 A step solves (F + damping D) step = score with D the diagonal of F (Levenberg 1944; Marquardt 1963).  Coordinates are
 scaled by the square root of that diagonal, as parameters differ by ten orders of magnitude.  A coordinate at its bound
 whose score points outwards stays there.
+
+Not Gauss-Newton or BFGS: the noise levels are parameters, so the weights of the residuals change.  The information
+matrix costs nothing beyond the derivatives, and is positive semidefinite, unlike the Hessian.
 """
 
 from __future__ import annotations
@@ -106,40 +109,31 @@ def climb(
         start: starting point.
         free: coordinates to estimate; the others stay.
         passes: largest number of passes.
-        tolerance: decrement of convergence, standard errors.
-        patience: consecutive passes with little gain after which the decrement NEAR suffices; after twice as many it
+        tolerance: decrement of convergence, standard errors; at most SLOW_TOLERANCE.
+        patience: consecutive passes with little gain after which SLOW_TOLERANCE suffices; after twice as many it
             ends in any case, as slopes that promise more are those of a likelihood with kinks.
         goal: log-likelihood; where slope and last step promise less than a part of the way, nobody needs the maximum.
     """
-    point, damping, converged = start, Damping(), False
-    # Fisher scoring, not Gauss-Newton or BFGS: the noise levels are parameters, so the weights of the residuals change.
-    # The information matrix costs nothing beyond the derivatives, and is positive semidefinite, unlike the Hessian.
+    point, damping = start, Damping()
     loglik, outputs = surface.visit(start)
     slopes = surface.slopes(start, outputs, free, None, math.inf)
     decrement, used, slow = math.inf, 0, 0
     for _ in range(passes):
         used += 1
-        step, decrement = newton(slopes, active_of(surface.plant, point, free, slopes.score), damping.value)
-        # Approximate derivatives find the way, but only exact ones may decide that the way has ended.
-        if decrement < CLOSE and not slopes.exact:
-            slopes = surface.exact(point, outputs, free)
-            step, decrement = newton(slopes, active_of(surface.plant, point, free, slopes.score), damping.value)
-        if decrement < tolerance or (slow >= patience and decrement < SLOW_TOLERANCE):
-            converged = True
-            break
-        if slow >= 2 * patience:
+        slopes, step, decrement = _next_step(surface, point, outputs, free, slopes, damping.value)
+        if decrement < tolerance or (slow >= patience and decrement < SLOW_TOLERANCE) or slow >= 2 * patience:
             break
         trial = shortened(surface.plant, point, free, step)
         value, trial_outputs = surface.visit(trial)
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
-            slow = slow + 1 if value - loglik < _LITTLE else 0
+            gain = value - loglik
+            slow = slow + 1 if gain < _LITTLE else 0
+            point, loglik, outputs = trial, value, trial_outputs
             # Also by what the step gained: along a limit of the steps each gains more than its slope promised.
-            if value + settings.GOAL_REACH * max(0.5 * decrement**2, value - loglik) < goal:
-                point, loglik, outputs = trial, value, trial_outputs
+            if value + settings.GOAL_REACH * max(0.5 * decrement**2, gain) < goal:
                 break
             damping.accepted()
-            point, loglik, outputs = trial, value, trial_outputs
             slopes = surface.slopes(point, outputs, free, slopes, decrement)
         # Before a step is blamed, its derivatives are: old or approximate ones may point the wrong way.
         elif not (slopes.fresh and slopes.exact):
@@ -153,11 +147,23 @@ def climb(
         loglik=loglik,
         free=tuple(free),
         covariance=covariance_of(slopes.fisher, active),
-        converged=converged or decrement < SLOW_TOLERANCE,
+        converged=decrement < SLOW_TOLERANCE,
         passes=used,
         decrement=decrement,
         ahead=0.5 * left * left,
     )
+
+
+def _next_step(
+    surface: Surface, point: Theta, outputs: Any, free: Sequence[str], slopes: Slopes, damping: float
+) -> tuple[Slopes, FloatArray, float]:
+    """Return (the derivatives used, the step, its decrement)."""
+    step, decrement = newton(slopes, active_of(surface.plant, point, free, slopes.score), damping)
+    # Approximate derivatives find the way, but only exact ones may decide that the way has ended.
+    if decrement < CLOSE and not slopes.exact:
+        slopes = surface.exact(point, outputs, free)
+        step, decrement = newton(slopes, active_of(surface.plant, point, free, slopes.score), damping)
+    return slopes, step, decrement
 
 
 def shortened(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:

@@ -30,7 +30,7 @@ from twin.mirror.loop import advance
 from twin.mirror.monitor.divergence import Comparison
 from twin.mirror.output import IN_STEP, OUT_OF_STEP, SETTLING, Output
 from twin.mirror.regime import KnownParameters, Regime
-from twin.mirror.sample import Sample, interruption, read
+from twin.mirror.sample import Sample, interruption, read, sample_time_between
 from twin.mirror.step import step
 from twin.model.extended import WARMTH
 from twin.model.parameters import Model
@@ -207,20 +207,17 @@ class Mirror:
             sample_time_s = parameters.sample_time_s
         elif regime is not None and regime.parameters is None and same:
             return ""
-        elif last is not None and same and now.tick > last.tick:
-            sample_time_s = round((now.t_s - last.t_s) / (now.tick - last.tick), 7)
         else:
-            sample_time_s = math.nan
+            sample_time_s = sample_time_between(last, now)
         low, high = SAMPLE_TIME_RANGE_S
         known = low <= sample_time_s <= high
         if regime is not None and known and parameters == regime.parameters and sample_time_s == regime.sample_time_s:
             regime.parameters = parameters  # the next session's, equal in all that matters
             return ""
-        if regime is None and not known:
-            return "unsupported-sample-time" if math.isfinite(sample_time_s) else ""
         self._regime = None
         if not known:
-            return "unsupported-sample-time" if math.isfinite(sample_time_s) else "parameters-changed"
+            unknown = "" if regime is None else "parameters-changed"
+            return "unsupported-sample-time" if math.isfinite(sample_time_s) else unknown
         self._regime = regime = Regime(self.model, self.settings, sample_time_s=sample_time_s, parameters=parameters)
         self._packed = self._hold(regime)
         return "parameters-changed" if same else ""
@@ -263,9 +260,7 @@ class Mirror:
     def _start(self, now: Sample, before: Sample | None) -> None:
         """Start from the measurement if it is complete; `before` is the sample one tick earlier, if there is one."""
         regime = self._regime
-        if regime is None or regime.law is None or not math.isfinite(now.i + now.x):
-            return
-        if math.isnan(now.drive):
+        if regime is None or regime.law is None or not math.isfinite(now.i + now.x) or math.isnan(now.drive):
             return
         memory = regime.memory_at(now, before)
         if memory is None:

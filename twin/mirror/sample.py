@@ -76,6 +76,13 @@ def interruption(now: Sample, last: Sample, bridge_ticks_max: int) -> str:
     return ""
 
 
+def sample_time_between(last: Sample | None, now: Sample) -> float:
+    """Return T_s by the clock of the board, s; NaN unless `now` is a later sample of the same session."""
+    if last is None or last.session != now.session or now.tick <= last.tick:
+        return math.nan
+    return round((now.t_s - last.t_s) / (now.tick - last.tick), 7)
+
+
 def _finite(name: str, value: float, counters: Counter[str]) -> float:
     if math.isfinite(value):
         return value

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gateway.client.connection import add_bus_arguments, open_bus
+from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.sites.filler import Filler, Tally
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
     on_end_signal(stop.set)
     with _locked(args.folder), open_bus(args.connect, find_identity(args.identity)) as session:
         filler = Filler(
-            session, args.site, args.folder,
-            board=args.board, settle_s=args.settle, days=args.days, report=_print_line, stop=stop,
+            BusBoard(session, args.site, "*" if args.board is None else args.board), args.folder,
+            settle_s=args.settle, days=args.days, report=_print_line, stop=stop,
         )  # fmt: skip
         if args.every is None:
             tally = filler.fill()

@@ -5,8 +5,8 @@
     firmware.tick()                    # T_s of plant time, then one run of the loop
     line.write(firmware.take_frame())
 
-Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5 and 13,
-`control_loop.py` and `commands.py` have the others.
+Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1, 2, 4, 5 and 13,
+`answers.py` has 3, `control_loop.py` and `commands.py` have the others.
 """
 
 from __future__ import annotations
@@ -14,24 +14,22 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
+from gateway.emulator.firmware_model.answers import Answers
 from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.commands import (
     HANDLERS,
     Acceptance,
     Nack,
     acknowledge,
-    calibrate,
-    calibration,
     identity,
     parameters,
     refuse_range,
 )
-from gateway.emulator.firmware_model.control_loop import ControlLoop, HostWatch, Tick
+from gateway.emulator.firmware_model.control_loop import ControlLoop, CountedEvent, HostWatch, Tick
 from gateway.emulator.firmware_model.flash import (
     BOOT_TICKS,
     CE152_BOARD,
     T_S_US,
-    TICKS_PER_S,
     WATCHDOG_TICKS,
     BoardProfile,
     Settings,
@@ -50,17 +48,14 @@ from protocol.wire.messages import (
     Message,
     Mode,
     Reason,
-    Value,
 )
 
-RETAINED_IDS = 8
 PENDING_COMMANDS = 8
 COMMANDS_PER_TICK = 1
 _PLANT_STEP_US = 20
 _STATE_TYPE = bytes((ROW_OF_NAME["STATE"].type,))
 _WITHOUT_SESSION = {"HELLO", "PING", "STOP"}
 _REVOKED = {"SET_MODE", "CAPTURE"}  # by a STOP: they could turn the coil on again
-_PRIORITY = {"EVENT": Priority.EVENT, "CAPTURE_BLOCK": Priority.CAPTURE_BLOCK}
 
 
 class AnalogSide(Protocol):
@@ -90,35 +85,31 @@ class Firmware:
         self._profile = profile
         self._board_id = board_id
         self._stored = profile.settings
-        self._calibration: Calibration | None = None  # in memory
         self._converter = InputConverter()
         self.outbox = Outbox()
         self._resets = 0
         self._elapsed_us = 0  # plant time since the last tick
-        self._boot(EventCode.RESET_POWER_ON)
+        self._boot(EventCode.RESET_POWER_ON, None)
 
-    def _boot(self, cause: EventCode) -> None:
+    def _boot(self, cause: EventCode, calibration: Calibration | None) -> None:
         self.next_tick = 0
         self.outbox.clear()
         self._inbox = Inbox()
-        self._pending: deque[tuple[bytes, Message | Nack]] = deque()
-        self._overtaken = 0  # of them, the first, by a STOP
+        self._pending: deque[tuple[bytes, Message | Nack, bool]] = deque()  # and whether a STOP has overtaken it
         self._commands_left = COMMANDS_PER_TICK  # to execute before the next tick
-        self._unanswered = 0
-        self._ticks_since_overload = TICKS_PER_S
+        self._answers = Answers(self.outbox)
+        self._unanswered = CountedEvent()
         self._session: int | None = None
-        self._retained: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=RETAINED_IDS)  # id, type, frame
         self._divider = 1
         self._events = 0
-        self._overruns = 0
-        self._ticks_since_overrun_event = TICKS_PER_S
+        self._overruns = CountedEvent()
         self._reset_cause = cause
         self._reset_wait = 0  # ticks left to get the ACK of RESET out; 0: no reset pending
         self._hung_ticks = 0
         self._dead_ticks = 0
         field = self._stored.first_bad_field()
         settings = self._profile.settings if field else self._stored
-        self.loop = ControlLoop(self._emit, settings, self._converter, self._calibration or Calibration())
+        self.loop = ControlLoop(self._emit, settings, self._converter, calibration)
         self._host = HostWatch(self.loop, self._emit)
         self._emit(cause, self._resets)
         if field:
@@ -129,7 +120,7 @@ class Firmware:
         self._resets = 0 if cause == EventCode.RESET_POWER_ON else min(self._resets + 1, 0xFFFF)
         if cause == EventCode.RESET_POWER_ON:
             self._converter.count = 0  # the converter's own power-on value
-        self._boot(cause)
+        self._boot(cause, self.loop.stored_calibration)
         self._dead_ticks = BOOT_TICKS
 
     def hang(self) -> None:
@@ -138,10 +129,8 @@ class Firmware:
 
     def overrun(self) -> None:
         """Let the board report the next tick as late."""
-        self._overruns = min(self._overruns + 1, 0xFFFF)
         self.loop.overrun = True
-        if self._ticks_since_overrun_event >= TICKS_PER_S:
-            self._ticks_since_overrun_event = 0
+        if self._overruns.add():
             self._emit(EventCode.OVERRUN, 0)
 
     def break_stack(self) -> None:
@@ -190,8 +179,8 @@ class Firmware:
         if self._divider and self.next_tick % self._divider == 0 and not lost:
             self.outbox.put(_state_frame(self.next_tick, state), Priority.STATE)
         self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
-        self._ticks_since_overrun_event += 1
-        self._ticks_since_overload += 1
+        self._overruns.pass_tick()
+        self._unanswered.pass_tick()
         self._commands_left = COMMANDS_PER_TICK
         self._execute_pending()
 
@@ -240,74 +229,61 @@ class Firmware:
                     self._execute_pending()
 
     def _receive(self, body: bytes, into_tick_us: int) -> None:
-        row = ROW_OF_TYPE.get(body[0])
-        if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
+        command = _command(body)
+        if command is None:
             self._inbox.count_bad()
             return
         self._host.heard()
-        decoded = decode_body(body)
-        command = decoded if isinstance(decoded, Message) else _refusal(decoded, body)
         if isinstance(command, Message) and command.name == "STOP":
             self._advance_to(into_tick_us // _PLANT_STEP_US * _PLANT_STEP_US)
-            self._overtaken = len(self._pending)
+            self._pending = deque((*waiting[:2], True) for waiting in self._pending)
             self.loop.switch_off()
             if self._reset_wait:
                 return
-            if self._has_room(body):
-                self._answer(body, acknowledge(body[0], self.next_tick))
-            else:
-                self._leave_unanswered()
+            answer: Acceptance | Nack = acknowledge(body[0], self.next_tick)
         elif len(self._pending) < PENDING_COMMANDS:
-            self._pending.append((body, command))
-        elif self._has_room(body):
-            self._answer(body, Nack(Reason.BUSY), keep=False)
+            self._pending.append((body, command, False))
+            return
+        else:
+            answer = Nack(Reason.BUSY)
+        if self._answers.has_room(body):
+            self._answers.put(body, answer, keep=isinstance(answer, Acceptance))
         else:
             self._leave_unanswered()
 
-    def _has_room(self, body: bytes) -> bool:
-        """Return whether an answer to this command would not be lost."""
-        blocks = body[0] == ROW_OF_NAME["READ_CAPTURE"].type and self.outbox.full(Priority.CAPTURE_BLOCK)
-        return not self.outbox.full(Priority.ANSWER) and not blocks
-
     def _leave_unanswered(self) -> None:
         self._inbox.count_bad()
-        self._unanswered = min(self._unanswered + 1, 0xFFFF)
-        if self._ticks_since_overload >= TICKS_PER_S:
-            self._ticks_since_overload = 0
-            self._emit(EventCode.OVERLOAD, self._unanswered)
+        if self._unanswered.add():
+            self._emit(EventCode.OVERLOAD, self._unanswered.count)
 
     def _execute_pending(self) -> None:
         """Execute what waits, as far as the tick's budget and the room for answers go; none after a RESET."""
-        while self._pending and self._commands_left and not self._reset_wait and self._has_room(self._pending[0][0]):
-            body, command = self._pending.popleft()
+        while self._pending and self._commands_left and self._answers.has_room(self._pending[0][0]):
+            if self._reset_wait:
+                return
+            body, command, is_overtaken = self._pending.popleft()
             self._commands_left -= 1
-            revoked = self._overtaken > 0
-            self._overtaken = max(self._overtaken - 1, 0)
             if isinstance(command, Message) and command.name == "HELLO":
-                self._answer(body, self._hello(command), keep=False)
+                self._answers.put(body, self._hello(command), keep=False)
+            elif self._answers.repeat(body):
                 continue
-            retained = next((entry for entry in self._retained if entry[0] == body[1]), None)
-            if retained is not None and retained[1] == body[0]:
-                self.outbox.put(retained[2], retained[3])
-            elif retained is not None:
-                self._answer(body, Nack(Reason.BUSY), keep=False)
             elif isinstance(command, Nack):
                 # Not kept: noise at the end of a good frame may leave the CRC right and the length wrong, and the
                 # repetition of that command must not meet the noise again.
-                self._answer(body, command, keep=False)
+                self._answers.put(body, command, keep=False)
             elif self._session is None and command.name not in _WITHOUT_SESSION:
-                self._answer(body, Nack(Reason.NO_SESSION), keep=False)
-            elif revoked and command.name in _REVOKED:
-                self._answer(body, Nack(Reason.BUSY))
+                self._answers.put(body, Nack(Reason.NO_SESSION), keep=False)
+            elif is_overtaken and command.name in _REVOKED:
+                self._answers.put(body, Nack(Reason.BUSY))
             else:
-                self._answer(body, self._execute(command))
+                self._answers.put(body, self._execute(command))
 
     def _execute(self, message: Message) -> Acceptance | Nack:
         row, tick = ROW_OF_NAME[message.name], self.next_tick
         match message.name:
             case "PING":
-                values: dict[str, Value] = {"tick": tick, "bad_frames": self.bad_frames, "overruns": self._overruns}
-                return Acceptance("PONG", values)
+                counts = {"bad_frames": self.bad_frames, "overruns": self._overruns.count}
+                return Acceptance("PONG", {"tick": tick, **counts})
             case "SET_STREAM":
                 self._divider = message.int("divider")
             case "SET_HOST_LOSS":
@@ -317,35 +293,18 @@ class Firmware:
             case "GET_HEALTH":  # a model has no stack of its own, and its converter no memory
                 free = 0 if self.loop.stack_broken else NOT_KNOWN
                 return Acceptance("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
-            case "SET_CALIBRATION":
-                answer = calibrate(self.loop, message, tick)
-                self._calibration = self.loop.calibration if isinstance(answer, Acceptance) else self._calibration
-                return answer
-            case "GET_CALIBRATION":
-                return calibration(self.loop, is_stored=self._calibration is not None)
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:
                 return HANDLERS[message.name](self.loop, message, tick)
         return acknowledge(row.type, tick)
 
-    def _answer(self, body: bytes, answer: Acceptance | Nack, *, keep: bool = True) -> None:
-        if isinstance(answer, Nack):
-            values = {"command": body[0], "reason": int(answer.reason), "detail": answer.detail}
-            answer = Acceptance("NACK", values)
-        frame = encode_frame(encode_body(answer.name, id=body[1], **answer.values))
-        priority = _PRIORITY.get(answer.name, Priority.ANSWER)
-        if keep:
-            self._retained = deque((entry for entry in self._retained if entry[0] != body[1]), maxlen=RETAINED_IDS)
-            self._retained.append((body[1], body[0], frame, priority))
-        self.outbox.put(frame, priority)
-
     def _hello(self, message: Message) -> Acceptance | Nack:
         if not message.int("version_min") <= VERSION <= message.int("version_max"):
             return Nack(Reason.VERSION, VERSION)
         if message.int("session") != self._session:
             self._session = message.int("session")
-            self._retained.clear()
+            self._answers.forget()
         return identity(self._board_id, self.next_tick, self._reset_cause, self._profile)
 
     def _leave(self) -> bool:
@@ -362,9 +321,15 @@ class Firmware:
         self.outbox.put(encode_frame(body), Priority.EVENT)
 
 
-def _refusal(fault: str, body: bytes) -> Nack:
-    """Return the refusal of a body that is no command of the host; `fault` is the decoder's."""
-    reason = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH}.get(fault)
+def _command(body: bytes) -> Message | Nack | None:
+    """Return the command, or its refusal; None if it is not from the host or has no id, and so gets no answer."""
+    row = ROW_OF_TYPE.get(body[0])
+    if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
+        return None
+    decoded = decode_body(body)
+    if isinstance(decoded, Message):
+        return decoded
+    reason = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH}.get(decoded)
     return refuse_range(body) if reason is None else Nack(reason)
 
 

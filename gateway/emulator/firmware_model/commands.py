@@ -102,13 +102,11 @@ def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: in
     return Acceptance("PARAMETERS", values)
 
 
-def calibration(loop: ControlLoop, *, is_stored: bool) -> Acceptance:
-    """Return the answer to GET_CALIBRATION: what is in force, and whether a reset leaves it so."""
-    return Acceptance("CALIBRATION", {**asdict(loop.calibration), "kept": int(is_stored)})
+def _get_calibration(loop: ControlLoop, _message: Message, _tick: int) -> Acceptance:
+    return Acceptance("CALIBRATION", {**asdict(loop.calibration), "kept": int(loop.stored_calibration is not None)})
 
 
-def calibrate(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
-    """Correct x from now on, unless the coil is driven."""
+def _set_calibration(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     if loop.fault:
         return Nack(Reason.FAULT_ACTIVE)
     if loop.capturing:
@@ -118,7 +116,7 @@ def calibrate(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptan
     points = Calibration(**{name: message.int(name) for name in asdict(loop.calibration)})
     if bound := points.bound_in_the_way():
         return Nack(Reason.OUT_OF_RANGE, bound)
-    loop.calibration = points
+    loop.calibration = loop.stored_calibration = points
     return acknowledge(0x0F, tick)
 
 
@@ -217,4 +215,6 @@ HANDLERS: dict[str, Handler] = {
     "EXCITE": _excite,
     "CAPTURE": _capture,
     "READ_CAPTURE": _read_capture,
+    "SET_CALIBRATION": _set_calibration,
+    "GET_CALIBRATION": _get_calibration,
 }

@@ -25,6 +25,25 @@ INPUT_LIMIT = 0  # detail of LIMIT_HIT
 _INPUT_SATURATED, _POSITION_RANGE, _CURRENT_RANGE, _OVERRUN, _HOST_LOST, _FAULT = (int(flag) for flag in Flag)
 
 
+class CountedEvent:
+    """Counts what happened since the reset; its event is sent at most once per second: rule 16."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._ticks = TICKS_PER_S  # since the last event
+
+    def pass_tick(self) -> None:
+        """Note that a tick has passed."""
+        self._ticks += 1
+
+    def add(self) -> bool:
+        """Count one more; return whether its event is sent."""
+        self.count = min(self.count + 1, 0xFFFF)
+        is_due = self._ticks >= TICKS_PER_S
+        self._ticks = 0 if is_due else self._ticks
+        return is_due
+
+
 class Reference:
     """x_ref in force and the allowance for jumps: rule 7.
 
@@ -70,7 +89,7 @@ class ControlLoop:
         emit: Called with each event: (code, detail).
         settings: In force after the reset.
         converter: Of u_c.
-        calibration: Of x, in force after the reset.
+        calibration: Of x, as the board keeps it; None: it has none.
     """
 
     def __init__(
@@ -78,9 +97,10 @@ class ControlLoop:
         emit: Callable[[EventCode, int], None],
         settings: Settings,
         converter: InputConverter,
-        calibration: Calibration,
+        calibration: Calibration | None,
     ) -> None:
-        self.calibration = calibration
+        self.stored_calibration = calibration
+        self.calibration = calibration or Calibration()
         self.limits = settings.limits
         self.law = ControlLaw(settings.gains)
         self.reference = Reference(settings.gains.x_0, settings.limits)
@@ -100,7 +120,7 @@ class ControlLoop:
         self._over_current_ticks = 0
         self._sensor_ticks = 0
         self._limited = False
-        self._ticks_since_limit_hit = TICKS_PER_S
+        self._limit_hits = CountedEvent()
 
     @property
     def u(self) -> int:
@@ -204,10 +224,9 @@ class ControlLoop:
             self._open_loop_u = value
 
     def _report_limit(self, *, limited: bool) -> None:
-        self._ticks_since_limit_hit += 1
-        if limited and not self._limited and self._ticks_since_limit_hit >= TICKS_PER_S:
+        self._limit_hits.pass_tick()
+        if limited and not self._limited and self._limit_hits.add():
             self._emit(EventCode.LIMIT_HIT, INPUT_LIMIT)
-            self._ticks_since_limit_hit = 0
         self._limited = limited
 
     def _watch(self, i: int, x: int) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gateway.selftest.bench import Bench
+from gateway.selftest.bench import Bench, Rest
+from gateway.selftest.rigs import RigNumbers
 from gateway.selftest.verdict import Verdict, fault, judge, passed, warning
 from protocol.wire.messages import COUNTS_MAX
 
@@ -21,6 +22,11 @@ def converters(bench: Bench) -> Iterator[Verdict]:
         good=(-0.01, 0.01),
         remedy="the input converter confirms nothing: cut the coil's supply, look at its bus",
     )
+    yield from _current(rest, rig)
+    yield from _position(rest, rig)
+
+
+def _current(rest: Rest, rig: RigNumbers) -> Iterator[Verdict]:
     good, possible = rig.current_offset_a
     yield judge(
         "current-at-zero",
@@ -41,6 +47,9 @@ def converters(bench: Bench) -> Iterator[Verdict]:
         possible=(0.0, 1e3 * possible),
         remedy="look at shunt, ground and the capacitor of the reference",
     )
+
+
+def _position(rest: Rest, rig: RigNumbers) -> Iterator[Verdict]:
     counts = {sample.state.x for sample in rest.samples}
     if counts <= {0, COUNTS_MAX}:
         yield fault(

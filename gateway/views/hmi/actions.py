@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from gateway.access.roles import Role, may, refusal_text
-from gateway.access.users import Users
+from gateway.access.roles import may, refusal_text
 from gateway.views.board_feed import UNSEEN_S
 from gateway.views.feed import Feed
 from gateway.views.hmi.gains import parse_gains, rows
@@ -72,8 +71,7 @@ class Actions:
 
     Args:
         feed: of the live site.
-        sessions: who is logged in.
-        users: where roles come from; None: everybody here is the local operator.
+        sessions: who is logged in, and with which role.
         jobs: where recordings, campaigns and replays run.
         logs: files that may be replayed.
         reports: pages of diagnosis.
@@ -85,7 +83,6 @@ class Actions:
         self,
         feed: Feed,
         sessions: LoginSessions,
-        users: Users | None,
         *,
         jobs: Jobs,
         logs: Library,
@@ -93,20 +90,13 @@ class Actions:
         routes: Routes,
         replayed: Feed,
     ) -> None:
-        self.feed, self.sessions, self.users = feed, sessions, users
+        self.feed, self.sessions = feed, sessions
         self.jobs, self.logs, self.reports = jobs, logs, reports
         self._routes, self._replayed = routes, replayed
 
-    def role(self, session: LoginSession) -> Role:
-        """Return the current role: a change of the users file takes effect at once."""
-        if self.users is not None:
-            user = self.users.bearer(session.grant) if session.grant else self.users.find(session.name)
-            session.role = Role.VIEWER if user is None else user.role  # None: the session is over, too
-        return session.role
-
     def may(self, session: LoginSession, act: str) -> bool:
         """Return whether to show a control; each action checks the right again."""
-        return may(self.role(session), act)
+        return may(self.sessions.role(session), act)
 
     def command(self, session: LoginSession, board: str, what: pb.Command, *, issued_ns: int = 0) -> pb.CommandReply:
         """Send a command that was issued at `issued_ns` (Unix time; 0: now) to a board, and wait for the reply."""
@@ -138,7 +128,7 @@ class Actions:
         if self.feed.board(board) is None:
             return refusal("no-board", text_of("refusal.no_board", board=repr(board[:32])))
         try:
-            return send(who=session.name, role=self.role(session).word)
+            return send(who=session.name, role=self.sessions.role(session).word)
         except Exception as error:  # a bus that closed under us must not look like an accepted command
             _logger.warning("command of %s to %s: %s", session.name, board, error)
             return refusal("not-delivered", text_of("refusal.not_delivered", error=error))
@@ -279,7 +269,7 @@ class Actions:
         if not self.sessions.is_open(session, now_s):
             return refusal("session-over", text_of("refusal.session_over"))
         self.sessions.acted(session, now_s)
-        if not may(self.role(session), act):
+        if not may(self.sessions.role(session), act):
             return refusal("not-allowed", refusal_text(session.name, session.role, act))
         return None
 

@@ -24,7 +24,7 @@ from starlette.types import ASGIApp
 
 from gateway.access.listeners import allow_restart
 from gateway.access.roles import Role
-from gateway.access.users import User, Users
+from gateway.access.users import Users
 from gateway.views.feed import Feed
 from gateway.views.hmi import metrics
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
@@ -36,6 +36,7 @@ from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Job, Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
+from gateway.views.hmi.login_requests import LoginRequests
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.programs import Programs
 from gateway.views.hmi.requests import Requests
@@ -106,15 +107,10 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
 def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGIApp:
     """The application, without a server around it."""
     users, data = settings.users, settings.routes.data
-    sessions = LoginSessions(
-        idle_s=settings.idle_s,
-        lifetime_s=settings.lifetime_s,
-        known=lambda session: users is None or _user_of(session, users) is not None,
-    )
+    sessions = LoginSessions(users, idle_s=settings.idle_s, lifetime_s=settings.lifetime_s)
     actions = Actions(
         feed,
         sessions,
-        users,
         jobs=jobs,
         logs=Library({"logs": settings.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, *REPORTS),
@@ -134,21 +130,22 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
     work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
     acts = Acts(actions)
-    requests, api = Requests(actions, acts, work, users), Api(actions, acts, work)
+    https = settings.certificate is not None
+    requests, api = Requests(actions, acts, work), Api(actions, acts, work)
+    logins = LoginRequests(sessions, https=https)
     static = Mount("/static", StaticFiles(directory=STATIC))
     pages = Pages(actions, work, api.document)
     sockets = [*_frames("/live", live, sessions, jobs.of), *_frames(REPLAY, replay, sessions, lambda _: jobs.of("*"))]
-    routes = [static, metrics.route(feed, release()), *sockets, *api.routes(), *requests.routes(), *pages.routes()]
-    guard = Guard(
+    endpoints = [route for part in (api, requests, logins, pages) for route in part.routes()]
+    routes = [static, metrics.route(feed, release()), *sockets, *endpoints]
+    return Guard(
         Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there}),
         sessions,
-        Programs(sessions, users),
+        Programs(sessions),
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,
-        https=settings.certificate is not None,
+        https=https,
     )
-    requests.guard = guard
-    return guard
 
 
 def _frames(
@@ -160,10 +157,6 @@ def _frames(
         WebSocketRoute(f"{prefix}/{{board}}", readers.board),
         WebSocketRoute(f"{prefix}/{{board}}/spectrum", readers.spectrum),
     ]
-
-
-def _user_of(session: LoginSession, users: Users) -> User | None:
-    return users.bearer(session.grant) if session.grant else users.find(session.name)
 
 
 def _local(sessions: LoginSessions) -> LoginSession:

@@ -187,16 +187,11 @@ class Guard:
                 present = {name.lower() for name, _ in message["headers"]}
                 message["headers"] = [*message["headers"], *(h for h in self._added if h[0] not in present)]
                 if opened is not None:
-                    message["headers"].append((b"set-cookie", self.cookie(opened, host).encode("latin-1")))
+                    cookie = session_cookie(opened, host, lifetime_s=self._sessions.lifetime_s, https=self._https)
+                    message["headers"].append((b"set-cookie", cookie.encode("latin-1")))
             await send(message)
 
         return sender
-
-    def cookie(self, session: LoginSession | None, host: str) -> str:
-        """Return the Set-Cookie header of a session for a browser that requested `host`; with None it ends."""
-        secure = "; Secure" if self._https else ""
-        value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
-        return f"{cookie_name(host)}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
 
 
 def session_of(request: Request) -> LoginSession:
@@ -231,6 +226,13 @@ def _refusal_of_program(status: int, code: str, text: str) -> Response:
     if status == 401:
         answer.headers["www-authenticate"] = "Bearer"
     return answer
+
+
+def session_cookie(session: LoginSession | None, host: str, *, lifetime_s: float, https: bool) -> str:
+    """Return the Set-Cookie header of a session for a browser that requested `host`; with None it ends."""
+    value, age_s = (session.token, round(lifetime_s)) if session is not None else ("", 0)
+    secure = "; Secure" if https else ""
+    return f"{cookie_name(host)}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
 
 
 def cookie_name(host: str) -> str:

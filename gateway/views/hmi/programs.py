@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from gateway.access.roles import Role
 from gateway.access.tokens import digest_of
-from gateway.access.users import User, Users
+from gateway.access.users import User
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus.identity import login_name
 
@@ -29,23 +29,22 @@ class Programs:
     """The sessions of one server's programs, one for each token.
 
     Args:
-        sessions: where they are opened.
-        users: who has tokens; None: every program is the local operator.
+        sessions: where they are opened; without users every program is the local operator.
     """
 
-    def __init__(self, sessions: LoginSessions, users: Users | None) -> None:
-        self._sessions, self._users = sessions, users
+    def __init__(self, sessions: LoginSessions) -> None:
+        self._sessions = sessions
         self._by_grant: dict[str, LoginSession] = {}
 
     def session(self, headers: Mapping[str, str], now_s: float) -> LoginSession | None:
         """Return the session of a request's token; None: it has none, or that is not valid."""
         scheme, _, token = headers.get("authorization", "").partition(" ")
         grant, user = "", None
-        if self._users is None:
+        if self._sessions.users is None:
             user = User(name=login_name("local operator"), role=Role.ENGINEER)
         elif scheme.lower() == "bearer":
             grant = digest_of(token.strip())
-            user = self._users.bearer(grant)
+            user = self._sessions.users.bearer(grant)
         if user is None:
             return None
         session = self._by_grant.get(grant)

@@ -7,14 +7,12 @@ POST /api/<board>/gains             a file; returns its command and table, sends
 POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ..}, see starts.py,
                                     {"kind": "replay", "act": "order", "order": "pause"}, see record/player.py
 POST /api/*/delete                  {"log": "logs/NAME.mcap"}
-GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
 GET  /api/sessions?where=nis > 3    table of the sessions of the gateway's logs, see record/catalogue
 GET  /api/timeline/<name>           start, duration and marks of a log, see record/timeline.py
 GET  /api/<board>/plant?mass_g=8.28&...  what is wrong about the data of a plant, see model/plant.py; changes nothing
 GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see model/exports.py
 GET  /log/<name>, /report-file/<name>    a file that the lists name
-POST /login (form), POST /logout
 
 Rule: summaries and exports are one process at a time, which ends with its request (turns.py).  acts.py has the rules
 of acts.
@@ -24,24 +22,19 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import Callable
-from urllib.parse import parse_qs
 
 from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from gateway.access.logins import Logins, TooMany
-from gateway.access.users import Users
 from gateway.views.alarms import MAX_ALARMS
 from gateway.views.dispatch import EVERY_RIG, Wish
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.acts import Acts, status_of
 from gateway.views.hmi.downloads import download
-from gateway.views.hmi.guard import Guard, cookie_name, local_page, refusal, session_of
-from gateway.views.hmi.html.render import render
+from gateway.views.hmi.guard import refusal
 from gateway.views.hmi.model.exports import FORMATS, exported
 from gateway.views.hmi.model.naming import delete, rename
 from gateway.views.hmi.model.plant import judged
@@ -70,22 +63,17 @@ class Requests:
         actions: does what is asked.
         acts: runs it.
         work: on models.
-        users: Users who may log in; None: no login is needed.
     """
 
-    def __init__(self, actions: Actions, acts: Acts, work: ModelWork, users: Users | None) -> None:
+    def __init__(self, actions: Actions, acts: Acts, work: ModelWork) -> None:
         self._actions, self._acts = actions, acts
         self._starts = starts(actions, work)
-        self._logins = Logins(users) if users is not None else None
         self._work = work
         self._turns = Turns()
-        self.guard: Guard | None = None  # makes the cookies; set once it stands
 
     def routes(self) -> list[Route]:
         """Return the routes of the requests."""
         changes = {
-            "/login": self.login,
-            "/logout": self.logout,
             "/api/{board}/stop": self.stop,
             "/api/{board}/command": self.command,
             "/api/{board}/acknowledge": self.acknowledge,
@@ -96,8 +84,6 @@ class Requests:
             "/api/{board}/campaign": self.campaign,
         }
         reads = {
-            "/login": self.login_form,
-            "/api/session": self.session,
             "/log/{name:path}": self.log,
             "/report-file/{name:path}": self.report,
             "/api/summary/{name:path}": self.summary,
@@ -213,15 +199,6 @@ class Requests:
 
         return await self._act(request, board, do)
 
-    async def session(self, request: Request) -> Response:
-        """Return the user and the remaining time of the session."""
-        session = session_of(request)
-        left_s = self._actions.sessions.left_s(session, time.monotonic())
-        return JSONResponse(
-            {"name": session.name, "role": self._actions.role(session).word, "left_s": round(left_s)},
-            headers={"cache-control": "no-store"},
-        )
-
     async def log(self, request: Request) -> Response:
         """Return one MCAP file."""
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
@@ -242,18 +219,12 @@ class Requests:
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", text_of("refusal.no_log"))
-        text = await summary(self._turns, entry, departure(request))
-        if text is None:
-            return refusal(503, "busy", text_of("library.busy"))
-        return JSONResponse({"accepted": True, "text": text})
+        return _text_answer(await summary(self._turns, entry, departure(request)))
 
     async def sessions(self, request: Request) -> Response:
         """Return the sessions in the gateway's logs that satisfy a condition, as text."""
         condition = request.query_params.get("where", "")[:MAX_CONDITION]
-        text = await sessions(self._turns, self._actions.logs.folders[0], condition, departure(request))
-        if text is None:
-            return refusal(503, "busy", text_of("library.busy"))
-        return JSONResponse({"accepted": True, "text": text})
+        return _text_answer(await sessions(self._turns, self._actions.logs.folders[0], condition, departure(request)))
 
     async def timeline(self, request: Request) -> Response:
         """Return start, duration and marks of a log."""
@@ -285,49 +256,11 @@ class Requests:
         headers = {"content-disposition": f'attachment; filename="{download.name}"'}
         return Response(download.data, media_type="application/octet-stream", headers=headers)
 
-    async def login_form(self, request: Request) -> Response:
-        """Return the login form."""
-        if self._logins is None:
-            return RedirectResponse("/", status_code=303)
-        query = request.query_params
-        message = text_of("login.over") if "over" in query else ""
-        return render("login.html", {"message": message, "next": local_page(query.get("next", "/"))})
-
-    async def login(self, request: Request) -> Response:
-        """Check name and password, and open a session."""
-        if self._logins is None or self.guard is None:
-            return RedirectResponse("/", status_code=303)
-        fields = parse_qs((await request.body())[:4096].decode("utf-8", errors="replace"))
-        name, password, target = (fields.get(field, [""])[0] for field in ("name", "password", "next"))
-        then = local_page(target)
-        host = request.client.host if request.client is not None else ""
-        browser = self._actions.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
-        user = await self._logins.login(name, password, host, browser=browser)
-        if isinstance(user, TooMany):
-            message = text_of("login.too_many", seconds=f"{user.wait_s:.0f}")
-            return render("login.html", {"message": message, "next": then}, status=429)
-        if user is None:
-            return render("login.html", {"message": text_of("login.wrong"), "next": then}, status=401)
-        session = self._actions.sessions.open(user.name, user.role, time.monotonic())
-        return RedirectResponse(
-            then, status_code=303, headers={"set-cookie": self.guard.cookie(session, _host(request))}
-        )
-
-    async def logout(self, request: Request) -> Response:
-        """End the session."""
-        assert self.guard is not None
-        self._actions.sessions.close(session_of(request))
-        return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None, _host(request))})
-
     async def _act(self, request: Request, board: str, do: Callable[[LoginSession, Wish], pb.CommandReply]) -> Response:
         return _answer(await self._acts.act(request, board, do))
 
 
 _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields]
-
-
-def _host(request: Request) -> str:
-    return str(request.headers.get("host", ""))
 
 
 def _body(reply: pb.CommandReply) -> dict[str, object]:
@@ -336,6 +269,13 @@ def _body(reply: pb.CommandReply) -> dict[str, object]:
 
 def _answer(reply: pb.CommandReply) -> JSONResponse:
     return JSONResponse(_body(reply), status_code=status_of(reply))
+
+
+def _text_answer(text: str | None) -> JSONResponse:
+    """Return the answer of a command that a request ran; `text` is None if too many wait."""
+    if text is None:
+        return refusal(503, "busy", text_of("library.busy"))
+    return JSONResponse({"accepted": True, "text": text})
 
 
 async def _json(request: Request) -> dict[str, object] | None:

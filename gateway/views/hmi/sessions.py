@@ -14,10 +14,10 @@ from __future__ import annotations
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from gateway.access.roles import Role
+from gateway.access.users import User, Users
 
 MAX_SESSIONS = 256
 
@@ -39,15 +39,13 @@ class LoginSessions:
     """The open sessions.
 
     Args:
+        users: where roles come from; None: no login is needed, and everybody here is the local operator.
         idle_s: without an action for so long, a session is over.
         lifetime_s: so long after login it is over in any case.
-        known: Returns whether the user of a session exists, and its token, if it has one.
     """
 
-    def __init__(
-        self, *, idle_s: float, lifetime_s: float, known: Callable[[LoginSession], bool] = lambda _: True
-    ) -> None:
-        self.idle_s, self.lifetime_s, self._known = idle_s, lifetime_s, known
+    def __init__(self, users: Users | None = None, *, idle_s: float, lifetime_s: float) -> None:
+        self.users, self.idle_s, self.lifetime_s = users, idle_s, lifetime_s
         self._open: dict[str, LoginSession] = {}
         self._names: OrderedDict[str, str] = OrderedDict()  # by token, also of sessions that are over
 
@@ -71,7 +69,7 @@ class LoginSessions:
     def get(self, token: str, now_s: float) -> LoginSession | None:
         """Return the session of a cookie, or None if there is none or it has ended."""
         session = self._open.get(token)
-        if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session)):
+        if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._is_known(session)):
             self._open.pop(token, None)
             return None
         return session
@@ -79,6 +77,16 @@ class LoginSessions:
     def is_open(self, session: LoginSession, now_s: float) -> bool:
         """Return whether the session is still valid."""
         return self.get(session.token, now_s) is session
+
+    def role(self, session: LoginSession) -> Role:
+        """Return the current role: a change of the users file takes effect at once."""
+        if self.users is not None:
+            user = _user_of(session, self.users)
+            session.role = Role.VIEWER if user is None else user.role  # None: the session is over, too
+        return session.role
+
+    def _is_known(self, session: LoginSession) -> bool:
+        return self.users is None or _user_of(session, self.users) is not None
 
     def acted(self, session: LoginSession, now_s: float) -> None:
         """Restart the idle time after an action of the user."""
@@ -93,3 +101,7 @@ class LoginSessions:
     def close(self, session: LoginSession) -> None:
         """Log out."""
         self._open.pop(session.token, None)
+
+
+def _user_of(session: LoginSession, users: Users) -> User | None:
+    return users.bearer(session.grant) if session.grant else users.find(session.name)

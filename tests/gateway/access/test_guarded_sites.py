@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from gateway.access.folder import SecurityFolder
-from gateway.client.connection import open_bus
+from gateway.client.connection import BusBoard, open_bus
 from gateway.sites.filler import Filler
 from protocol.errors import ServiceError
 from tests.harness.gateway.gateway_peers import wait_for
@@ -32,7 +32,7 @@ def test_the_gateway_s_account_serves_the_log_and_nobody_else(
         open_bus(endpoint, keys.identity("vic")) as asking,
         answering(serving, lab),
     ):
-        filler = Filler(asking, "board51", plant, settle_s=1.0, days=1e5)
+        filler = Filler(BusBoard(asking, "board51", "*"), plant, settle_s=1.0, days=1e5)
 
         def filled() -> bool:
             try:
@@ -69,7 +69,7 @@ def test_a_tree_of_guarded_routers_passes_samples_and_logs_up_and_no_commands_do
         gateway.declare_queryable("board51/rig/command/as/*/*", commands.append)
         with answering(gateway, lab):
             wait_for(lambda: gateway.put("board51/rig/state", b"") or states, "a state above")
-            filler = Filler(vic, "board51", plant, settle_s=1.0, days=1e5)
+            filler = Filler(BusBoard(vic, "board51", "*"), plant, settle_s=1.0, days=1e5)
             wait_for(lambda: list(vic.get("board51/_logs/*", payload=b"")), "the log server, above")
             filler.fill()
             list(ben_above.get("board51/rig/command/as/operator/ben", timeout=1.0))

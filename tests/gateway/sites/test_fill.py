@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 import board51
-from gateway.client.connection import open_bus
+from gateway.client.connection import BusBoard, open_bus
 from gateway.record.merge import merge
 from gateway.record.writer import LogError
 from gateway.sites.filler import Filler, Tally
@@ -28,7 +28,7 @@ from tests.harness.soak.stage import Disk
 
 def fill(endpoint: str, folder: Path, report: Callable[[str], None] = lambda line: None) -> Tally:
     with open_bus(endpoint) as session:
-        return Filler(session, "board51", folder, settle_s=1.0, days=1e5, report=report).fill()
+        return Filler(BusBoard(session, "board51", "*"), folder, settle_s=1.0, days=1e5, report=report).fill()
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_the_part_that_is_being_written_is_served_and_filled(sites: tuple[Path, 
     here = write(plant / "bus-000.mcap", without(records[:6_000], (0.5, 0.8)), finish=False)
 
     with served(lab) as endpoint, open_bus(endpoint) as session:
-        filler = Filler(session, "board51", plant, settle_s=1.0, days=1e5)
+        filler = Filler(BusBoard(session, "board51", "*"), plant, settle_s=1.0, days=1e5)
         filler.fill()
         first = account(lab, plant)
         for record in records[8_000:]:
@@ -90,7 +90,7 @@ def test_what_is_young_is_left_to_the_recorder(sites: tuple[Path, Path]) -> None
     write(lab / "a-000.mcap", flight(3_000, began_ns=LogServer(lab, "board51").answer(b"").now_ns))
 
     with served(lab) as endpoint, open_bus(endpoint) as session:
-        tally = Filler(session, "board51", plant, settle_s=3600.0).fill()
+        tally = Filler(BusBoard(session, "board51", "*"), plant, settle_s=3600.0).fill()
 
     assert (tally.records, tally.settling) == (0, 1)
     assert list(plant.iterdir()) == []
@@ -130,7 +130,7 @@ def test_a_full_disk_ends_a_round_and_the_next_one_goes_on(sites: tuple[Path, Pa
     write(lab / "a-000.mcap", flight(18_000))
     try:
         with served(lab) as endpoint, open_bus(endpoint) as session:
-            filler = Filler(session, "board51", disk.folder, settle_s=1.0, days=1e5)
+            filler = Filler(BusBoard(session, "board51", "*"), disk.folder, settle_s=1.0, days=1e5)
             disk.fill()
             with pytest.raises(LogError, match="disk full"):
                 filler.fill()

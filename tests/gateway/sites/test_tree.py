@@ -52,7 +52,7 @@ def filled(endpoint: str, folder: Path) -> Tally:
         return not tally.settling
 
     with open_bus(endpoint) as session:
-        filler = Filler(session, "board51", folder, settle_s=1.0)
+        filler = Filler(BusBoard(session, "board51", "*"), folder, settle_s=1.0)
         wait_for(complete, "all blocks old enough")
     return total
 

@@ -116,8 +116,7 @@ def diagnose_points(
     say(f"{len(points)} points of rest; (3) alone is off by {1e3 * base.std_a:.3g} mA")
     computed = computed_current(points)
     tested = ("balance",) if computed is None else ("balance", "amplifier")
-    names = [cause.name for kind in tested for cause in CATALOGUE if cause.at_rest == kind]
-    explained, absorbed = _explanations(points, plant, base, names, say)
+    explained, absorbed = _explanations(points, plant, base, tested, say)
     possible = [explanation for explanation in explained if not explanation.fit.at_bound]
     round_a = rounding_of(points, computed)
     members, verdict, confidence = _verdict(possible, base, round_a, max(len(explained), 1))
@@ -153,11 +152,11 @@ def diagnose_points(
 
 
 def _explanations(
-    points: Points, plant: Plant, base: StaticFit, names: Sequence[str], say: Callable[[str], None]
+    points: Points, plant: Plant, base: StaticFit, kinds: Sequence[str], say: Callable[[str], None]
 ) -> tuple[list[Explanation], list[str]]:
-    """Return (what each of these causes explains, best first; those that K_c takes up)."""
+    """Return (what each cause of these kinds explains, best first; those that K_c takes up)."""
     explained, absorbed = [], []
-    for name in names:
+    for name in [cause.name for kind in kinds for cause in CATALOGUE if cause.at_rest == kind]:
         say(f"trying {name}")
         fit = fit_static(points, plant, name)
         if base.rss_a2 - fit.rss_a2 < settings.STATIC_ABSORBED * base.rss_a2 and is_absorbed(points, plant, base, name):

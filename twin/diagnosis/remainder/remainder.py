@@ -117,8 +117,14 @@ class Remainder:
     improvement: Improvement
 
 
-class _Judge:
-    """Errors of x 20 ms ahead: the first half of each recording chooses, the second measures."""
+class CurveJudge:
+    """Errors of x 20 ms ahead: the first half of each recording chooses, the second measures.
+
+    Args:
+        criterion: of the recordings for fitting.
+        judge: recordings that no fit saw.
+        seed: of the bootstrap.
+    """
 
     def __init__(self, criterion: Criterion, judge: Evidence, seed: int) -> None:
         self.criterion, self.judge, self.seed = criterion, judge, seed
@@ -183,32 +189,27 @@ class _Extension:
 
 
 def remainder_of(
-    criterion: Criterion,
+    judging: CurveJudge,
     named: Fit,
     paper: Fit | None,
-    judge: Evidence,
     floor: Floor,
     candidates: Sequence[Cause],
     *,
     rival: Rival | None,
-    seed: int,
 ) -> Remainder | None:
     """Model what `named` leaves; None if the judges have too little flight to choose.
 
     Args:
-        criterion: of the recordings for fitting.
+        judging: chooses the curve, and measures its worth.
         named: the model with its causes.
         paper: the paper's model, where the causes are not sure; else None.
-        judge: recordings that no fit saw.
         floor: sensor noise.
         candidates: causes that may have the form of a curve.
         rival: a curve that took the place of a name, and its fit; None: there is none.
-        seed: of the bootstrap.
 
     Raises:
         Spent: the budget does not pay for it.
     """
-    judging = _Judge(criterion, judge, seed)
     before = judging.squares(named.theta)
     # The ratio of a model to itself is NaN only if there are too few blocks, for any other model as well.
     if math.isnan(judging.ratio(before, before, judging.chooses)[0]):
@@ -224,15 +225,11 @@ def remainder_of(
             bare = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
             instead = _extend(judging, bare, (), attempts, max_curves=1)
     refused: Cause | None = None
-    if instead is not None:
-        # One curve against all named causes: if it predicts and explains as well, nothing speaks for the names.
-        as_good = judging.choosing(instead.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
-        # A rival explains more by the price of its names, which is not in the likelihoods.
-        if as_good and (rival is not None or instead.fit.loglik >= named.loglik):
-            best = instead
-        elif rival is not None:
-            refused = rival.curve
-    values = visited(criterion.evidence)
+    if instead is not None and _replaces_names(judging, instead, best, named, is_rival=rival is not None):
+        best = instead
+    elif instead is not None and rival is not None:
+        refused = rival.curve
+    values = visited(judging.criterion.evidence)
     return Remainder(
         fit=best.fit,
         extends=best.extends,
@@ -245,7 +242,15 @@ def remainder_of(
     )
 
 
-def _substituted(judging: _Judge, rival: Rival, named: Fit, attempts: list[Attempt]) -> _Extension:
+def _replaces_names(judging: CurveJudge, instead: _Extension, best: _Extension, named: Fit, *, is_rival: bool) -> bool:
+    """Return whether one curve predicts and explains as well as all named causes: nothing speaks for the names then."""
+    if judging.choosing(instead.squares) > settings.LIKE_ERROR * judging.choosing(best.squares):
+        return False
+    # A rival explains more by the price of its names, which is not in the likelihoods.
+    return is_rival or instead.fit.loglik >= named.loglik
+
+
+def _substituted(judging: CurveJudge, rival: Rival, named: Fit, attempts: list[Attempt]) -> _Extension:
     """Return the model with a curve in the place of a name."""
     squares = judging.squares(rival.fit.theta)
     extends: Literal["causes", "paper"] = "paper" if rival.is_sole else "causes"
@@ -255,7 +260,7 @@ def _substituted(judging: _Judge, rival: Rival, named: Fit, attempts: list[Attem
 
 
 def _extend(
-    judging: _Judge, at: _Extension, candidates: Sequence[Cause], attempts: list[Attempt], *, max_curves: int
+    judging: CurveJudge, at: _Extension, candidates: Sequence[Cause], attempts: list[Attempt], *, max_curves: int
 ) -> _Extension:
     """Add curves, or causes of their form, while the error falls.
 
@@ -294,7 +299,7 @@ def _extend(
 
 
 def _best(
-    judging: _Judge, at: _Extension, promising: Sequence[CurveScore], attempts: list[Attempt]
+    judging: CurveJudge, at: _Extension, promising: Sequence[CurveScore], attempts: list[Attempt]
 ) -> tuple[Cause, Fit, FloatArray] | None:
     """The curve that predicts best, fitted to the end; adds all to `attempts`."""
     criterion = judging.criterion
@@ -318,7 +323,7 @@ def _best(
 
 
 def _best_substitute(
-    judging: _Judge, at: _Extension, curve: FloatArray, alternatives: Sequence[Substitute], attempts: list[Attempt]
+    judging: CurveJudge, at: _Extension, curve: FloatArray, alternatives: Sequence[Substitute], attempts: list[Attempt]
 ) -> tuple[str, Fit, FloatArray] | None:
     """The cause that predicts as well as the curve; None where none does.  Adds all to `attempts`."""
     results = [(entry, judging.squares(entry.trial.fit.theta)) for entry in alternatives]

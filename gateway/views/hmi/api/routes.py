@@ -37,7 +37,7 @@ class Api:
     """
 
     def __init__(self, actions: Actions, acts: Acts, work: ModelWork) -> None:
-        self._has_users = actions.users is not None
+        self._has_users = actions.sessions.users is not None
         self.recent = PerBoard(actions.feed, Samples)
         self._streams = Streams(actions.feed, actions.sessions)
         work_endpoints = WorkEndpoints(actions, acts, work)

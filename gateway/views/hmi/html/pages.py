@@ -130,15 +130,15 @@ class Pages:
 
     def _page(self, request: Request, template: str, *, live: str, **values: object) -> Response:
         """Return a page; `live` is where its frames come from, `board` the rig to which it belongs, if any."""
-        session = session_of(request)
+        session, sessions = session_of(request), self._actions.sessions
 
         def may(act: str) -> bool:
             return self._actions.may(session, act)
 
         shown: dict[str, object] = {
             "board": "", "prefix": "", "chips": False, "script": "", "live": live, "replayed": live.startswith(REPLAY),
-            "replay": self._actions.jobs.get("replay", "*"), "session": session, "role": self._actions.role(session),
-            "may": may, "rights": " ".join(filter(may, MINIMUM_ROLE)), "log_out": self._actions.users is not None,
+            "replay": self._actions.jobs.get("replay", "*"), "session": session, "role": sessions.role(session),
+            "may": may, "rights": " ".join(filter(may, MINIMUM_ROLE)), "log_out": sessions.users is not None,
             "now_s": time.monotonic(),
         }  # fmt: skip
         return render(template, shown | values)

@@ -19,7 +19,7 @@ from tests.harness.diagnose.second_plant import WIRE_FROM_M
 from twin.diagnosis import assemble
 from twin.diagnosis.judge.flexible import flexible_errors
 from twin.diagnosis.remainder.curve_fits import basis, scores
-from twin.diagnosis.remainder.remainder import Remainder, remainder_of
+from twin.diagnosis.remainder.remainder import CurveJudge, Remainder, remainder_of
 from twin.evidence.gather import gather
 from twin.inference.budget import Budget, Spent
 from twin.inference.fisher_scoring import Fit, climb
@@ -62,7 +62,7 @@ def modelled(folder: Path, criterion: Criterion, fit: Fit, candidates: bool = Fa
     campaign = load(folder)
     judge = gather(read_campaign(campaign, use="judge"), campaign.plant)
     causes = assemble.testable_causes(criterion.evidence.records, ()) if candidates else ()
-    return remainder_of(criterion, fit, None, judge, floor_of(criterion, fit.theta), causes, rival=None, seed=0)
+    return remainder_of(CurveJudge(criterion, judge, 0), fit, None, floor_of(criterion, fit.theta), causes, rival=None)
 
 
 @pytest.fixture(scope="module")
