@@ -15,7 +15,7 @@ _TEXT = {
     EventCode.HOST_BACK: "The host is back.",
     EventCode.OVER_CURRENT: "The current converter stayed at its maximum, {detail} counts: coil off.",
     EventCode.SENSOR_FAULT: "The position converter stayed at an end of its range, {detail} counts: coil off.",
-    EventCode.OVERRUN: "A tick took longer than T_s; the status counts such ticks since the reset (overruns).",
+    EventCode.OVERRUN: "A tick took longer than T_s; board_overruns of the status counts such ticks since the reset.",
     EventCode.EXCITATION_DONE: "The excitation has ended.",
     EventCode.CAPTURE_DONE: "The capture is complete.",
     EventCode.LIMIT_HIT: "The {limited} has reached its limit.",
