@@ -1,6 +1,6 @@
 """Data of a board for a page, as plain data for JSON: `now` with each frame, `rest` on change.
 
-`rest` bears a version of its parts, so that a reader which saw it is not sent it again.
+`rest` has a version, so that it is not sent again to a reader that has it.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
 
 
 def journal(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Return what became of the alarms, in words."""
+    """Return the history of the alarms, in words."""
     words = texts_of("journal_of")
     return [
         {
@@ -197,7 +197,7 @@ def summary(board: BoardFeed) -> dict[str, Any]:
 
 
 def _excitation(records: Sequence[pb.CommandRecord]) -> dict[str, Any] | None:
-    """The excitation that plays, as far as the commands tell: what it is and when it ends (Unix time; 0: never)."""
+    """Return shape and end (Unix time; 0: never) of the excitation that plays, as far as the commands show."""
     for record in reversed(records):
         command, what = record.command, record.command.WhichOneof("what")
         if not record.reply.accepted or what not in ("excite", "stop", "set_mode"):
