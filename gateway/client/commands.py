@@ -181,7 +181,7 @@ def acknowledge(alarm: str, *, comment: str = "") -> pb.Command:
 def shelve(alarm: str, duration_s: float, *, comment: str = "") -> pb.Command:
     """Shelve an alarm for a time, s; `acknowledge` brings it back before that."""
     if not duration_s > 0.0:
-        raise UsageError(f"{duration_s:g} s is no time for an alarm on the shelf", remedy="Give a positive one")
+        raise UsageError(f"{duration_s:g} s is not a duration of shelving", remedy="Give a positive one")
     command = acknowledge(alarm, comment=comment)
     command.acknowledge.shelve_s = _finite(duration_s, "duration_s")
     return command
