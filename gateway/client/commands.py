@@ -161,7 +161,7 @@ def set_stream(divider: int) -> pb.Command:
 
 
 def set_host_loss(policy: HostLoss | str, *, timeout_s: float = 1.0) -> pb.Command:
-    """Set the action of the board after `timeout_s` without its host."""
+    """Set what the board does after `timeout_s` without its host."""
     code = _POLICIES.index(_chosen(HostLoss, policy, "policy"))
     return pb.Command(set_host_loss=pb.SetHostLoss(policy=code, timeout_s=_finite(timeout_s, "timeout_s")))
 

@@ -188,7 +188,7 @@ class Feed:
 
 
 def _pass_of(message: Message) -> int | None:
-    """Return the pass of a replay to which a message belongs: after a seek nothing of before is true."""
+    """Return the pass of a replay to which a message belongs: a seek makes all earlier messages invalid."""
     if isinstance(message, pb.StateBatch):
         message = message.states[0] if message.states else message
     session: int | None = getattr(message, "session", None)

@@ -363,7 +363,7 @@ class Firmware:
 
 
 def _refusal(fault: str, body: bytes) -> Nack:
-    """Return the refusal of a body that is no command of the host; `fault` is the decoder's."""
+    """Return the refusal of a body that is not a command of the host; `fault` is the decoder's."""
     reason = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH}.get(fault)
     return refuse_range(body) if reason is None else Nack(reason)
 

@@ -48,7 +48,7 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
 
     Raises:
         UsageError: the folder does not exist.
-        ServiceError: the catalogue cannot be written, or is no database.
+        ServiceError: the catalogue cannot be written, or is not a database.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder} is not a folder", remedy="Give the folder of the logs with --folder")

@@ -162,7 +162,7 @@ class Actions:
     ) -> pb.CommandReply:
         """Acknowledge alarms, each by a command of its own; return the first refusal, if there is one.
 
-        An alarm that another person has acknowledged meanwhile is no refusal.
+        An alarm that another person has acknowledged meanwhile is not a refusal.
         """
         with ThreadPoolExecutor(min(8, max(1, len(alarms)))) as pool:  # each may wait for its answer
             acknowledge = partial(self.acknowledge, session, board, issued_ns=issued_ns)

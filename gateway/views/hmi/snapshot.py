@@ -191,7 +191,7 @@ def summary(board: BoardFeed) -> dict[str, Any]:
         "alarms": sum(a.active for a in alarms),
         "shelved": len(board.shelved()),
         "gone": sum(not a.active for a in alarms),  # that nobody has acknowledged
-        # Also a shelved one: whoever looks at all rigs did not shelve it, and must see which of them has a fault.
+        # Also a shelved one: a user of the overview may not have shelved it, and must see which rig has a fault.
         "fault": any(a.active and a.severity == "fault" for a in listed),
     }
 

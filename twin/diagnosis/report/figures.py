@@ -217,7 +217,7 @@ def _bars(
 def short_label(label: str) -> str:
     """Shorten a label: a recording to its name without folder and ending, a longer text to both of its ends."""
     stem = label.removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
-    if stem != label:  # "slower than 1 mm/s" is no file
+    if stem != label:  # "slower than 1 mm/s" is not a file
         label = stem.rpartition("/")[2]
     return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
 

@@ -1,7 +1,7 @@
 """The last minutes of every tick-rate variable, in memory of fixed size, for HistoryRead.
 
 Rule 1: a track is a ring of `rows`: one row for each interval of one topic, one column for each variable.
-Rule 2: what is read is what subscribers got: the same values, stamps and status codes; a loss is a row, not a hole.
+Rule 2: history has the values, stamps and status codes that subscribers got; a loss is a row, not a gap.
 Rule 3: reading is bounded by MAX_VALUES per call; the rest comes with a continuation point.
 Rule 4: an empty answer says why it is empty: nothing in that time, no history of this variable, no such variable.
 """
