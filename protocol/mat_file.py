@@ -52,7 +52,7 @@ def parse_mat(data: bytes, largest: int) -> dict[str, Variable]:
 
     Args:
         data: The whole file.
-        largest: So many bytes may its compressed parts have together.
+        largest: Largest total size of its compressed parts when unpacked, bytes.
 
     Raises:
         BrokenMatError: it is none, or is cut off or damaged.

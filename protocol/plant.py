@@ -24,7 +24,7 @@ STEEL_KG_M3 = 7850.0  # balls of bearings: 7.7e3 (stainless) .. 7.85e3 (chromium
 _MASS_SHARE = 0.1  # of the mass of a steel ball; the published ball of a CE 152 is 2 % lighter than its diameter says
 _EARTH_M_S2 = (9.75, 9.84)  # 9.764 on high mountains near the equator, 9.834 at the poles
 _SHORT = 0.99  # of the highest reference: a count of the converter less is not a contradiction
-_REACH = 3.0  # a travel of more than this many times the board's highest reference is asked about
+_REACH = 3.0  # a travel of more than this many times the board's highest reference needs a confirmation
 # Of laboratory rigs; what is outside may be right.
 _USUAL = {
     "mass_kg": (5e-4, 0.2),

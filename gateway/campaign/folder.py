@@ -119,7 +119,7 @@ class Folder:
 
     @property
     def plant(self) -> Plant | None:
-        """The plant of a folder that was begun; None for a new one.  Raises DataError if somebody has damaged it."""
+        """The plant of a folder that was begun; None for a new one.  Raises DataError if it is damaged."""
         if self._identity is None:
             return None
         stated, where = {"plant": self._identity.get("plant")}, str(self.path / RUN_FILE)
@@ -172,7 +172,7 @@ class Folder:
         if retained.plan != known:
             raise UsageError(
                 f"{file} was made by another plan: {_difference(retained.plan, known)}",
-                remedy="Repeat the options of that run, give a new folder, or delete that file to record it anew",
+                remedy="Repeat the options of that run, give a new folder, or delete that file to record it again",
             )
         return True
 

@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "examples:\n"
         "  board51 completion bash > ~/.local/share/bash-completion/completions/board51\n"
-        "  echo 'eval \"$(board51 completion zsh)\"' >> ~/.zshrc    computed anew in each shell, which takes a second"
+        "  echo 'eval \"$(board51 completion zsh)\"' >> ~/.zshrc    computed again in each shell, which takes a second"
     )
     parser.add_argument("shell", choices=tuple(HEADS), metavar="SHELL", help=" or ".join(HEADS))
 

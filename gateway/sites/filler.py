@@ -53,8 +53,8 @@ class Filler:
         site: First chunk of the keys.
         folder: Of the recording; the parts that are filled in are written there, too.
         board: The only one that is filled; None: all.
-        settle_s: Age from which a block is looked at.
-        days: Age of the oldest part that is looked at.
+        settle_s: Age from which a block is compared.
+        days: Age of the oldest part that is compared.
         report: Called with a line of progress.
         stop: Set it to end a round early.
     """

@@ -198,7 +198,7 @@ class AlarmBook:
             at_ns: Unix time of the act.
             comment: of who acknowledged.
             shelve_s: for how long to shelve it; 0: not.
-            now_ns: Unix time at which this is heard; 0: that of the act.
+            now_ns: Unix time at which this arrives; 0: that of the act.
         """
         alarm = self._alarms.get(name)
         if alarm is None or at_ns <= alarm.shelved_ns:

@@ -180,7 +180,7 @@ class Firmware:
                 self.reset(EventCode.RESET_WATCHDOG)
             return
         i_pin, x_pin = self._plant.sense()
-        # The plant is asked at every tick, not at every frame: the loss belongs to the board, not to the divider.
+        # The plant decides at every tick, not at every frame: the loss belongs to the board, not to the divider.
         lost = self._plant.drop_sample()
         self._execute_pending()
         if self._reset_wait and self._leave():

@@ -134,7 +134,7 @@ def _opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
 
 
 def _prepare(database: sqlite3.Connection) -> None:
-    """Make the tables; those of another version are made anew, as the logs hold everything."""
+    """Make the tables; replace those of another version, as the logs hold everything."""
     if database.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
         kinds = {int: "INTEGER", int | None: "INTEGER", float: "REAL", float | None: "REAL", str: "TEXT"}
         types = {"file": str, "bytes": int, **get_type_hints(Session), "problem": str}

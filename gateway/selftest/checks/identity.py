@@ -10,7 +10,7 @@ from gateway.selftest.rigs import RIGS, RigNumbers
 from gateway.selftest.verdict import Verdict, fault, judge, passed, warning
 from protocol.wire.messages import COUNTS_MAX, EventCode, Message
 
-_ROOM = 10.0  # a converter's range is at most so many times what the rig needs
+_ROOM = 10.0  # largest ratio of a converter's range to what the rig needs
 _CORRECT = "correct the numbers in its firmware or EEPROM and flash it"
 
 

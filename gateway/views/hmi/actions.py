@@ -153,7 +153,7 @@ class Actions:
         shelve_s: float = 0.0,
         issued_ns: int = 0,
     ) -> pb.CommandReply:
-        """Acknowledge an alarm, or shelve it for so long."""
+        """Acknowledge an alarm, or shelve it for a time."""
         send = partial(self.feed.acknowledge, board, alarm, comment=comment, shelve_s=shelve_s, issued_ns=issued_ns)
         return self._send(session, "acknowledge", board, send)
 

@@ -39,7 +39,7 @@ class LoginSessions:
     """The open sessions.
 
     Args:
-        idle_s: without an action for so long, a session is over.
+        idle_s: time without an action that ends a session.
         lifetime_s: so long after login it is over in any case.
         known: Returns whether the user of a session exists, and its token, if it has one.
     """

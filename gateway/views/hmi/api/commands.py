@@ -123,7 +123,7 @@ class Shelve(Keys):
 
     command: Literal["shelve"]
     alarm: Annotated[str, key("its name, such as divergence-x")]
-    shelve_s: Annotated[Annotated[Number, Field(gt=0.0, le=MAX_SHELVE_S)], key("for so long, s; at most 24 h")]
+    shelve_s: Annotated[Annotated[Number, Field(gt=0.0, le=MAX_SHELVE_S)], key("duration, s; at most 24 h")]
     comment: Annotated[str, key("the reason")] = ""
 
 

@@ -106,7 +106,7 @@ document.addEventListener("input", (event) => {
   if (form.dataset.form === "excitation") units(form);
 });
 document.addEventListener("change", (event) => {
-  if (event.target.dataset?.slider) submit(event.target.form); // when the handle is let go, not on its way
+  if (event.target.dataset?.slider) submit(event.target.form); // when the handle is released, not while it moves
   if (event.target.dataset?.file) gains(event.target);
 });
 

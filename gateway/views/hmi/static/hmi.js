@@ -16,7 +16,7 @@ import { may, page } from "./server.js";
 import { IN_DOUBT, Stop } from "./stop.js";
 import { textOf, textsOf } from "./texts.js";
 
-const FRAME_LIMIT_S = 0.7; // without a frame for so long, the server or the line to it is gone
+const FRAME_LIMIT_S = 0.7; // after this time without a frame, the server or the line to it is gone
 const ACTED_EVERY_S = 20;
 const IDLE_DRAW_MS = 100; // between drawings while no frames come: the age of what is shown counts up
 const STATUS_LIMIT_S = 3.5; // it comes once a second

@@ -64,7 +64,7 @@ class Server {
   }
 }
 
-// Load the page anew, or the login in its place; `said` is shown afterwards.
+// Reload the page, or show the login instead; `said` is shown afterwards.
 export function renew(said) {
   if (said) sessionStorage.setItem(SAID, said);
   location.reload();

@@ -121,7 +121,7 @@ class RingHistory(HistoryManager):  # type: ignore[misc]  # asyncua's class is u
         if backwards:
             rows = rows[::-1]
         limit = min(count or MAX_VALUES, MAX_VALUES)
-        # A client hands the continuation point back as the start, which an absent start cannot be told from.
+        # A client returns the continuation point as the start, which cannot be distinguished from an absent start.
         more = track.stamp(rows[limit]) if len(rows) > limit and start is not None else None
         return [track.value(column, row) for row in rows[:limit]], more
 
