@@ -108,9 +108,7 @@ def _print_plan(args: argparse.Namespace, journal: Journal, menu: dict[str, Offe
         return
     print(f"{args.board}: {journal.rig_s:.0f} of {args.budget:.0f} s on the rig are spent, {len(journal.steps)} steps")
     print(f"next: {sentence(action)}")
-    print(
-        "then: diagnose; separate equivalent causes; judge the answer; diagnose thoroughly. Experiments to choose from:"
-    )
+    print("then: diagnose; separate equivalent causes; judge the answer; diagnose thoroughly. To choose from:")
     for name, offer in menu.items():
         print(f"  {name:<22}{offer.seconds:>4.0f} s  {offer.purpose}{'  (by hand)' * bool(offer.preparation)}")
 

@@ -41,9 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "exit code: 0 no fault, 1 faults, 2 it could not run"
     )
     parser.add_argument("--board", metavar="PORT", help="serial device, pty, or tcp://HOST:PORT of the board")
-    parser.add_argument(
-        "--rig", choices=tuple(RIGS), default="ce152", help="the rig of the board (default: %(default)s)"
-    )
+    parser.add_argument("--rig", choices=tuple(RIGS), default="ce152", help="rig of the board (default: %(default)s)")
     parser.add_argument("--baud", type=int, default=115200, help="speed of the line, bit/s (default: %(default)s)")
     parser.add_argument("--only", action="append", choices=_NAMES, metavar="CHECK", help="only this; repeatable")
     parser.add_argument("--skip", action="append", choices=_NAMES, metavar="CHECK", help="not this; repeatable")

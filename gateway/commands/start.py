@@ -1,4 +1,4 @@
-"""Runs gateway, twin and control room together, on a real or an emulated board, until Ctrl-C.
+"""Run gateway, twin and control room together, on a real or an emulated board, until Ctrl-C.
 
 Each is a process of its own and is started again if it fails; its output goes to a file in the folder of the logs.
 Ctrl-C sends no STOP: each board follows its host-loss policy (default: coil off after 1 s).

@@ -37,9 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("recording", type=Path, metavar="LOG", help="a flight in closed loop: MCAP, CSV or MATLAB")
     parser.add_argument("--model", required=True, metavar="MODEL", help="model of the rig, with its causes")
-    parser.add_argument(
-        "--gains", type=Path, metavar="FILE", help="controller.json of board51 design (default: as flown)"
-    )
+    parser.add_argument("--gains", type=Path, metavar="FILE", help="controller.json of design (default: as flown)")
     parser.add_argument("--then", type=Path, metavar="LOG", help="the flight that followed under --gains, to compare")
     parser.add_argument("--reference", type=Path, metavar="CSV", help="columns t (s) and x_ref (m) (default: as flown)")
     parser.add_argument("--campaign", type=Path, metavar="CAMPAIGN", help="columns, skip_s and law of the recording")

@@ -1,4 +1,4 @@
-"""Replays a log onto the bus at any speed, or its raw bytes to a pty or TCP port for a gateway to read.
+"""Replay a log onto the bus at any speed, or its raw bytes to a pty or TCP port for a gateway to read.
 
 The bus gets everything that the gateway published, under the old keys (--as renames the board).  twin/* is left out
 unless --topic asks for it, because a live twin computes it again.  With --bytes a gateway gets the board's bytes as
@@ -48,9 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--board", action="append", help="only this board; repeatable")
     bus = parser.add_argument_group("onto the bus")
     bus.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router (default {DEFAULT_ENDPOINT})")
-    bus.add_argument(
-        "--listen", action="append", metavar="ENDPOINT", help="be a router for others instead of joining one"
-    )
+    bus.add_argument("--listen", action="append", metavar="ENDPOINT", help="be a router instead of joining one")
     bus.add_argument("--identity", metavar="FOLDER", help=f"{HELP}; only the gateway's may publish its topics")
     bus.add_argument("--insecure", action="store_true", help="--listen on the network without protection")
     bus.add_argument("--topic", action="append", choices=names, metavar="TOPIC", help=f"of: {', '.join(names)}")
@@ -62,13 +60,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="take orders from standard input, one a line: pause, play, seek S, speed N; stay at the end",
     )
-    bus.add_argument(
-        "--wait",
-        type=float,
-        default=2.0,
-        metavar="S",
-        help="longest wait for a subscriber before it begins (default 2)",
-    )
+    bus.add_argument("--wait", type=float, default=2.0, metavar="S", help="longest wait for a subscriber (default 2)")
     raw = parser.add_argument_group("as a board")
     raw.add_argument("--bytes", action="store_true", help="the raw bytes of the UART")
     raw.add_argument("--pty", type=Path, metavar="PATH", help="make a new pty, and this link to it")
