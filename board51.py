@@ -239,7 +239,7 @@ def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.
 
 @contextmanager
 def _signs_of_life(command: str) -> Iterator[None]:
-    """Say every few seconds that a command still works, if it says nothing itself and somebody is there to see it."""
+    """Print every few seconds that a command still works, if it prints nothing itself and stderr is a terminal."""
     ended, began_s = threading.Event(), time.monotonic()
 
     def tell() -> None:
@@ -260,7 +260,7 @@ def _signs_of_life(command: str) -> Iterator[None]:
 def _hang_up_ends_in_good_order() -> Iterator[None]:
     """A closed terminal (an ssh connection that ends) is SIGTERM: logs are closed, a campaign parks its ball.
 
-    What is printed from then on goes nowhere: writing to a terminal that is gone raises, in the middle of that.  Under
+    Further output is discarded: writing to a terminal that is gone raises, in the middle of that.  Under
     nohup the signal stays ignored.
     """
     terminals = [number for number in (1, 2) if os.isatty(number)]

@@ -3,7 +3,7 @@
 A reader of our own: that of scipy ends the whole process (a segmentation fault) on some damaged files.
 
 Rule 1: no bytes do more than raise `BrokenMatError`.
-Rule 2: what is no array of real numbers, nor a struct of such, is returned as the reason why not.
+Rule 2: for a variable that is neither an array of real numbers nor a struct of arrays, the reason is returned.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Variable = Numbers | dict[str, Any] | str  # numbers; a struct's fields; why it 
 
 
 class BrokenMatError(ValueError):
-    """The bytes are no MATLAB file, or a part of one."""
+    """The bytes are not a whole MATLAB file."""
 
 
 class MatTooLargeError(ValueError):
@@ -52,7 +52,7 @@ def parse_mat(data: bytes, largest: int) -> dict[str, Variable]:
 
     Args:
         data: The whole file.
-        largest: So many bytes may its compressed parts have together.
+        largest: Largest total size of its compressed parts when unpacked, bytes.
 
     Raises:
         BrokenMatError: it is none, or is cut off or damaged.

@@ -23,8 +23,8 @@ MAX_NAME = 64  # characters of the name on a plant card
 STEEL_KG_M3 = 7850.0  # balls of bearings: 7.7e3 (stainless) .. 7.85e3 (chromium steel)
 _MASS_SHARE = 0.1  # of the mass of a steel ball; the published ball of a CE 152 is 2 % lighter than its diameter says
 _EARTH_M_S2 = (9.75, 9.84)  # 9.764 on high mountains near the equator, 9.834 at the poles
-_SHORT = 0.99  # of the highest reference: a count of the converter less is no contradiction
-_REACH = 3.0  # a travel of more than this many times the board's highest reference is asked about
+_SHORT = 0.99  # of the highest reference: a count of the converter less is not a contradiction
+_REACH = 3.0  # a travel of more than this many times the board's highest reference needs a confirmation
 # Of laboratory rigs; what is outside may be right.
 _USUAL = {
     "mass_kg": (5e-4, 0.2),
@@ -89,7 +89,7 @@ def objections(values: Mapping[str, object], *, highest_reference_m: float | Non
     """Judge the values of a plant; at most one objection for each key, in the order of the keys.
 
     Args:
-        values: By key of `[plant]`, SI units.  What is missing or no finite number is not judged.
+        values: By key of `[plant]`, SI units.  Missing values and those that are not finite are not judged.
         highest_reference_m: Highest reference that the board takes, m; None: not known.
     """
     known = {

@@ -98,9 +98,9 @@ def is_number(cell: str) -> bool:
 
 
 def read_mat(path: Path) -> tuple[dict[str, Sequence[float]], dict[str, str]]:
-    """Return the vectors of a .mat file up to version 7, and why its other variables are no columns.
+    """Return the vectors of a .mat file up to version 7, and why its other variables are not columns.
 
-    A variable is a vector, or a scalar struct of vectors (`run.x`).  A scalar beside vectors is no column.
+    A variable is a vector, or a scalar struct of vectors (`run.x`).  A scalar beside vectors is not a column.
 
     Raises:
         DataError: the file is absent, too large, not a MATLAB file, of version 7.3, or without vectors.

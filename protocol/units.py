@@ -48,7 +48,7 @@ def quantity(text: str, channel: str) -> float:
     """Return the value of a channel in its SI unit, from a number in it (`0.003`) or with a unit (`3mm`).
 
     Raises:
-        UsageError: it is no finite number, or larger than any rig has it; then asked back with the probable unit.
+        UsageError: it is not a finite number, or larger than on any rig; then the message suggests the likely unit.
     """
     si = UNITS[channel]
     digits, unit = _SUFFIX.fullmatch(text).groups()  # type: ignore[union-attr]  # it matches any line

@@ -67,7 +67,7 @@ print(f"{len(logged)} samples in {recording.files[0].name}, {recording.stats.dro
 # %% [markdown]
 # ## 3 Replay
 #
-# The log goes back onto the bus under another name; whoever follows `ghost` sees the flight once more.
+# The log goes back onto the bus under another name; a subscriber of `ghost` sees the flight again.
 
 # %%
 ghost = Rig("ghost", connect=endpoint).open()

@@ -146,7 +146,7 @@ bool b51_hal_tick_due(void) {
 static const __flash uint16_t COUNTS_FOR[B51_WORKS] = {0,         2U * 150U, 2U * 250U, 2U * 550U,
                                                       2U * 300U, 2U * 100U, 2U * 200U};
 
-/* The tick is looked at last: if it comes in between, there is no time. */
+/* The tick is checked last: if it comes in between, there is no time. */
 bool b51_hal_has_time(uint8_t work) {
     return B51_TICK_COUNTS - TCNT1 > COUNTS_FOR[work] && ticks_due == 0U;
 }

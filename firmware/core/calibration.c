@@ -9,7 +9,7 @@
 /* What a slope differs by from 1 has 16 places, and 15 bits. */
 B51_STATIC_ASSERT(b51_a_slope_has_16_bits, 2 * MOST_CORRECTION * INT32_C(65536) / LEAST_SPAN <= INT16_MAX);
 
-/* What a field is more than another; out of any range where one is no count, as only a memory may have it. */
+/* The difference of two fields; out of every range if one is not a count, as only a damaged memory may have it. */
 static int16_t difference(const B51_STATE_MEMORY uint8_t *a, const B51_STATE_MEMORY uint8_t *b) B51_ON_STACK {
     uint16_t more = b51_get_u16(a);
     uint16_t less = b51_get_u16(b);
@@ -53,7 +53,7 @@ void b51_calibration_boot(void) {
     }
 }
 
-/* A reading at an end of the converter stays there: it is no position. */
+/* A reading at an end of the converter stays there: it is not a position. */
 uint16_t b51_calibrated(uint16_t x) B51_ON_STACK {
     const B51_STATE_MEMORY struct b51_calibration_state *of = &b51_board.calibration;
     bool below = x < of->low_read;

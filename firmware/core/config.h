@@ -1,4 +1,4 @@
-/* What a target may choose, each with the value of the emulated board; the rest of the numbers are the page's. */
+/* Settings of a target, with the values of the emulated board; protocol/README.md has all other numbers. */
 #ifndef B51_CONFIG_H
 #define B51_CONFIG_H
 
@@ -12,25 +12,25 @@
 #define B51_CAPTURE_SIZE 2000U /* samples, even; 3 bytes hold two */
 #endif
 
-/* From here on i_c is a current that nobody ordered where u_c is 0: an eighth of the converter's range.  For a converter
- * whose 0 A is not near count 0 it has to be another one; 4096: the board does not look. */
+/* Smallest i_c that is a fault while u_c is 0: an eighth of the converter's range.  A converter whose 0 A is not near
+ * count 0 needs another value; 4096 switches the check off. */
 #ifndef B51_UNCOMMANDED_CURRENT_COUNTS
 #define B51_UNCOMMANDED_CURRENT_COUNTS 512U
 #endif
 
-/* What has to hold when it is compiled; C99 has no word for it. */
+/* A check at compile time; C99 has no static assertion. */
 #define B51_STATIC_ASSERT(name, condition) typedef char name[(condition) ? 1 : -1]
 
-/* Where the state lies: external RAM on an 8051, whose 256 bytes of its own are for the stack and for variables. */
+/* Where the state lies: external RAM on an 8051, whose 256 internal bytes hold the stack and variables. */
 #ifdef __SDCC_mcs51
 #define B51_STATE_MEMORY __xdata
 #else
 #define B51_STATE_MEMORY
 #endif
 
-/* Where parameters and locals lie.  sdcc gives those of each function a fixed place in the 128 bytes that an 8051
- * addresses directly: the fastest, and there is room for what runs in each tick.  Of all other functions, and of what
- * the capture interrupt calls, they are on the stack, with this behind the parameters. */
+/* Where parameters and locals lie.  sdcc gives each function a fixed place in the 128 bytes that an 8051 addresses
+ * directly.  This is the fastest, and there is room for the functions of each tick.  All other functions, and those
+ * that the capture interrupt calls, have them on the stack: write this macro behind the parameters. */
 #ifdef __SDCC_mcs51
 #define B51_ON_STACK __reentrant
 #else
@@ -46,12 +46,12 @@
 #define B51_TABLE_MEMORY
 #endif
 
-/* What IDENTITY says of the program: 8 characters.  board51 gives the commit or the release of the sources. */
+/* `build` of IDENTITY, 8 characters: board51 compiles in the commit or the release of the sources. */
 #ifndef B51_FIRMWARE_BUILD
 #define B51_FIRMWARE_BUILD 'u', 'n', 'k', 'n', 'o', 'w', 'n', ' '
 #endif
 
-/* Commands that are executed in T_s at most: what more comes waits, and is refused where too many wait. */
+/* Largest number of commands in a tick: further ones wait, and are refused if too many wait. */
 #ifndef B51_COMMANDS_PER_TICK
 #define B51_COMMANDS_PER_TICK 1U
 #endif

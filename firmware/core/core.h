@@ -271,7 +271,7 @@ struct b51_kept_answer {
 struct b51_host_state {
     struct b51_command pending[8];
     uint8_t pending_first, pending_count;
-    uint8_t overtaken;     /* by a STOP: the first so many of `pending` */
+    uint8_t overtaken;     /* by a STOP: how many of `pending`, from the first */
     uint8_t commands_left; /* to execute before the next tick */
     uint16_t unanswered;   /* frames, saturating */
     uint16_t ticks_since_overload; /* since its event; saturating at a second */

@@ -51,7 +51,7 @@ static bool subtract_step(uint32_t divisor) B51_ON_STACK {
     return true;
 }
 
-/* Below 0 as 2^64 minus it: only the low 48 bits of the phase are looked at. */
+/* Below 0 as 2^64 minus it: only the low 48 bits of the phase count. */
 static void negate_sweep(void) B51_ON_STACK {
     b51_board.excitation.of.chirp.sweep = (uint64_t)0 - b51_board.excitation.of.chirp.sweep;
 }

@@ -5,7 +5,7 @@ enum { U8, U16, I16, U32 };
 
 struct field {
     uint8_t type;
-    uint16_t low, high; /* of an i16 plus BIAS, so that they compare; not looked at for u32 */
+    uint16_t low, high; /* of an i16 plus BIAS, so that they compare; not used for u32 */
 };
 
 struct row {

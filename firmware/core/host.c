@@ -170,7 +170,7 @@ static void put_pending(const B51_STATE_MEMORY uint8_t *body, uint8_t size) B51_
     uint8_t place = (uint8_t)(b51_board.host.pending_first + b51_board.host.pending_count) & (PENDING_COMMANDS - 1U);
     B51_STATE_MEMORY struct b51_command *command = &b51_board.host.pending[place];
 
-    /* What is longer than any command is refused for it, and only its type and id are looked at again. */
+    /* A body longer than any command is refused for its length; only its type and id are read. */
     b51_copy(command->body, body, size < B51_COMMAND_BODY ? size : B51_COMMAND_BODY);
     command->size = size;
     b51_board.host.pending_count++;

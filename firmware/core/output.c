@@ -8,7 +8,7 @@
 #define UNCONFIRMED_TICKS 5U /* a disturbed write on a bus, or two, must not drop the ball */
 #define UNCOMMANDED_TICKS 100U /* far longer than a coil's current takes to decay */
 
-/* After `b51_board` was cleared.  What the converter gives is not known before it confirms: at worst all it can. */
+/* After `b51_board` was cleared.  The output is unknown before the converter confirms: at worst its largest. */
 void b51_output_boot(void) {
     b51_board.output.u = B51_COUNTS_MAX;
     b51_output_write(0);

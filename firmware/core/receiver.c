@@ -1,4 +1,4 @@
-/* Bytes from the host to bodies with a right CRC.  What is bad is dropped and counted, and never answered. */
+/* Bytes from the host to bodies with a right CRC.  Bad bytes are dropped and counted, and never answered. */
 #include "core.h"
 
 void b51_receiver_count_bad(void) {

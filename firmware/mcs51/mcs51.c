@@ -102,7 +102,7 @@ bool b51_hal_tick_due(void) {
 static const __code uint8_t PARTS_FOR[B51_WORKS] = {
     0, B51_PARTS(300), B51_PARTS(800), B51_PARTS(1000), B51_PARTS(650), B51_PARTS(200), B51_PARTS(500)};
 
-/* The tick is looked at last: if it comes in between, there is no time. */
+/* The tick is checked last: if it comes in between, there is no time. */
 bool b51_hal_has_time(uint8_t work) {
     return until_tick > PARTS_FOR[work] && ticks_due == 0U;
 }

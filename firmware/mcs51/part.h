@@ -1,13 +1,13 @@
-/* ADuC841: registers, clock and baud of this part; what another 8051 needs its own of.
+/* ADuC841: registers, clock and baud of this part; another 8051 needs its own file.
  *
  * Sections in quotes are those of the data sheet ADuC841/ADuC842/ADuC843, Rev. 0 (Analog Devices, November 2003).  The
  * names of registers and bits are in <ADuC84x.h>, which comes with sdcc.
  *
  * On the part:  12-bit converters (ADC 0 i_c, ADC 1 x, DAC 0 u_c), 62 kB of program memory, 2 kB of external RAM and
- * 256 bytes of internal, 4 kB of data memory that keeps, a timer for the baud alone.  One clock is one cycle.
+ * 256 bytes of internal, 4 kB of non-volatile data memory, a timer for the baud only.  One clock is one cycle.
  *
  * Wiring: a resistor from DAC 0 to ground.  From a reset until the first write the DAC has no power and its pin floats;
- * the resistor is what keeps the coil off then.
+ * the resistor keeps the coil off then.
  */
 #ifndef B51_MCS51_PART_H
 #define B51_MCS51_PART_H
@@ -46,7 +46,7 @@
 
 /* 'ADC circuit information': clock / 4 (at most 8.38 MHz), 4 of its clocks for the input to settle: 22 in all. */
 #define B51_ADCCON1_ON (MD | CK0 | AQ1 | AQ0)
-#define B51_ADC_PATIENCE 60U /* turns of at least 4 cycles: what is not there by then is not coming */
+#define B51_ADC_PATIENCE 60U /* turns of at least 4 cycles; a conversion that takes longer has failed */
 #define B51_CHANNEL_CURRENT 0U
 #define B51_CHANNEL_POSITION 1U
 
@@ -58,7 +58,7 @@
 #define B51_WDCON_ON 0x12U
 #define B51_WDCON_NOW 0x82U
 
-/* 'Power supply monitor': trips below 4.37 V, as 20 MHz need 4.75 V; CMPD is 0 then.  It is looked at, not an interrupt. */
+/* 'Power supply monitor': trips below 4.37 V, as 20 MHz need 4.75 V; CMPD is 0 then.  It is polled, without interrupt. */
 #define B51_PSMCON_ON PSMEN /* TPD1, TPD0: 00 */
 
 /* 'Using the Flash/EE data memory': pages of 4 bytes. */

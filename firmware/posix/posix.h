@@ -16,7 +16,7 @@
 
 enum { B51_OUTPUT_DEAF = 1, B51_OUTPUT_STUCK }; /* the converter does not confirm; it does, and keeps its output */
 
-/* What the caller may look at between two calls; it begins the board's memory. */
+/* The values that the caller may read between two calls; they begin the board's memory. */
 struct b51_posix_view {
     uint32_t next_tick, dropped, allowance;
     int32_t sum, capture_wait_us; /* until the capture interrupt is due; -1: none */

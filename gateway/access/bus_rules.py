@@ -7,7 +7,7 @@ Rule 3: a user's command has the key `command/as/<role>/<name>` with the user's 
 Rule 4: the views' account may send under any name: OPC UA and the web page have checked the password themselves.
 Rule 5: the gateway's account serves the log of its site, and all accounts may ask for it.
 Rule 6: where this router connects to another one, that one, known by its certificate, reads everything and asks for
-        logs.  It cannot send commands: here nobody has checked who sent them.
+        logs.  It cannot send commands, because nothing here has checked their senders.
 Rule 7: over TLS and QUIC a password is valid only together with the certificate of the same name.  The other protocols
         have no certificates; `listeners.py` restricts them to this machine.
 """

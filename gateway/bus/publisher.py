@@ -1,7 +1,7 @@
 """Publishes messages in threads of their own; passes the output of a board's driver to bus and log.
 
-Rule 1: `Publisher.put` returns at once.  A router that stopped reading stalls zenoh's put (BLOCK; what does not fit is
-        dropped by the router, for each subscriber by itself): it stalls this thread, never the serial one.
+Rule 1: `Publisher.put` returns at once.  If a router stops reading, zenoh's put blocks in this thread, never in the
+        serial one.
 Rule 2: the queue is bounded; when full, the OLDEST messages are dropped and counted with their channel.
 Rule 3: samples, replies and everything else have separate threads: an event does not wait behind 8000 samples.
 Rule 4: a message is serialised once; bus and log get the same bytes.
@@ -34,7 +34,7 @@ GATHER_S = 0.02  # of `states`
 LOOK_NS = 20_000_000  # how often a board asks whether `state` has a subscriber
 BATCH = 16  # entries at a time: what a stalled bus can hold beside the queue
 RAW_USES = 1000  # of one message for the bytes of the line
-LONGEST_BATCH = 256  # payloads; what waited for a router would else be one message, larger than a router's queue
+LONGEST_BATCH = 256  # payloads; without it the backlog of a pause would be one message, larger than a router's queue
 
 _logger = logging.getLogger("gateway.publish")
 
@@ -109,7 +109,7 @@ class Publisher:
                 self._condition.notify()
 
     def wake(self) -> None:
-        """Wake the thread for what was put without."""
+        """Wake the thread for payloads that were put without."""
         if self._queue:
             with self._condition:
                 self._condition.notify()
@@ -200,8 +200,8 @@ class BoardSink:
         log_raw: bool,
     ) -> None:
         self._session, self._recorder, self._log_raw = session, recorder, log_raw
-        # Reused: half the time of a new one for each read.  Not for ever: whatever bytes it is given stay in its memory
-        # until it is gone, 16 of them for a read, 1.4 MB a minute with four boards.
+        # Reused, as a new one for each read takes twice the time.  Not for ever: it keeps memory for all bytes that it
+        # was ever given, 16 for a read: 1.4 MB a minute with four boards.
         self._raw_message, self._raw_uses = pb.RawBytes(), 0
         self._messages, self._samples, self._batches = publishers
         self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}

@@ -27,7 +27,7 @@ from protocol.errors import Board51Error, ServiceError
 from protocol.wire.messages import Flag
 
 SILENCE_S = 3.0  # longest time without a state; the gateway reconnects a port and reads a board again within it
-# The plant card comes every 5 s, later on a busy machine; only a gateway of before sends none.
+# The plant card comes every 5 s, later on a busy machine; only an older gateway sends none.
 CARD_WAIT_S = 15.0
 SETTLE_S = 4.0  # longest time from the command to the ball resting at its reference
 STEADY_S = 0.25
@@ -237,7 +237,7 @@ class RigControl:
         with self._subscriber.changed:
             before, session = self._subscriber.captures, self._subscriber.newest.session
             capture_s = self._subscriber.newest_parameters.capture_s
-        lasts_s = min(CAPTURE_S, capture_s or CAPTURE_S)  # a gateway of before does not say it
+        lasts_s = min(CAPTURE_S, capture_s or CAPTURE_S)  # an older gateway does not state it
         capture = pb.Capture(u_from_v=shot.u_from_v, u_to_v=shot.u_to_v, duration_s=lasts_s, pre_s=CAPTURE_PRE_S)
         self.command(pb.Command(capture=capture))
 

@@ -29,7 +29,7 @@ from protocol.files import make_folder, parse_json, read_small, replace_text
 RUN_FILE = "run.json"
 _READABLE = "Give a new folder; the recordings here stay readable"
 FORMAT = 1
-ASSUMED = replace(CE152, assumed=True)  # of a rig whose plant nobody stated
+ASSUMED = replace(CE152, assumed=True)  # for a rig whose plant nobody stated
 
 
 @dataclass(slots=True, kw_only=True)
@@ -97,7 +97,7 @@ class Folder:
         self.path = path
         self.lift_off_v: float | None = None
         self.retained: dict[str, Retained] = {}
-        self.left: list[str] = []  # experiments of runs that did not end by themselves
+        self.left: list[str] = []  # experiments of interrupted runs that are still to do
         self.quick = False  # of the latest run
         self._identity: dict[str, Any] | None = None
         if (path / RUN_FILE).exists():
@@ -119,7 +119,7 @@ class Folder:
 
     @property
     def plant(self) -> Plant | None:
-        """The plant of a folder that was begun; None for a new one.  Raises DataError if somebody has damaged it."""
+        """The plant of a folder that was begun; None for a new one.  Raises DataError if it is damaged."""
         if self._identity is None:
             return None
         stated, where = {"plant": self._identity.get("plant")}, str(self.path / RUN_FILE)
@@ -172,7 +172,7 @@ class Folder:
         if retained.plan != known:
             raise UsageError(
                 f"{file} was made by another plan: {_difference(retained.plan, known)}",
-                remedy="Repeat the options of then, give a new folder, or delete that file to record it anew",
+                remedy="Repeat the options of that run, give a new folder, or delete that file to record it again",
             )
         return True
 

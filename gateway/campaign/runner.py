@@ -78,7 +78,7 @@ class Runner:
         state, self._parameters = self._rig.await_board()
         if state.mode != pb.MODE_IDLE and not self._wishes.park:
             raise ServiceError(
-                f"{self._board} is in {encoding.word_of(pb.Mode, state.mode)}: somebody uses it",
+                f"{self._board} is in {encoding.word_of(pb.Mode, state.mode)}: another user works with it",
                 remedy=f"When it is free: `board51 send {self._board} stop`, or --park",
             )
         w = self._wishes

@@ -126,7 +126,7 @@ class BoardSubscriber:
                     self.card = message
                 case pb.Status():
                     first, self.status = self.status is None, message
-                    # Only the first one: a later STOP is heard here, and may be the run's own.
+                    # Only the first one: a later STOP may be the run's own.
                     if first and message.last_stop_ns > self._ordered_ns and self.stop_sender is None:
                         self.stop_sender = "somebody"
                 case pb.CaptureRecord():

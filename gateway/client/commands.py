@@ -161,7 +161,7 @@ def set_stream(divider: int) -> pb.Command:
 
 
 def set_host_loss(policy: HostLoss | str, *, timeout_s: float = 1.0) -> pb.Command:
-    """Set the action of the board after `timeout_s` without its host."""
+    """Set what the board does after `timeout_s` without its host."""
     code = _POLICIES.index(_chosen(HostLoss, policy, "policy"))
     return pb.Command(set_host_loss=pb.SetHostLoss(policy=code, timeout_s=_finite(timeout_s, "timeout_s")))
 
@@ -181,7 +181,7 @@ def acknowledge(alarm: str, *, comment: str = "") -> pb.Command:
 def shelve(alarm: str, duration_s: float, *, comment: str = "") -> pb.Command:
     """Shelve an alarm for a time, s; `acknowledge` brings it back before that."""
     if not duration_s > 0.0:
-        raise UsageError(f"{duration_s:g} s is no time for an alarm on the shelf", remedy="Give a positive one")
+        raise UsageError(f"{duration_s:g} s is not a duration of shelving", remedy="Give a positive one")
     command = acknowledge(alarm, comment=comment)
     command.acknowledge.shelve_s = _finite(duration_s, "duration_s")
     return command

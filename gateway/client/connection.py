@@ -33,7 +33,7 @@ from protocol.bus.identity import HELP, Identity, find_identity, login_name
 from protocol.errors import ServiceError, UsageError
 
 JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be older than itself (access/authorize.py)
-STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
+STOP_PATIENCE_S = 10.0  # time for which STOP is repeated
 STOP_WAIT_S = 2.0  # for each answer
 _LAST_CALL_S = 2.0  # a subscription that ends waits so long for the callback under way
 _AT_REST = frozenset(

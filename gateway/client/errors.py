@@ -13,7 +13,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 
 _REMEDIES = {
-    "not-allowed": "Use the identity of somebody whose role may do this",
+    "not-allowed": "Use the identity of a user whose role may do this",
     "not-fresh": "Set the clock of this computer, or of the gateway's, right",
     "flood": "Send fewer commands per second",
     "slew": "Move in smaller steps, or wait in between",

@@ -32,7 +32,7 @@ class Arrival(NamedTuple):
     """A message of the bus, as it arrived."""
 
     key: str
-    message: Message | None  # None: the bytes are no valid message
+    message: Message | None  # None: the bytes are not a valid message
     size: int  # of the payload, bytes
 
 

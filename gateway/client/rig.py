@@ -261,7 +261,7 @@ class Rig(BoardReader):
         return self._execute(commands.set_plant(plant, confirmed=confirmed))
 
     def set_host_loss(self, policy: HostLoss | str, *, timeout_s: float = 1.0) -> Reply:
-        """Set the action of the board after `timeout_s` without its gateway: "keep", "coil-off" or "hold"."""
+        """Set what the board does after `timeout_s` without its gateway: "keep", "coil-off" or "hold"."""
         return self._execute(commands.set_host_loss(policy, timeout_s=timeout_s))
 
     def mark(self, text: str) -> Reply:

@@ -12,7 +12,7 @@ from contextlib import suppress
 
 from protocol.arguments import Parser
 
-# A word of the line leads on, if the way so far and it are a sub-command; what may follow is looked up by the way.
+# `way` collects the words that form a sub-command, and selects the words and options that may follow.
 SCRIPT = """{head}_board51() {{
   local way="" words="" options="" i
   local current="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}"
@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "examples:\n"
         "  board51 completion bash > ~/.local/share/bash-completion/completions/board51\n"
-        "  echo 'eval \"$(board51 completion zsh)\"' >> ~/.zshrc    computed anew in each shell, which takes a second"
+        "  echo 'eval \"$(board51 completion zsh)\"' >> ~/.zshrc    computed again in each shell, which takes a second"
     )
     parser.add_argument("shell", choices=tuple(HEADS), metavar="SHELL", help=" or ".join(HEADS))
 

@@ -1,6 +1,6 @@
 """An emulated board: firmware, converters and the 'real' rig behind a pty or a TCP port.
 
-It behaves as protocol/README.md says, at the pace of the UART.  What it prints is what a gateway is given as a port.
+It behaves as protocol/README.md says, at the pace of the UART, and prints the port to give to a gateway.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def _flush() -> None:
     try:
         sys.stdout.flush()
     except BrokenPipeError:
-        # Whoever wanted the address has read it and gone; the boards go on.  Python would fail again when it exits.
+        # The reader of the addresses has ended; the boards go on.  Python would fail again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

@@ -1,7 +1,7 @@
 """The gateway daemon: boards on one side, zenoh and an MCAP log on the other.
 
 It reads every board, publishes each sample in SI units under <site>/<board>/state, answers commands on
-<site>/<board>/command, and logs everything.  The end of the gateway stops no board: each follows its host-loss policy
+<site>/<board>/command, and logs everything.  It sends no STOP when it ends: each board follows its host-loss policy
 (default: coil off after 1 s).
 """
 
@@ -20,7 +20,7 @@ from protocol.bus.identity import login_name
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
 
-if TYPE_CHECKING:  # pydantic takes its time: --help answers at once
+if TYPE_CHECKING:  # importing pydantic is slow, and --help does not need it
     from gateway.config import BoardConfig, GatewayConfig, LogConfig
 
 RETENTION = ("keep_days", "keep_gb")  # options, and keys of [log]
@@ -28,7 +28,7 @@ VIEWS = {"opcua": "OPC UA server", "hmi": "control room in a browser", "foxglove
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Flags override the environment, the environment the file."""
+    """Add the options.  They override the environment, and the environment overrides the file."""
     parser.epilog = (
         "examples:\n  board51 gateway --board rig1=/dev/ttyUSB0\n"
         "  board51 gateway --board rig1='/dev/serial/by-id/*Board51*' --board rig2=socket://10.0.0.5:4001\n"
@@ -106,10 +106,10 @@ def log_options(log: LogConfig, args: argparse.Namespace) -> LogConfig:
 
 
 def configuration(args: argparse.Namespace) -> GatewayConfig:
-    """File, environment and flags together.
+    """Return the configuration from file, environment and flags.
 
     Raises:
-        ConfigError: whichever of them is wrong.
+        ConfigError: one of them is wrong.
     """
     from gateway.config import changed, load_config
 
@@ -182,7 +182,7 @@ def run(args: argparse.Namespace) -> int:
 
         print(documented_toml())
         return 0
-    from gateway import daemon  # zenoh and foxglove take their time; --help and --print-config answer at once
+    from gateway import daemon  # importing zenoh and foxglove is slow, and --print-config does not need them
     from gateway.bus.plant_cards import state_now
     from gateway.processes.supervisor import running
     from gateway.views.launch import views_for

@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where the answer stands."""
+    """Investigate; return 0 if the answer stands, otherwise 1."""
     require("twin", "numba", "mcap", "scipy", "matplotlib")  # before the rig moves for a diagnosis that cannot be made
     from gateway.investigate.investigator import investigate, menu_of
     from gateway.investigate.journal import open_journal
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     check_name(args.board, what="RIG")
     check_name(args.site, what="--site")
     if not (math.isfinite(args.budget) and args.budget > 0.0):
-        raise UsageError(f"--budget {args.budget:g} s", remedy="Give the seconds that it may take on the rig, as 120")
+        raise UsageError(f"--budget {args.budget:g} s", remedy="Give the seconds on the rig, such as 120")
     folder = args.out or Path(f"investigation-{args.board}")
     journal, menu = open_journal(folder, args.board), menu_of(quick=args.quick)
     if args.dry_run:
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _rig_words(args: argparse.Namespace) -> list[str]:
-    """Options of `campaign run`."""
+    """Return the options of `campaign run`."""
     words = ["--board", args.board, "--connect", args.connect, "--site", args.site, "--who", args.who]
     words += ["--seed", str(args.seed), *["--quick"] * args.quick]
     for option in ("identity", "plant", "u_max", "x_min", "x_max"):
@@ -108,7 +108,7 @@ def _print_plan(args: argparse.Namespace, journal: Journal, menu: dict[str, Offe
         return
     print(f"{args.board}: {journal.rig_s:.0f} of {args.budget:.0f} s on the rig are spent, {len(journal.steps)} steps")
     print(f"next: {sentence(action)}")
-    print("then: diagnose; split what cannot be told apart; judge the answer; diagnose thoroughly. To choose from:")
+    print("then: diagnose; separate equivalent causes; judge the answer; diagnose thoroughly. To choose from:")
     for name, offer in menu.items():
         print(f"  {name:<22}{offer.seconds:>4.0f} s  {offer.purpose}{'  (by hand)' * bool(offer.preparation)}")
 

@@ -1,7 +1,7 @@
 """Test a board on its serial port: link, converters, coil, sensor, safety; each line says what to do.
 
-For the person with the soldering iron.  The ball lies at the bottom, its way up is free, no gateway uses the port.
-The board is stopped and restarted first.  The coil is off at each end, Ctrl-C included; keep a hand on its plug.
+Before you start: the ball lies at the bottom, its way up is free, and no gateway uses the port.  The board is stopped
+and restarted first.  The coil is off at the end, also after Ctrl-C; keep a hand on its plug.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "exit code: 0 no fault, 1 faults, 2 it could not run"
     )
     parser.add_argument("--board", metavar="PORT", help="serial device, pty, or tcp://HOST:PORT of the board")
-    parser.add_argument("--rig", choices=tuple(RIGS), default="ce152", help="what hangs on it (default: %(default)s)")
+    parser.add_argument("--rig", choices=tuple(RIGS), default="ce152", help="rig of the board (default: %(default)s)")
     parser.add_argument("--baud", type=int, default=115200, help="speed of the line, bit/s (default: %(default)s)")
     parser.add_argument("--only", action="append", choices=_NAMES, metavar="CHECK", help="only this; repeatable")
     parser.add_argument("--skip", action="append", choices=_NAMES, metavar="CHECK", help="not this; repeatable")
@@ -58,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 without a fault, 1 with one."""
+    """Run the checks; return 0 without a fault, 1 with one."""
     if args.list:
         print(_listing())
         return 0
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class Console:
-    """The verdicts on stdout, and what takes long on a terminal's stderr."""
+    """Prints the verdicts to stdout, and progress to stderr if it is a terminal."""
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json
@@ -153,14 +153,14 @@ def _confirm(checks: Sequence[Check], *, assent: bool) -> None:
     """Ask before current flows.
 
     Raises:
-        UsageError: no, or nobody to ask.
+        UsageError: the answer is no, or stdin is not a terminal.
     """
     names = [check.name for check in checks if check.current]
     if assent or not names:
         return
     without = " ".join(f"--only {check.name}" for check in CHECKS if not check.current)
     if not sys.stdin.isatty():
-        raise UsageError("Current is to flow, and nobody can be asked", remedy=f"Give --yes, or {without}")
+        raise UsageError("Current will flow, and there is no terminal to ask", remedy=f"Give --yes, or {without}")
     print(f"Current will flow ({', '.join(names)}): the ball may be lifted to its ceiling.", file=sys.stderr)
     print("Is its way free, and the plug of the coil within reach? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):

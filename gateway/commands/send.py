@@ -1,9 +1,9 @@
-"""Send one command to a board through its gateway, and say what became of it.
+"""Send one command to a board through its gateway, and print the outcome.
 
 Exit code 0 if the board accepted it, 1 if it was refused or not delivered.
 """
 
-# A STOP imports what it needs and no more (tests/system/test_stop_imports.py): an import is time with the coil on.
+# A STOP imports only what it needs (tests/system/test_stop_imports.py): each import is time with the coil on.
 from __future__ import annotations
 
 import argparse
@@ -22,19 +22,19 @@ from protocol.bus import board51_pb2 as pb
 _number = argument(number, math.isfinite, "is not a finite number")
 _whole = argument(whole_number, lambda value: 0 <= value < 2**32, "is not a whole number from 0 to 2^32 - 1")
 _wait = argument(_number, lambda value: value > 0, "is not a time to wait")
-_time = argument(_number, lambda value: value > 0, "s is no time; give a positive one")
+_time = argument(_number, lambda value: value > 0, "s is not a duration; give a positive one")
 _seconds = argument(_number, lambda value: value > 0, "s is not a duration; write 'endless' for one without end")
 _unix_time = argument(whole_number, lambda value: 0 < value < 2**64, "is not a Unix time in ns")
 
 _ALARM_ACTS = {
     "acknowledge": "acknowledge an alarm, in every view and in the log",
-    "shelve": "keep an alarm quiet for a time, whether it goes and comes or not",
-    "unshelve": "bring a shelved alarm back before its time; it is acknowledged then",
+    "shelve": "keep an alarm quiet for a time, even if it goes and comes back",
+    "unshelve": "end the shelving of an alarm early; it is acknowledged then",
 }
 
 
 def _duration(text: str) -> float:
-    """Seconds; without end only by its name."""
+    """Return the seconds; inf for `endless`."""
     return math.inf if text == "endless" else _seconds(text)
 
 
@@ -110,7 +110,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     capture.add_argument("--duration", type=_number, default=0.04, metavar="S", help="length (0.04 s)")
     capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="time before the step (0.004 s)")
     what.add_parser("stream", parents=[options], help="send every n-th tick").add_argument("divider", type=_whole)
-    loss = what.add_parser("host-loss", parents=[options], help="set the action of the board without its host")
+    loss = what.add_parser("host-loss", parents=[options], help="set what the board does without its host")
     loss.add_argument("policy", choices=list(map(str, commands.HostLoss)))
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="time without the host (1 s)")
     what.add_parser("mark", parents=[options], help="write a remark into every log").add_argument("text", type=_text)
@@ -122,7 +122,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
             alarm.add_argument("--for", dest="for_s", type=_time, required=True, metavar="S", help="at most 24 h")
     plant = what.add_parser("plant", parents=[options], help="state the plant card: ball, travel, x_max, gravity")
     plant.add_argument("file", type=Path, metavar="FILE", help="TOML with the [plant] of the rig")
-    plant.add_argument("--confirmed", action="store_true", help="its unusual values are right")
+    plant.add_argument("--confirmed", action="store_true", help="confirm that unusual values are right")
     what.add_parser("stop", parents=[options], help="coil off at once")
     what.add_parser("ping", parents=[options], help="sign of life")
 
@@ -131,7 +131,7 @@ def build(args: argparse.Namespace) -> pb.Command:
     """The bus command that the arguments describe.
 
     Raises:
-        UsageError: an excitation without its end, or with a level that would count for nothing; a plant that is none.
+        UsageError: an excitation without a duration, or with a level that would have no effect; an invalid plant.
     """
     match args.what:
         case "mode":
@@ -177,7 +177,7 @@ def build(args: argparse.Namespace) -> pb.Command:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send, print, 0 or 1."""
+    """Send the command and print the reply; return 0 if it was accepted, otherwise 1."""
     command = build(args)
     command.id, command.issued_ns = args.id, args.issued
     rig = Rig(

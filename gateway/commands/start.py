@@ -1,7 +1,7 @@
-"""Gateway, twin and control room at once, on a real or an emulated board, until Ctrl-C.
+"""Run gateway, twin and control room together, on a real or an emulated board, until Ctrl-C.
 
-Each is a process of its own, started again if it fails; what they say goes to files in the folder of the logs.  The
-end stops no board: each follows its host-loss policy (default: coil off after 1 s).
+Each is a process of its own and is started again if it fails; its output goes to a file in the folder of the logs.
+Ctrl-C sends no STOP: each board follows its host-loss policy (default: coil off after 1 s).
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from protocol.viewer import open_viewer
 PAGE = "127.0.0.1:8051"
 READY_S = 90.0  # includes the first compilation of the kernels on a slow machine
 POLL_S = 0.1
-TELL_S = 2.0  # of waiting, then it says for what
+TELL_S = 2.0  # of waiting, before a message says what for
 VIEWS = ("opcua", "foxglove")  # beside the web page
-MB_PER_MINUTE = {False: 11.0, True: 10.0}  # of a board in flight and its twin, T_s = 2 ms; by lean
+MB_PER_MINUTE = {False: 11.0, True: 10.0}  # by --lean: logged of a board in flight and its twin, T_s = 2 ms
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -93,19 +93,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when it was ended by a signal."""
+    """Run until a signal ends it; return 0."""
     require("all", "numba", "mcap", "scipy", "starlette", "uvicorn", *["asyncua"] * args.opcua)
     if (args.effect or args.rig) and not args.emulated:
         option = "--effect changes" if args.effect else "--rig describes"
         raise UsageError(f"{option} the emulated plant", remedy="Give it with --emulated")
-    log_options(LogConfig(), args)  # the gateway's own refusal would go to a file
+    log_options(LogConfig(), args)  # checked here, as the gateway's own message would go to a file
     page = address(args.page, where="--page:")
     check_endpoint(args.listen, where="--listen")
     for host, what in ((page[0], f"--page {args.page}"), (endpoint_host(args.listen)[1], f"--listen {args.listen}")):
         if not is_loopback(host):
             raise UsageError(
                 f"{what} would be open to the network, and this command has no logins",
-                remedy="Take an address of this machine alone, or board51 gateway --security DIR --hmi, and twin",
+                remedy="Give a loopback address, or start `board51 gateway --security DIR --hmi` and `board51 twin`",
             )
     _check_free(page, option="--page ")
     for view in VIEWS:
@@ -158,7 +158,7 @@ def _services(args: argparse.Namespace, line: EmulatedLine | None) -> list[Servi
 
 
 def _limits_of(args: argparse.Namespace) -> list[str]:
-    """Return the options that give the gateway the limits of another emulated rig: its own are those of a CE 152."""
+    """Return the options that give the gateway the limits of another emulated rig; the default is a CE 152."""
     if args.rig is None:
         return []
     from gateway.emulator.own_rig import limits_toml, load_rig
@@ -170,7 +170,7 @@ def _limits_of(args: argparse.Namespace) -> list[str]:
 
 
 def _warn_of_ports(boards: list[str]) -> None:
-    """Say which ports cannot be opened now: the gateway's own words go to a file."""
+    """Print which ports cannot be opened now, as the gateway's own message goes to a file."""
     for board in _named(boards):
         name, _, port = board.partition("=")
         problem = closed_problem(port)
@@ -182,7 +182,7 @@ def _log_size(args: argparse.Namespace) -> str:
     """Return how much is logged in a minute, and for how long the disk has room."""
     rate_mb = MB_PER_MINUTE[args.lean] * max(1, len(args.board or ()))
     bound_gb = min(shutil.disk_usage(args.log_dir).free / 1e9, args.keep_gb or math.inf)
-    then = "then the oldest go" if args.keep_gb and bound_gb == args.keep_gb else "then the disk is full"
+    then = "then the oldest logs are deleted" if args.keep_gb and bound_gb == args.keep_gb else "then the disk is full"
     return f"about {rate_mb:g} MB a minute: {bound_gb * 1e3 / rate_mb / 60:.3g} h in {bound_gb:.3g} GB, {then}"
 
 
@@ -204,7 +204,7 @@ def _check_free(address: tuple[str, int], *, option: str) -> None:
             pass
     except OSError as error:
         raise UsageError(
-            f"Cannot listen on {host}:{port} ({os.strerror(error.errno or 0)})",  # Python's own has the address, too
+            f"Cannot listen on {host}:{port} ({os.strerror(error.errno or 0)})",  # Python repeats the address
             remedy=f"If another board51 runs here, stop it, or give {option}HOST:PORT",
         ) from None
 
@@ -225,7 +225,7 @@ def _emulates(line: EmulatedLine, stopped: threading.Event) -> bool:
         if line.served():
             return True
         if look == round(TELL_S / POLL_S):
-            print("the emulated board is compiled, once after an installation", file=sys.stderr, flush=True)
+            print("compiling the emulated board (only once after an installation)", file=sys.stderr, flush=True)
         if stopped.wait(POLL_S):
             return False
     return False

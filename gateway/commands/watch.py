@@ -43,7 +43,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="one line per rig, refreshed: mode, x, reference, i_c, x minus the twin's, alarms",
     )
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="at most one line per key in this time")
-    parser.add_argument("--count", type=int, default=0, help="stop after so many lines, or tables")
+    parser.add_argument("--count", type=int, default=0, help="stop after this number of lines or tables")
     parser.add_argument("--timeout", type=float, default=0.0, metavar="S", help="stop after this time")
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
 

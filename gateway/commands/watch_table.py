@@ -1,6 +1,6 @@
 """A line for each rig, refreshed in place: `board51 watch --table`.
 
-Rule: a value is shown while it is fresh.  What a silent gateway or twin said last is no longer so.
+Rule: a value is shown only while it is fresh, not after its gateway or twin has fallen silent.
 """
 
 from __future__ import annotations

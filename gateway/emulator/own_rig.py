@@ -1,4 +1,4 @@
-"""An emulated rig of somebody's own: a CE 152 with another ball, travel or coil, from a file.
+"""A custom emulated rig: a CE 152 with another ball, travel or coil, from a file.
 
     [plant]                          # as of a campaign, and as the plant card of the rig
     mass_kg = 20e-3

@@ -1,4 +1,4 @@
-"""A pty as a port of the emulator; only Linux and macOS have one, so it is imported where it is asked for."""
+"""A pty as a port of the emulator; only Linux and macOS have one, so it is imported only if needed."""
 
 from __future__ import annotations
 

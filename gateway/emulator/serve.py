@@ -342,7 +342,7 @@ def build_lines(ports: Iterable[EmulatedPort], **options: Unpack[BoardOptions]) 
     Raises:
         UsageError: an effect or fault is unknown; a pty path is in use; a chip does not give the baud rate, or the
             rig's board is not made for it.
-        InstallError: a compiler or simulator is asked for and missing.
+        InstallError: a compiler or simulator is needed and missing.
         ServiceError: a TCP port is in use, or the compiler fails.
     """
     parsed = [parse(fault) if isinstance(fault, str) else fault for fault in options.get("faults", ())]

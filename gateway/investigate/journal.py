@@ -20,7 +20,7 @@ from protocol.files import make_folder, parse_json, read_small, replace_text, wr
 
 FILE = "investigation.json"
 FORMAT = 1
-_REMEDY = "Give a new folder, or delete that file: the recordings are kept and the diagnosis is made anew"
+_REMEDY = "Give a new folder, or delete that file: the recordings are kept and diagnosed again"
 _REFUSED = ("given-up", "impossible", "skipped")
 
 

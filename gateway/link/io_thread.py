@@ -122,7 +122,7 @@ class LinkThread:
                 self._close(line, "The gateway ends.", severity="info")
             with self._gate:
                 self._ended = True
-            self._run_actions()  # queries that came meanwhile are told that the link is down
+            self._run_actions()  # answer queries that came meanwhile: the link is down
             self._selector.close()
             self._wake_read.close()
             self._wake_write.close()

@@ -33,7 +33,7 @@ try:
 except ModuleNotFoundError:  # Windows
     TtyError = OSError
 
-_READ_S = 0.05  # of a port without a descriptor: a thread looks so often whether it was closed
+_READ_S = 0.05  # how often the thread of a port without a descriptor checks whether the port was closed
 _PUMP_ENDS_S = 1.0
 _USER_TIMEOUT_MS = 5000  # a TCP connection without acknowledgement for this long is lost: no power or network
 READ_SIZE = 65536
@@ -123,7 +123,7 @@ class Port:
 def _from_device(device: serial.SerialBase, end: socket.socket) -> None:
     try:
         while True:
-            # One byte, then the rest: a read of more would wait for its time-out before it returns what has come.
+            # One byte, then the rest: a read of more bytes would wait for its time-out before it returns.
             data = device.read(1)
             if data:
                 end.sendall(bytes(data) + bytes(device.read(getattr(device, "in_waiting", 0))))
@@ -192,7 +192,7 @@ def open_port(url: str, baud: int) -> Port | PortProblem:
 
 
 def _open_port(name: str, baud: int) -> Port | PortProblem:
-    if "://" not in name and os.name == "posix":  # COM3 is no file
+    if "://" not in name and os.name == "posix":  # COM3 is not a file
         try:
             if not stat.S_ISCHR(os.stat(name).st_mode):
                 return PortProblem("port-failed", f"{name} is not a serial device.")

@@ -47,7 +47,7 @@ class ToBoard:
 
     def frames_arrived(self, now_s: float, period_s: float) -> None:
         """Note that valid frames of any kind arrived; `period_s` is the period of the stream."""
-        # A pause delays answers as well, so the wait begins anew: a standstill of the host is no cut line.
+        # A pause delays answers as well, so the wait begins again: a pause of the host is not a cut line.
         pause_s = now_s - self._last_frame_s
         if pause_s > _PAUSE_S and pause_s > 3 * period_s:
             self._wait(None)

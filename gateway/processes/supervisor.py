@@ -40,7 +40,7 @@ class Service:
 
     name: str
     arguments: tuple[str, ...]
-    output: Path | None = None  # gets what it says; None: as this process
+    output: Path | None = None  # receives its output; None: as this process
 
 
 @contextmanager

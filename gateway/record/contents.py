@@ -63,7 +63,7 @@ class Contents:
             return True
         end_s, complete = time.monotonic() + limit_s, True
         fresh: dict[str, _Fresh] = {}  # of each stream the block that is being read
-        # A part that was not read to its end is begun anew where that pass stood: ids are sets.
+        # A part that was not read to its end is continued where that pass ended: ids are sets.
         for record in self._reader.raw(topics_=LOGGED, from_byte=self._next_byte):
             if time.monotonic() > end_s and self._scan.offset > self._next_byte:
                 complete = False

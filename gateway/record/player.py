@@ -18,7 +18,7 @@ from protocol.log.reader import RawLogRecord
 
 GLANCE_S = 0.1
 MIN_SPEED, MAX_SPEED = 0.1, 100.0
-_LOOK_S = 0.2  # longest sleep: `stop` is looked at so often
+_LOOK_S = 0.2  # longest sleep between two checks of `stop`
 
 
 class Player:
@@ -27,7 +27,7 @@ class Player:
     Args:
         records: Of the log from a time on, s.
         send: Called for each record.
-        next_order: Returns the next order; waits so many seconds for it, then returns None.
+        next_order: Returns the next order; None if none comes within the given seconds.
         sought: Called before the first record after a seek.
         report: Called with {"state": "playing" | "paused" | "ended", "speed": N} at each change.
         stop: Set it to end.

@@ -1,6 +1,6 @@
 """Deletes the logs of a folder that are too old or too many.  `expired` decides, and is pure.
 
-Rule 1: only names that a recorder gives are looked at: an import, or a log that somebody renamed, stays.
+Rule 1: only files with a recorder's names are deleted: an import, or a log that somebody renamed, stays.
 Rule 2: what is recorded now stays, here or by another process: a log that has grown within RECENT_S.
 """
 

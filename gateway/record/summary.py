@@ -17,7 +17,7 @@ GAPS_RETAINED = 1000  # entries in the list; the sums include all gaps
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """Samples that the board made and that are missing in the log."""
+    """Samples of the board that are missing in the log."""
 
     board: str
     session: int
@@ -44,7 +44,7 @@ class SampleGaps:
         if last is None or last.session != state.session or state.tick <= last.tick:
             self.sessions += last is None or last.session != state.session
             return
-        # The board's numbering shows what the log lost as well; lost_before knows what was lost at a coarser stream.
+        # The ticks also show losses of the log; `lost_before` also counts losses at a coarser stream.
         missing = max(state.lost_before, (state.tick - last.tick) // self.divider - 1)
         if missing <= 0:
             return

@@ -42,7 +42,7 @@ def extent(path: Path) -> Extent | None:
 def timeline(path: Path) -> dict[str, Any]:
     """Return start_s (Unix time), duration_s and marks of a log, as plain data for JSON.
 
-    Of more than MAX_MARKS marks those that only inform are left out first, then the later ones.
+    If there are more than MAX_MARKS, the marks of severity info are left out, then the latest ones.
 
     Raises:
         DataError: the log is absent, empty, not MCAP, or holds no Board51 messages.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from foxglove._foxglove_py import BaseChannel
 
 Compression = Literal["zstd", "lz4", "none"]
-DESCRIBE_BYTES = 1 << 16  # of the file, between two descriptions of its channels, 60 bytes for each
+DESCRIBE_BYTES = 1 << 16  # of the file between two descriptions of its channels; each channel takes 60 bytes
 HELD_BYTES = 4 << 20  # without `flush` (an import), data is written to disk in pieces of this size
 
 _COMPRESSION = {"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "none": None}
@@ -132,7 +132,7 @@ class LogWriter:
             writer_options=MCAPWriteOptions(
                 compression=_COMPRESSION[compression],
                 chunk_size=None,  # `_end_chunk` ends them
-                calculate_data_section_crc=False,  # excludes our descriptions; chunks have CRCs
+                calculate_data_section_crc=False,  # it would not cover our descriptions; each chunk has a CRC
                 compression_threads=0,
             ),
         )
@@ -143,7 +143,7 @@ class LogWriter:
             self._mcap.write_metadata(name, dict(values))
         self._mcap.flush()
         self._to_disk()
-        self._chunk_at = self._memory.end  # where the chunk in work begins
+        self._chunk_at = self._memory.end  # where the current chunk begins
 
     @property
     def bytes_written(self) -> int:
@@ -166,7 +166,7 @@ class LogWriter:
             key: `<site>/<board>/<topic>` with a topic of `protocol.bus.topics`, or any other one with a `schema`.
             data: The serialised protobuf message of that topic.
             time_ns: MCAP log time, Unix time.
-            schema: Of a topic that is foreign to the bus.
+            schema: For a topic that is not in the bus table.
 
         Raises:
             ValueError: the key is not a Board51 key.
@@ -195,7 +195,7 @@ class LogWriter:
         """Flush, write the index, sync to the medium.  Does nothing the second time.
 
         Raises:
-            LogError: the file lacks what could not be written; call again when there is space, or `abandon`.
+            LogError: a part could not be written; call again when there is space, or `abandon`.
         """
         if self._fd < 0:
             return

@@ -147,7 +147,7 @@ class Bench:
         return self._rest
 
     def forget_rest(self) -> None:
-        """Let `rest` measure anew: the board reads otherwise from now on."""
+        """Let `rest` measure again, because the board's readings have changed."""
         self._rest = None
 
     def no_current(self) -> Exception:
@@ -199,7 +199,7 @@ class Bench:
         return at_input(self.line.run(duration_s), count)
 
     def pulse(self, u_v: float, ticks: int, then_s: float = _SETTLE_S) -> list[Sample]:
-        """Apply an input for so many ticks, then 0; return the samples from its start until `then_s` after it."""
+        """Apply an input for a number of ticks, then 0; return the samples from its start until `then_s` after it."""
         half = self.input_count(u_v) // 2
         first = len(self.line.samples)
         ack = self._excite(Shape.STEP, amplitude=half, offset=half, duration=ticks + 1)

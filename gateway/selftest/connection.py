@@ -1,6 +1,6 @@
 """The board at the other end of a `Wire`: orders and answers, samples and events; one thread, `protocol`'s session.
 
-Rule 1: a PING every 0.1 s keeps the board from taking the host for lost, except where `silent` asks for that.
+Rule 1: a PING every 0.1 s shows the board that the host is there, unless `silent` is set.
 Rule 2: nothing here moves the ball; `switch_off` sends STOP.
 """
 
@@ -17,7 +17,7 @@ from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message, Reason, Value
 from protocol.wire.session import Session
 
 PING_S = 0.1
-ANSWER_S = 2.0  # above all repetitions of the session: 5 times 0.1 s
+ANSWER_S = 2.0  # longer than all repetitions of the session: 5 times 0.1 s
 BOOT_S = 8.0  # a boot loader of an Uno takes up to 2 s, and opening the port starts it
 
 
@@ -49,7 +49,7 @@ class Connection:
         self._next_ping_s = 0.0
 
     def open(self, patience_s: float = BOOT_S) -> bool:
-        """Call the board; return whether it answered."""
+        """Start the handshake; return whether the board answered."""
         self.session.connect(self.wire.now_s())
         return self.until(lambda: self.session.is_open or self.version_refused is not None, patience_s)
 
@@ -99,14 +99,14 @@ class Connection:
             self._write()
 
     def run(self, duration_s: float, *, silent: bool = False) -> list[Sample]:
-        """Go on for so long; return the samples of that time."""
+        """Run for `duration_s`; return the samples of that time."""
         first, end_s = len(self.samples), self.wire.now_s() + duration_s
         while (left_s := end_s - self.wire.now_s()) > 0.0:
             self.step(left_s, silent=silent)
         return self.samples[first:]
 
     def until(self, condition: Callable[[], bool], patience_s: float, *, silent: bool = False) -> bool:
-        """Go on until the condition holds; return whether it does within `patience_s`."""
+        """Run until the condition holds; return whether it does within `patience_s`."""
         end_s = self.wire.now_s() + patience_s
         while not condition():
             left_s = end_s - self.wire.now_s()

@@ -1,7 +1,7 @@
 """Runs checks in their order, and leaves the coil off at each end.
 
 Rule 1: a check that cannot go on ends with a verdict; the ones after it run.
-Rule 2: what the board reports by itself (a restart, a fault) is a fault of the check in which it comes first.
+Rule 2: an event that the board reports by itself (a restart, a fault) is a fault of the check in which it first comes.
 Rule 3: after a fault that makes the coil unsafe (`UNSAFE`) no check lets current flow.
 Rule 4: at the end, after an error and after Ctrl-C, STOP is sent, and u_c must be seen to be 0.
 """

@@ -2,7 +2,7 @@
 
 Rule 1: nothing is remembered on disk but the records.  What is missing follows from the folder each time, so a fill
         that was killed goes on where it was, and a second one finds nothing to do.
-Rule 2: what is younger than `settle_s` is left alone, as it may be on its way to the recorder.
+Rule 2: records younger than `settle_s` are left out, as they may be on their way to the recorder.
 Rule 3: memory is bounded: the index of the parts of one's own that overlap what is compared, and one reply.
 Rule 4: what a server sends is checked: a record counts if it belongs to the block that was asked for.
 """
@@ -52,8 +52,8 @@ class Filler:
     Args:
         board: The one that is filled, or every board of a site.
         folder: Of the recording; the parts that are filled in are written there, too.
-        settle_s: Age from which a block is looked at.
-        days: Age of the oldest part that is looked at.
+        settle_s: Age from which a block is compared.
+        days: Age of the oldest part that is compared.
         report: Called with a line of progress.
         stop: Set it to end a round early.
     """
@@ -183,7 +183,7 @@ class Filler:
             try:
                 writer.close()
             finally:
-                writer.abandon()  # what a full disk does not take is asked for once more
+                writer.abandon()  # records that a full disk does not take are requested again
 
     def _request(self, key: str, request: pb.LogRequest) -> Iterator[tuple[str, pb.LogReply]]:
         replies = self._board.session.get(

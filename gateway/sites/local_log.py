@@ -1,4 +1,4 @@
-"""Reads what the own recording holds for the time that is compared; parts of other times are let go.
+"""Reads the local recording for the time that is compared; parts of other times are released.
 
 Parts that are finished say in their index from when to when they are, the others are read.
 """
@@ -37,7 +37,7 @@ class LocalLog:
         return set().union(*(contents.ids(block) for contents in self._contents.values()))
 
     def digest(self, block: BlockId) -> int:
-        """Return the digest of a block; 0 if it is nowhere."""
+        """Return the digest of a block; 0 if no part has it."""
         entries = [entry for contents in self._contents.values() if (entry := contents.blocks.get(block)) is not None]
         if len(entries) == 1:
             return entries[0].digest

@@ -16,8 +16,8 @@ Rule 3: memory is bounded, because names come from the bus.  Beyond MAX_ALARMS t
 Rule 4: times are from the clock of the source: gateway, twin, or this host for conditions that the views detect.
 Rule 5: an acknowledgement from any view applies to earlier alarms only; an alarm that is raised again needs a new one.
 Rule 6: `revision` rises with each change that a screen would show.
-Rule 7: a shelved alarm (ISA-18.2) is acknowledged until its time is over, whether it goes and comes or not.  Then it
-        calls again if it is active.  A plain acknowledgement ends the shelving before that.
+Rule 7: a shelved alarm (ISA-18.2) is acknowledged until its time is over, even if it goes and comes back.  Then it
+        is unacknowledged again if it is active.  A plain acknowledgement ends the shelving before that.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ class AlarmBook:
             at_ns: Unix time of the act.
             comment: of who acknowledged.
             shelve_s: for how long to shelve it; 0: not.
-            now_ns: Unix time at which this is heard; 0: that of the act.
+            now_ns: Unix time at which this arrives; 0: that of the act.
         """
         alarm = self._alarms.get(name)
         if alarm is None or at_ns <= alarm.shelved_ns:

@@ -24,10 +24,10 @@ from protocol.bus import board51_pb2 as pb
 M = TypeVar("M", bound=Message)
 
 RETAINED_EVENTS = 200
-SILENT_S = 0.5  # without a state for so long (and three of its periods) a board is not live
+SILENT_S = 0.5  # a board without a state for this time (and three of its periods) is not live
 GRACE_S = 2.0  # no alarm while a board is being discovered
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
-UNSEEN_S = 120.0  # a board without any message for so long may be removed
+UNSEEN_S = 120.0  # a board without any message for this time may be removed
 TWIN_TIMEOUT_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
 _OF_GATEWAY = (pb.Status, pb.Event, pb.State)  # while one of them comes, there is a gateway
 _REASONS = {

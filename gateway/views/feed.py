@@ -119,7 +119,7 @@ class Feed:
     ) -> pb.CommandReply:  # fmt: skip
         """Acknowledge an alarm by a command, so that every view and the log receive it; blocks like `command`.
 
-        With `shelve_s` it is shelved for so long; a shelved one that is acknowledged is shelved no longer.
+        With `shelve_s` it is shelved for that time; acknowledging a shelved alarm ends the shelving.
 
         If there is no such alarm, the reply is refused by "view" with the reason "no-alarm".  Without a gateway the
         acknowledgement counts in this view only, and `text` says so.  An operator must be able to silence the alarm
@@ -188,7 +188,7 @@ class Feed:
 
 
 def _pass_of(message: Message) -> int | None:
-    """Return the pass of a replay to which a message belongs: after a seek nothing of before is true."""
+    """Return the pass of a replay to which a message belongs: a seek makes all earlier messages invalid."""
     if isinstance(message, pb.StateBatch):
         message = message.states[0] if message.states else message
     session: int | None = getattr(message, "session", None)

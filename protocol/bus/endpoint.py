@@ -101,7 +101,7 @@ def zenoh_config(
 def router_refusal(endpoints: Sequence[str], identity: Identity | None) -> ServiceError:
     """Return the error for a client whose `zenoh.open` failed; zenoh itself reports only a time-out.
 
-    A router that rejects this client's certificate or password cannot be told from an absent router.  The same holds
+    A router that rejects this client's certificate or password looks like an absent router.  The same holds
     for a guarded router and a client without an identity.
     """
     where = ", ".join(endpoints)

@@ -9,7 +9,7 @@ EMULATED = "emulated board"  # who stated the card of an emulated CE 152: its bu
 
 
 def plant_message(plant: Plant) -> pb.Plant:
-    """Return the message of a plant; that it is assumed is no part of it."""
+    """Return the message of a plant; it does not say whether the plant is assumed."""
     return pb.Plant(
         name=plant.name,
         mass_kg=plant.mass_kg,

@@ -14,9 +14,9 @@ class Sample(NamedTuple):
 
     tick: int
     session: int
-    lost_before: int
+    lost_before: int  # ticks without a sample directly before it
     state: State
-    arrived_s: float  # when it was read; earlier than neighbouring events if it waited for its successor
+    arrived_s: float  # the caller's time of the read; earlier than neighbouring events if it waited for its successor
 
 
 @dataclass(frozen=True, slots=True)

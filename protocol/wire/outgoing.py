@@ -99,7 +99,7 @@ class SendQueue:
     def drop(self, command: Command) -> None:
         """Remove a command that must not act any more, including the rest of its frame."""
         self.withdraw(command)
-        # Half a frame is no command: the board rejects it by its CRC. The whole frame would still act.
+        # Half a frame is not a command: the board rejects it by its CRC. The whole frame would still act.
         if command is self._writer and command.name != "STOP":
             self._rest = b""
 

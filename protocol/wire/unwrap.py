@@ -217,7 +217,7 @@ class TickUnwrapper:
         if not self._first:
             step = tick - self._last
             self._smallest_step = min(step, self._smallest_step)
-            # By the divider, not by single ticks: those that the board skips on purpose are no losses.
+            # By the divider, not by single ticks: ticks that the board skips on purpose are not losses.
             lost = (step - 1) // (self.divider or self._smallest_step)
             self.lost += lost
         self._last, self._last_s, self._first, self._quick = tick, arrived_s, False, True

@@ -140,7 +140,7 @@ def test_a_port_that_is_absent_or_closed_is_said_in_the_terminal(
         (["--board", "a", "--board", "b"], r"about 22 MB a minute: [\d.e+]+ h in \S+ GB, then the disk is full"),
         (
             ["--emulated", "--lean", "--keep-gb", "0.06"],
-            r"about 10 MB a minute: 0\.1 h in 0\.06 GB, then the oldest go",
+            r"about 10 MB a minute: 0\.1 h in 0\.06 GB, then the oldest logs are deleted",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""The sub-commands of `board51` of the twin; each has `configure` and `run`."""
+"""The twin's sub-commands of `board51`; each has `configure` and `run`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def progress_printer(*, quiet: bool) -> Callable[[str], None]:
-    """Return what prints lines of progress to stderr, each with the time since this call; nothing if `quiet`."""
+    """Return a function that prints lines of progress to stderr, with the time since this call; none if `quiet`."""
     began = time.monotonic()
 
     def progress(line: str) -> None:
@@ -32,13 +32,13 @@ def add_show(parser: argparse.ArgumentParser) -> None:
 
 
 def show(path: Path) -> None:
-    """Open a picture or report; without a screen say where it is."""
+    """Open a picture or report; without a screen, print its path."""
     if not open_viewer(path.resolve().as_uri()):
         print(f"no screen to show it: see {path}", file=sys.stderr)
 
 
 def show_text(path: Path, title: str, text: str, *, notes: Sequence[str] = (), figures: Sequence[Figure] = ()) -> None:
-    """Write a result that has no report as a page, and show it.
+    """Write a page for a result without a report, and show it.
 
     Raises:
         UsageError: the page cannot be written.

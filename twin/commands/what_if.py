@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from twin.validation.source import Source
 
 
-SAME_T_S = 0.05  # share: a T_s nearer than that is the same
+SAME_T_S = 0.05  # relative difference up to which two T_s count as equal
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -37,9 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("recording", type=Path, metavar="LOG", help="a flight in closed loop: MCAP, CSV or MATLAB")
     parser.add_argument("--model", required=True, metavar="MODEL", help="model of the rig, with its causes")
-    parser.add_argument("--gains", type=Path, metavar="FILE", help="controller.json of board51 design (as flown)")
+    parser.add_argument("--gains", type=Path, metavar="FILE", help="controller.json of design (default: as flown)")
     parser.add_argument("--then", type=Path, metavar="LOG", help="the flight that followed under --gains, to compare")
-    parser.add_argument("--reference", type=Path, metavar="CSV", help="columns t (s) and x_ref (m) (as flown)")
+    parser.add_argument("--reference", type=Path, metavar="CSV", help="columns t (s) and x_ref (m) (default: as flown)")
     parser.add_argument("--campaign", type=Path, metavar="CAMPAIGN", help="columns, skip_s and law of the recording")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     parser.add_argument("--board", metavar="BOARD", help="board, for a log of several boards")

@@ -58,7 +58,7 @@ def read_controller(path: Path) -> ControllerFile:
     """Read a controller file.
 
     Raises:
-        DataError: the file is missing, or is no controller file; the message names the key.
+        DataError: the file is missing, or is not a controller file; the message names the key.
     """
     data = parse_json(read_small(path, remedy=REMEDY), where=str(path), remedy=REMEDY)
     file: ControllerFile = checked(ControllerFile, data, where=str(path), error=DataError)

@@ -66,7 +66,7 @@ def table(design: Design) -> str:
     cells: tuple[tuple[str, Callable[[LoopAnalysis], str]], ...] = (
         ("largest |pole|", lambda loop: f"{abs(loop.poles[0]):.4f}"),
         ("slowest, time const.", lambda loop: _time_constant(loop, design.sample_time_s)),
-        ("gain may be times", lambda loop: _margin(loop, lambda m: f"{m.gain_low:.2f} .. {m.gain_high:.2f}")),
+        ("gain margin, factors", lambda loop: _margin(loop, lambda m: f"{m.gain_low:.2f} .. {m.gain_high:.2f}")),
         ("phase margin", lambda loop: _margin(loop, lambda m: f"{m.phase_deg:.1f} deg")),
         ("delay margin", lambda loop: _margin(loop, lambda m: f"{m.delay_s * 1e3:.2f} ms")),
         ("noise: rms of x", lambda loop: f"{loop.x_rms_m * 1e6:.2f} um"),

@@ -91,7 +91,7 @@ def plant_at(model: Model, x_m: float, sample_time_s: float) -> Plant:
 
 
 def within_range(name: str, value: float) -> float:
-    """Limit the value of `cause.parameter` to its physical range."""
+    """Limit the value of the parameter `name`, a "cause.parameter", to its physical range."""
     from twin.model.causes.catalogue import BY_NAME
 
     cause, _, parameter = name.partition(".")

@@ -1,10 +1,10 @@
 """The lines in the spectra of a diagnosis: the channel of each, its frequency and its size.
 
 Rule 1: a line that a cause explains is in the sensor or in the force, as its likelihood decided.  A line of the
-        innovations that no cause explains is said with its channel alone.
-Rule 2: a line of u_c is the answer of the loop to one of these: u_c is computed, and has no noise of its own.
-Rule 3: the size of a line of a sensor is the mean of its states in the filter over each recording, and its error is
-        their scatter.  The likelihood knows it as the variance at the beginning of a recording, from two values each.
+        innovations that no cause explains is reported with its channel only.
+Rule 2: a line of u_c is the loop's response to one of these: u_c is computed, and has no noise of its own.
+Rule 3: the size of a sensor's line is the mean amplitude of its states in the filter over the recordings, and its error
+        is their scatter.  In the likelihood it is a variance of the initial state: two values in each recording.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _UNITS = {"i_c": "A", "x": "m"}
 
 
 def with_sizes(criterion: Criterion, fit: Fit) -> tuple[Fit, dict[str, float]]:
-    """The fit with the measured amplitudes of the sensors' lines, and their standard errors by coordinate."""
+    """Return the fit with the measured amplitudes of the sensors' lines, and their standard errors by coordinate."""
     errors: dict[str, float] = {}
     theta = fit.theta
     for cause, column in CHANNELS.items():
@@ -55,7 +55,7 @@ def with_sizes(criterion: Criterion, fit: Fit) -> tuple[Fit, dict[str, float]]:
 
 
 def _measured(fit: Fit, name: str, values: FloatArray) -> tuple[Fit, float]:
-    """The fit with the mean of the values of the recordings, shape (n,), and its standard error."""
+    """Return (the fit with `name` at the mean of `values`, one for each recording, its standard error)."""
     fit = replace(fit, theta=fit.theta.having(name, float(np.mean(values))))
     return fit, float(np.std(values, ddof=1)) / math.sqrt(len(values))
 
@@ -92,7 +92,7 @@ def lines_of(findings: Sequence[Finding], criterion: Criterion, theta: Theta) ->
 
 
 def _current(criterion: Criterion, theta: Theta, line: Line, column: int) -> str:
-    """Say of an unexplained line of i_c whether the ball shows that the current flows; "" of x, and if it does not."""
+    """Return a remark if the ball shows that the current of an unexplained line of i_c flows; "" otherwise."""
     if column or reading_leads(criterion, theta, line.frequency_hz) > -settings.EQUIVALENT_GAIN:
         return ""
     return ": the ball follows it, so this current flows, as behind a supply with a ripple"

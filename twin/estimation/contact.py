@@ -50,7 +50,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     # The range within a window, not its standard deviation: a slow rise of an unstable ball has a small one at first.
     spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
     sigma = max(scatter(x), 1e-4 * plant.travel_m)
-    # A line of the sensor is no motion, either: 20 um of mains would hide a ball at rest, and with it the noise.
+    # A line of the sensor is not motion, either: 20 um of mains would hide a ball at rest, and with it the noise.
     # Not under a random input, which shakes a ball on its stop: that may look like a line.
     swing_m = 0.0 if record.kind == "prbs" else _swing(x, record.interval_s)
     core = spread <= HELD_SCALES * sigma + 2.0 * swing_m
@@ -59,7 +59,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     for piece in _rests(held, x, HELD_SCALES * sigma):
         held[piece] &= ~_bounces(record.i_c[piece], x[piece], held[piece], sigma)
     follows_reference = np.abs(x - record.x_ref) < 0.03 * plant.travel_m  # NaN compares False
-    # A ball that follows its reference was in closed loop after all, where a standstill is no contact.
+    # A ball that follows its reference was in closed loop after all, where a standstill does not mean contact.
     if record.kind == "free" and record.has("x_ref") and np.mean(follows_reference) > 0.5:
         held[:] = False
     return np.asarray(held)

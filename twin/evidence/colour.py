@@ -1,11 +1,11 @@
 """The colour of the sensor noise, from the ball at rest and from captures away from their step, without a model.
 
-A part of a reading's noise is white, the rest is forgotten exponentially, as behind a low-pass filter
+A part of a reading's noise is white.  The correlation of the rest decays exponentially, as behind a low-pass filter
 (Ornstein-Uhlenbeck).  Level, share and correlation time maximise the restricted likelihood of windows under a constant
 input.  Mean and slope of each window are projected out (H. D. Patterson, R. Thompson, Biometrika 58(3), 1971).
 
-Rule 1: noise is coloured only if three conditions hold.  The windows show it significantly without the one that shows
-        it most.  The autocorrelation of successive readings is material.  A wandering offset explains it less.
+Rule 1: noise is coloured only if three conditions hold.  It is significant without the window that shows it most.
+        Successive readings are correlated by more than a limit.  A wandering offset explains the windows less well.
 Rule 2: the noise of captures is that of the other recordings unless they surely differ.  A capture of 10 ms does not
         separate slow noise from an offset.
 Rule 3: without a ball at rest, noise counts as white: in flight, coloured noise of x looks like missing dynamics.
@@ -34,10 +34,10 @@ from twin.settings import diagnosis as settings
 WINDOW = 100  # readings
 SETTLES = 50  # readings after a change of u_c that are left out, as the current still settles
 SETTLES_FAST = 500  # the same of captures, 20 ms at 25 kHz
-FEWEST = 3  # windows
+FEWEST = 3  # windows needed
 _TAU_S = np.geomspace(2e-4, 0.1, 41)
 _WHITE = np.concatenate((np.geomspace(1e-3, 0.5, 14), 1.0 - np.geomspace(0.4, 0.02, 8)))  # share of the variance
-_FREE = null_space(np.vander(np.arange(WINDOW) - 0.5 * (WINDOW - 1.0), 2).T).T  # takes out mean and slope
+_FREE = null_space(np.vander(np.arange(WINDOW) - 0.5 * (WINDOW - 1.0), 2).T).T  # projects mean and slope out
 _WALK = _FREE @ np.minimum.outer(np.arange(WINDOW), np.arange(WINDOW)) @ _FREE.T / WINDOW
 
 
@@ -75,7 +75,7 @@ def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | N
             _coloured(i_c).total + max(_white(captured).total, _coloured(captured).total),
         )
         if 2.0 * (separate - joint.total) < chi2_exceeded(settings.COLOUR_CHANCE, 3):
-            # One colour unless two are significantly better: it has three numbers less.
+            # One colour, with three parameters fewer, unless two are significantly better.
             i_c_colour = captured_colour = joint.colour
     return i_c_colour, _colour(x), captured_colour
 
@@ -88,7 +88,7 @@ def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
         step_s: interval of the readings, s.
         weights: of the readings, shape (n,).
     """
-    covariance = colour.white * np.eye(len(weights)) + (1.0 - colour.white) * _forgotten(
+    covariance = colour.white * np.eye(len(weights)) + (1.0 - colour.white) * _correlation(
         colour.tau_s, step_s, len(weights)
     )
     return float(weights @ covariance @ weights / (weights @ weights))
@@ -97,13 +97,13 @@ def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
 def _colour(windows: Sequence[_Windows]) -> Colour | None:
     if sum(len(part.rows) for part in windows) < FEWEST:
         return None
-    # The grid of fits is the costly part.  The score needs no fit, and ends the question where the noise is white.
+    # The score needs no fit, so white noise is recognised without the costly grid of fits.
     if max(_score(windows, tau_s) for tau_s in _TAU_S[::5].tolist()) < settings.COLOUR_SCORE:
         return None
     white, coloured = _white(windows), _coloured(windows)
     gains = coloured.each - white.each
     min_gain = 0.5 * chi2_exceeded(settings.COLOUR_CHANCE, 2)
-    # Without the best window: one disturbed window would otherwise make coloured noise of a whole campaign.
+    # Without the best window, as one disturbed window must not make the noise of a whole campaign coloured.
     surely = float(gains.sum() - gains.max()) > min_gain and coloured.total > _wandering(windows).total
     assert coloured.colour is not None
     material = max(_next(coloured.colour, part.step_s) for part in windows) > settings.MAX_AUTOCORRELATION
@@ -111,12 +111,12 @@ def _colour(windows: Sequence[_Windows]) -> Colour | None:
 
 
 def _next(colour: Colour, step_s: float) -> float:
-    """The autocorrelation from reading to reading."""
+    """The autocorrelation of successive readings."""
     return (1.0 - colour.white) * math.exp(-step_s / colour.tau_s)
 
 
 def _score(windows: Sequence[_Windows], tau_s: float) -> float:
-    """Test by its score for a small part of this correlation time in white noise, in standard errors."""
+    """Return the score of a small part with this correlation time in white noise, in standard errors."""
     variance = sum(float(np.sum(part.rows**2)) for part in windows) / sum(part.rows.size for part in windows)
     slope = information = trace = 0.0
     for part in windows:
@@ -132,7 +132,7 @@ def _score(windows: Sequence[_Windows], tau_s: float) -> float:
 
 @cache
 def _free_of_trend(tau_s: float, step_s: float) -> FloatArray:
-    return np.asarray(_FREE @ _forgotten(tau_s, step_s, WINDOW) @ _FREE.T)
+    return np.asarray(_FREE @ _correlation(tau_s, step_s, WINDOW) @ _FREE.T)
 
 
 @cache
@@ -141,7 +141,8 @@ def _axes(tau_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
     return values, axes
 
 
-def _forgotten(tau_s: float, step_s: float, count: int) -> FloatArray:
+def _correlation(tau_s: float, step_s: float, count: int) -> FloatArray:
+    """Return exp(-|k - l| step_s / tau_s), shape (count, count)."""
     return np.asarray(toeplitz(np.exp(-np.arange(count) * step_s / tau_s)))
 
 

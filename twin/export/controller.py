@@ -40,7 +40,7 @@ def of_file(path: Path, *, u_max_v: float) -> Controller:
     """The law of a controller file.
 
     Raises:
-        DataError: the file is missing, or is no controller file with weights; the message names the key.
+        DataError: the file is missing, or is not a controller file with weights; the message names the key.
     """
     file = read_controller(path)
     if file.weights is None:

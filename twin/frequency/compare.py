@@ -3,10 +3,10 @@
 Rule 1: z = E R* / |R|^2 of E = A - H B has mean 0 if the model's H is right.  Its variance is that of the noise, from
         the blocks, and that of H by the parameters' uncertainty.
 Rule 2: all frequencies of a response together: the parameters' error is the same at all of them, so the frequencies are
-        taken one after the other, each with what the ones before told of that error (a Kalman filter of the parameters
-        over frequency).  Their probabilities are then independent, and -2 sum ln p is chi-square with two degrees of
-        freedom each (Fisher, Statistical Methods for Research Workers, 1932).  With many blocks it is the usual sum of
-        |z|^2 / variance.
+        taken one after the other, each with the knowledge of that error from those before (a Kalman filter of the
+        parameters over frequency).  Their probabilities are then independent, and -2 sum ln p is chi-square with two
+        degrees of freedom each (Fisher, Statistical Methods for Research Workers, 1932).  With many blocks it is the
+        usual sum of |z|^2 / variance.
 Rule 3: each frequency alone: F(2, 2 nu); nu is that of the noise's estimate, larger where the parameters' part, which
         is no estimate, dominates (Satterthwaite, Biometrics Bull. 2, 1946).
 Rule 4: Holm's method (Scand. J. Statist. 6, 1979) holds the rate of any false alarm, whatever the dependence.

@@ -29,7 +29,7 @@ MARGINS = {
 
 
 TEST_HEAD = (
-    "response", "frequencies", "p of all", "refused one by one [Hz]", "measured / model where it differs most",
+    "response", "frequencies", "p of all", "refused frequencies [Hz]", "measured / model where it differs most",
     "would be explained by", "explained",
 )  # fmt: skip
 UNEXCITED = (

@@ -1,7 +1,7 @@
 """The model in the very experiment: its loop simulated without noise, under the recorded reference.
 
 Its coefficients are estimated as those of the rig are.  So what the estimate adds by itself (leakage of a chirp, the
-plant's gain over a finite swing) is in both, and is no difference between rig and model.
+plant's gain over a finite swing) is in both, and makes no difference between rig and model.
 """
 
 from __future__ import annotations

@@ -70,6 +70,6 @@ def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tup
     error = series.x - roll_out(system, series.samples, state, ahead, stops=True)
     constant = np.full(len(error), np.nan)
     constant[ahead:] = series.x[ahead:] - series.x[:-ahead]
-    # On the samples that the model predicts: on others the constant would be judged by other motions.
+    # Both predictions are judged on the same samples.
     constant[np.isnan(error)] = np.nan
     return error, constant

@@ -35,7 +35,7 @@ def gain(joint: Interval | None, levels: Levels | None, shape: Shape | None, war
     """
     if levels is not None:
         top = max(abs(level.i_a) for level in levels.levels)
-        # Two bars: of accurate levels even an offset that is too small to matter is significant.
+        # Two conditions, because with accurate levels even an offset that is too small to matter is significant.
         offset = abs(levels.offset_a) > max(settings.AGREEMENT_ERRORS * levels.offset_std_a, settings.LEVEL_SHARE * top)
         if offset:
             warnings.append(
@@ -69,7 +69,7 @@ def gain(joint: Interval | None, levels: Levels | None, shape: Shape | None, war
 
 
 def time_constant(joint: Interval | None, shape: Shape | None, tick_s: float, warnings: list[str]) -> Parameter:
-    """Return T_A from the steps if not first order, more precise or in disagreement; else from the joint fit.
+    """Return T_A from the joint fit, or from the steps if not first order, more precise or in disagreement.
 
     Arguments as in `gain`; `tick_s` is the sampling interval, s.
     """
@@ -161,7 +161,7 @@ def drag(
     """The drag b; an interval that includes zero is reported, and with coloured residuals b is at most weak.
 
     Drag is the smallest force, so an effect that the model lacks (a lag, a delay, another force law) biases b first.
-    Arguments as in `force_constant`; `held`: the b of the flights, where no maximum has a possible one; `coloured`:
+    Arguments as in `force_constant`; `held`: the b of the flights, if the best fit has an impossible b; `coloured`:
     whether the residuals are coloured; `loop_delay`: a delay of the current, which biases b.
     """
     if joint is None:
@@ -169,7 +169,7 @@ def drag(
             return _absent("b", 0.0, warnings)
         return _impossible_drag(held, ball.d_std * plant.mass_kg)
     value = joint.value
-    # A negative b within its error is chance. Beyond its error it is no drag at all, so the bound is reported.
+    # A negative b within its error is chance. Beyond its error it cannot be a drag, so the bound is reported.
     if joint.high <= 0.0:
         warnings.append(
             f"b = {value:.3g} N s/m is negative beyond its error: something that the model lacks feeds energy in "
@@ -204,7 +204,7 @@ def drag(
 
 
 def _delayed_drag(value: float, loop_delay: LoopDelay, warnings: list[str]) -> Parameter:
-    """A b without an interval: a delay that the model lacks is in it."""
+    """Return b without an interval, because a delay that the model lacks biases it."""
     delay = f"{loop_delay.delay_s * 1e3:.2g} ms"
     warnings.append(
         f"i_c answers as if u_c acted about {delay} late, which (1) lacks. With that delay b is {loop_delay.b:.3g} "
@@ -220,7 +220,7 @@ def _delayed_drag(value: float, loop_delay: LoopDelay, warnings: list[str]) -> P
 
 
 def _impossible_drag(b: float, std: float) -> Parameter:
-    """The drag by regression, or a placeholder, where the maximum of the likelihood has an impossible one."""
+    """Return the drag by regression, or a placeholder, if the best fit has an impossible drag."""
     why = "because the best fit has an impossible drag: the model lacks something that acts faster"
     if b == 0.0:
         return replace(_absent("b", 0.0, []), method=f"placeholder, {why}; board51 diagnose looks for it")
@@ -236,7 +236,7 @@ def _impossible_drag(b: float, std: float) -> Parameter:
 
 
 def _agree(value: float, std: float, joint: Interval) -> bool:
-    """Return whether another estimate agrees with that of the joint fit; one of unknown error (NaN) does."""
+    """Return whether another estimate agrees with that of the joint fit; one with an unknown error (NaN) does."""
     return not abs(joint.value - value) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, std)
 
 
@@ -252,7 +252,7 @@ def _parameter(name: str, value: float, spread: Interval | float, method: str, e
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)
     high = high if math.isfinite(high) else highest
-    # By the interval, not by the standard error: at a floor there is none, and a profile is lopsided.
+    # By the interval, not by the standard error: an estimate at a bound has none, and a profile is asymmetric.
     width = 0.5 * (high - low) / abs(value) if value else _INFINITE
     verdict: Verdict = "identified" if width <= IDENTIFIED else "weak" if width <= WEAK else "not-identifiable"
     if bounded != value:

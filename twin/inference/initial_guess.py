@@ -53,7 +53,7 @@ def first_theta(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
         sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
         sigma_x_m=1e-5,
         process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
-        # With less at the start, an incomplete model ends at a far lower maximum: all its error counts as noise of x.
+        # From a smaller value, an incomplete model ends at a far lower maximum: all its error counts as noise of x.
         process_a_m_s2=3.0,
     )
 

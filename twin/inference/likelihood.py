@@ -3,7 +3,7 @@
 Rule 1: sums over samples do not depend on the number of workers, as each worker computes whole derivatives.
 Rule 2: evidence outside the series counts, too: priors of the stops and of the causes' shapes, lift-off points,
         equilibria.
-Rule 3: the caller's budget pays for a run before it begins.
+Rule 3: a run is charged to the caller's budget before it begins.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Criterion:
     """The likelihood of a set of recordings.
 
     Args:
-        evidence: of `gather`.
+        evidence: the result of `gather`.
         plant: mass, travel, x_max, gravity.
         tick_s: the interval that process noise refers to.
         workers: threads; the kernels run outside the interpreter's lock.
@@ -63,7 +63,7 @@ class Criterion:
         self.plant, self.tick_s = plant, tick_s
         self.evidence, self.pace, self.halves = evidence, pace_of(evidence.series), _halves(evidence.series)
         self.share = 1.0  # of the samples of the campaign
-        # Two pools: in one, climbs could fill all threads and wait for their derivatives for ever.
+        # Two pools: in a single one, climbs could occupy all threads and wait for their derivatives for ever.
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
         self.whole = budget or Budget()
@@ -76,7 +76,7 @@ class Criterion:
 
     @property
     def thinner(self) -> Criterion:
-        """The likelihood of part of the samples, for the way to where a fit begins; itself, where there are too few."""
+        """The likelihood of part of the samples, for a quick approach to the maximum; `self` if samples are few."""
         if len(self.evidence.series) < settings.APPROACH_RATIO * settings.APPROACH_SAMPLES:
             return self
         return self.over(self._thinned)
@@ -158,7 +158,7 @@ class Criterion:
         return self._outputs(theta)
 
     def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
-        """Run the filter and pay for it; `known`: as `filtered` takes it."""
+        """Run the filter; `known` as in `filtered`."""
         results = room_for(len(self.evidence.series), self._states(theta))
         self._fill(theta, slice(0, len(results.innovations)), results, known)
         self.evaluations += 1
@@ -173,7 +173,7 @@ class Criterion:
         fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))
 
     def run(self, theta: Theta) -> Results:
-        """Return the innovations, with the steps that `derivatives` take over from here."""
+        """Return the innovations and the steps of the filter, which `derivatives` reuses."""
         self.pay(theta)
         results = room_for(len(self.evidence.series), self._states(theta), steps=True)
         list(self._pool.map(lambda part: self._fill(theta, part, results), self.halves))
@@ -181,12 +181,12 @@ class Criterion:
         return results
 
     def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
-        """Return the `outputs` of models near that of `at`, with the steps of its run.
+        """Return the `outputs` of models near that of `at`, reusing the steps of its run.
 
         Args:
             thetas: the models.
             at: the run.
-            reuse: what each takes over from there.
+            reuse: for each model, what it reuses of the run.
         """
         known, states, _ = at.steps.slopes.shape
         reuse = [
@@ -239,10 +239,9 @@ class Criterion:
         Args:
             theta: the model.
             names: of the coordinates.
-            at: a run of `theta`: models that differ in their noise take over its steps.
-            rough: take over the slopes of the steps for all other models, for half the work or less.  If the
-                innovations are about as large as the filter expects, this gives the direction of a step, but not the
-                maximum.
+            at: a run of `theta`: models that differ in their noise reuse its steps.
+            rough: reuse the slopes of the steps for all other models, for half the work or less.  If the innovations
+                are about as large as the filter expects, this gives the direction of a step, but not the maximum.
         """
         # Differences of the filter, not analytic sensitivities. These would be a second set of equations, and each new
         # cause would extend it. The differences include the effect on the Kalman gains.
@@ -253,8 +252,7 @@ class Criterion:
         else:
             # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
-            # Noise levels change the weight of a reading, and stops what a ball at rest reads, but neither the motion
-            # between two readings: they take over its steps.
+            # Noise levels and stops do not change the motion between two readings, so its steps are reused.
             steady = NOISES + COLOURS + STOPS
             is_reused = [rough or name in STOPS or (smooth and name in steady) for name in steps]
             reuse = [Reuse.STEPS if name in steady else Reuse.SLOPES for name in steps]
@@ -274,7 +272,7 @@ class Criterion:
     def slopes(
         self, theta: Theta, names: Sequence[str], base: FloatArray, change: FloatArray
     ) -> tuple[float, FloatArray, FloatArray]:
-        """Compute `gradient` from outputs and derivatives; a nearby point's suffice for the last steps of a climb."""
+        """Compute `gradient` from outputs and derivatives; those of a nearby point suffice at the end of a climb."""
         n, count = len(base), len(names)
         fisher, each = np.zeros((count, count)), np.empty((n, count))
         total = self.loglik(theta, base)
@@ -286,8 +284,8 @@ class Criterion:
 
 
 def mean_square(out: FloatArray) -> float:
-    """Return the mean square of the whitened innovations: 1 if the filter's size is right, inf without any."""
-    white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
+    """Return the mean square of the whitened innovations: 1 if their covariance is right, inf if there are none."""
+    white = np.full((len(out), 2), np.nan)  # with impossible parameters, some rows are not filled in
     whiten(out, np.empty(len(out)), white)
     known = white[np.isfinite(white)]
     return float(np.mean(known**2)) if len(known) else math.inf
@@ -295,7 +293,7 @@ def mean_square(out: FloatArray) -> float:
 
 def _halves(series: Series) -> list[slice]:
     """Return two parts of about equal size for two workers; they meet where a recording begins."""
-    # Cut where a recording begins: the filter starts anew there, so its results do not depend on the cut.
+    # The filter starts anew with each recording, so its results do not depend on the cut.
     begins = np.flatnonzero(np.diff(series.recording, prepend=-1))
     n = len(series)
     middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0

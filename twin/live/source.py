@@ -1,9 +1,9 @@
-"""The newest minutes of a board: out of the gateway's log where it lies on this machine, else from the bus.
+"""The newest minutes of a board: from the gateway's log if it is on this machine, otherwise from the bus.
 
-Rule 1: which log is being written, the gateway says (`Status.log_file`); a file of that name that does not hold this
-        board's session is another one's and is not used.
-Rule 2: an unfinished log is read as far as it goes; what was before its part is taken from the parts before it.
-Rule 3: no more than the minutes asked for are in memory.
+Rule 1: the gateway names the log that it writes (`Status.log_file`).  A file of that name without this board's session
+        belongs to another gateway and is not used.
+Rule 2: an unfinished part is read as far as it goes; older messages are taken from the parts before it.
+Rule 3: only the requested minutes are kept in memory.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LiveData:
     captures: list[pb.CaptureRecord] = field(default_factory=list)
     parameters: list[pb.Parameters] = field(default_factory=list)
     card: pb.PlantCard | None = None  # the newest
-    model_json: str = ""  # that the live twin runs on
+    model_json: str = ""  # the model of the live twin
     where: str = ""
 
     def take(self, topic: str, data: bytes) -> None:
@@ -58,7 +58,7 @@ class LiveData:
                 self.model_json = model.model_json
 
     def newest(self, span_s: float) -> None:
-        """Forget what is older than that, on the host's clock."""
+        """Drop messages older than `span_s`, by the host's clock."""
         if not self.states:
             return
         since_ns = self.states[-1].host_time_ns - round(span_s * 1e9)
@@ -68,7 +68,7 @@ class LiveData:
 
 
 def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[str, pb.Status]:
-    """The board that is meant, and what its gateway says of it.
+    """Return the chosen board and the status from its gateway.
 
     Raises:
         ServiceError: no gateway reports it.
@@ -98,7 +98,7 @@ def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[st
 
 
 def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: float) -> LiveData | None:
-    """The newest `span_s` out of the log that the gateway is writing; None where it does not lie in `folder`.
+    """Return the newest `span_s` of the log that the gateway is writing; None if it is not in `folder`.
 
     Raises:
         DataError: the file is there and cannot be read.
@@ -131,7 +131,7 @@ def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: flo
 
 
 def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, progress: Progress) -> LiveData:
-    """Listen for `span_s`.  Raises ServiceError where nothing comes."""
+    """Listen for `span_s`.  Raises ServiceError if no samples arrive."""
     live = LiveData(where="the bus")
     queue: deque[tuple[str, bytes]] = deque()
 
@@ -159,6 +159,6 @@ def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, progr
 
 
 def in_force(parameters: pb.Parameters) -> tuple[int, int, tuple[float, ...], float, float, float]:
-    """Return (session, law, gains, i_0, x_0, u_0): two messages of which it is the same say the same law."""
+    """Return (session, law, gains, i_0, x_0, u_0), which is equal for two messages with the same law."""
     p = parameters
     return p.session, p.law, tuple(p.gains), p.i_0_a, p.x_0_m, p.u_0_v

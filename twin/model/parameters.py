@@ -257,7 +257,7 @@ def model_text(model: Model) -> str:
     """The JSON text of a model file; `parse_model` is the inverse.  Raises ValueError for NaN."""
     content = asdict(model)
     if model.plant.ball_diameter_m is None:
-        del content["plant"]["ball_diameter_m"]  # so that the model of before has the text of before
+        del content["plant"]["ball_diameter_m"]  # so that older models keep their text
     return json.dumps(content, indent=2, allow_nan=False)
 
 

@@ -33,7 +33,7 @@ _WHY: dict[Trait, str] = {
     "delays": "its state is the past of a signal",
     "hidden-state": "it has a state beside [i_c, x, x']",
     "warms": "it has a state beside [i_c, x, x']",
-    "sticks": "a ball that sticks is no differential equation",
+    "sticks": "a ball that sticks follows no differential equation",
 }
 
 

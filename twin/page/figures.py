@@ -1,4 +1,4 @@
-"""The one style of all figures: colours, grid, sizes of the letters, and how a figure gets into a page.
+"""The style of all figures: colours, grid, font sizes, and how a page embeds a figure.
 
 Rule: measured is blue, a model or a twin red, an extended model green, a reference or a noise floor grey.
 """
@@ -19,7 +19,7 @@ from matplotlib.ticker import NullLocator
 
 P = ParamSpec("P")
 R = TypeVar("R")
-# Light enough apart that a print in grey tells them, too: luminances 48, 97 and 131 of 255.
+# Their luminances (48, 97 and 131 of 255) differ enough for a print in grey.
 MEASURED, MODEL, EXTENDED, REFERENCE, ALARM = "#0b3a5d", "#c8391f", "#4ca561", "#555555", "#b8860b"
 _STYLE: Any = {
     "axes.grid": True,
@@ -46,7 +46,7 @@ class Picture:
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """A function that draws, in this style."""
+    """Decorate a function that draws, so that it draws in this style."""
 
     @functools.wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -59,14 +59,14 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 def grid(
     rows: int, columns: int, *, height: float, width: float = 11.0, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return the axes in rows and columns, those of a column over one x; sizes in inches."""
+    """Return a figure and its axes by row and column; a column shares its x axis.  Sizes in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     made = figure.subplots(rows, columns, squeeze=False, sharex="col", height_ratios=ratios)
     return figure, [list(row) for row in made]
 
 
 def legend_above(ax: Axes) -> None:
-    """The legend in one line above the axes: inside, it lies over the data of some recordings."""
+    """Put the legend in one line above the axes: inside, it would cover the data of some recordings."""
     ax.legend(
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),

@@ -1,7 +1,7 @@
 """The paper's figures 11 and 12: the closed loop measured, and simulated with the identified noise.
 
 Rule 1: the simulation uses the recorded reference, and the rig's state and integral at its first sample only.
-Rule 2: a law that does not reproduce the recorded u_c from the recorded samples did not run: the closed loop is not
+Rule 2: a law that does not reproduce the recorded u_c from the recorded samples was not in use: the closed loop is not
         testable then.
 """
 
@@ -28,7 +28,7 @@ from twin.settings.mirror import STABLE
 from twin.validation.source import Filtered, Source
 
 SHORTEST_S = 0.5
-UNEXPLAINED = 0.25  # of the changes of u_c: largest part that rounding may leave unexplained
+UNEXPLAINED = 0.25  # largest share of the changes of u_c that rounding may leave unexplained
 REALISATIONS = 8
 
 
@@ -49,7 +49,7 @@ def simulate_loop(
         plant: tuple(PlantNumbers).
         numbers: tuple(LawNumbers).
         x_ref: m, shape (n,).
-        noise: of i_c (A), x (m), process of i_c (A), of x' (m/s), shape (4, n).
+        noise: of the readings of i_c (A) and x (m), process noise of i_c (A) and x' (m/s), shape (4, n).
         lsb: one count of i_c (A), x (m), u_c (V), shape (3,); 0: no rounding.
         begin: initial memory of the simulated rig and its law (`twin/model/simulate.py`).
         before: inputs sent before the first sample and not yet acting, V, oldest first; their number is the delay.
@@ -97,11 +97,12 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
     gap = law_gap(record, model.plant, c)
     if gap is not None and gap.contradicted:
         return [], (
-            f"the law does not give the recorded u_c ({100 * gap.share:.0f} % of its movement are left): {gap.text()}"
+            f"the law does not give the recorded u_c ({100 * gap.share:.0f} % of its movement is unexplained): "
+            f"{gap.text()}"
         )
     flown = _flown(run, c)
     if not flown:
-        return [], f"no {SHORTEST_S:g} s of flight at a steady sampling time with the reference known"
+        return [], f"no flight of {SHORTEST_S:g} s with a steady sampling time and a known reference"
     simulated, reason = [], ""
     for piece in flown:
         begin = _begin(run, c, piece)
@@ -113,7 +114,7 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
         left = unexplained(run.source, c, part, integral)
         if left > UNEXPLAINED:
             reason = (
-                f"the law does not give the recorded u_c ({100 * left:.0f} % of its changes are left): "
+                f"the law does not give the recorded u_c ({100 * left:.0f} % of its changes is unexplained): "
                 "other gains, another filter or another operating point was in use"
             )
             continue

@@ -39,7 +39,7 @@ _LOST_FOR = 16  # ticks that a STATE may wait in its queue
 
 
 class _Chip(ctypes.Structure):
-    """struct chip of simavr.c, as far as it is looked at."""
+    """struct chip of simavr.c, as far as it is used."""
 
     _fields_ = (
         ("cycle", c_uint64),
@@ -186,7 +186,7 @@ class AvrBoard:
         self._restart(power=False, brown_out=False)
 
     def hold_bus(self, falls: int) -> None:
-        """Let the converter hold SDA low from now on, for so many falls of SCL; 0: let it go."""
+        """Let the converter hold SDA low from now on, for this number of falls of SCL; 0: release it."""
         self._view.held = falls
 
     def slow_bus(self, bit_us: int) -> None:

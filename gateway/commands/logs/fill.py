@@ -1,7 +1,7 @@
-"""Fill what the recording in FOLDER has missed, from the log servers of its site (`board51 serve-log`).
+"""Fill the gaps of the recording in FOLDER from the log servers of its site (`board51 serve-log`).
 
-What was recorded while a line between two sites was cut follows as further parts fill-*.mcap.  It can be stopped,
-killed and started again at any time.  Exit code 0: nothing is missing that a server has; 1: no server answers, or one
+Records that were missed while a line between two sites was cut are written as further parts fill-*.mcap.  You may stop,
+kill and start it again at any time.  Exit code 0: nothing is missing that a server has; 1: no server answers, or one
 has records that are younger than --settle.
 """
 
@@ -28,10 +28,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="of the recording: the --out of `board51 record`")
     add_bus_arguments(parser)
     parser.add_argument("--board", help="only this board")
-    parser.add_argument("--every", type=float, metavar="S", help="again and again, so many seconds apart")
+    parser.add_argument("--every", type=float, metavar="S", help="repeat every S seconds")
     parser.add_argument(
         "--settle", type=float, default=60.0, metavar="S",
-        help="leave alone what is younger, as it may still arrive by itself (default 60)",
+        help="leave out younger records, which may still arrive by themselves (default 60)",
     )  # fmt: skip
     parser.add_argument(
         "--days", type=float, default=7.0, help="look at parts that were written to in the last DAYS (default 7)"

@@ -1,9 +1,9 @@
-"""A log back onto the bus at any speed, or its raw bytes into a pty or TCP port for a gateway to read.
+"""Replay a log onto the bus at any speed, or its raw bytes to a pty or TCP port for a gateway to read.
 
-On the bus everything the gateway had published goes out under its old keys (--as renames the board); twin/* only where
---topic asks for it, because a live twin recomputes it.  With --bytes the gateway itself is run again: it gets the
-board's bytes as they were, noise included.  HELLO, GET_PARAMETERS and PING are answered from the log, every other
-command is refused with NOT_AVAILABLE: a recording cannot be influenced.
+The bus gets everything that the gateway published, under the old keys (--as renames the board).  twin/* is left out
+unless --topic asks for it, because a live twin computes it again.  With --bytes a gateway gets the board's bytes as
+they were, noise included.  HELLO, GET_PARAMETERS and PING are answered from the log, every other command is refused
+with NOT_AVAILABLE: a recording cannot be influenced.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=float, default=1.0, metavar="N", help="multiple of real time; 0: as fast as possible"
     )
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="from the first message of the log")
-    parser.add_argument("--end", type=float, metavar="S", help="the same")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="begin S seconds after the log begins")
+    parser.add_argument("--end", type=float, metavar="S", help="end S seconds after the log begins")
     parser.add_argument("--board", action="append", help="only this board; repeatable")
     bus = parser.add_argument_group("onto the bus")
     bus.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router (default {DEFAULT_ENDPOINT})")
-    bus.add_argument("--listen", action="append", metavar="ENDPOINT", help="be the router for others instead")
+    bus.add_argument("--listen", action="append", metavar="ENDPOINT", help="be a router instead of joining one")
     bus.add_argument("--identity", metavar="FOLDER", help=f"{HELP}; only the gateway's may publish its topics")
     bus.add_argument("--insecure", action="store_true", help="--listen on the network without protection")
     bus.add_argument("--topic", action="append", choices=names, metavar="TOPIC", help=f"of: {', '.join(names)}")
@@ -60,9 +60,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="take orders from standard input, one a line: pause, play, seek S, speed N; stay at the end",
     )
-    bus.add_argument(
-        "--wait", type=float, default=2.0, metavar="S", help="wait so long for a subscriber, then begin (default 2)"
-    )
+    bus.add_argument("--wait", type=float, default=2.0, metavar="S", help="longest wait for a subscriber (default 2)")
     raw = parser.add_argument_group("as a board")
     raw.add_argument("--bytes", action="store_true", help="the raw bytes of the UART")
     raw.add_argument("--pty", type=Path, metavar="PATH", help="make a new pty, and this link to it")
@@ -169,7 +167,7 @@ def _session(args: argparse.Namespace) -> zenoh.Session:
 def _play(
     reader: LogReader, replay: BusReplay, args: argparse.Namespace, topics_: tuple[str, ...], stop: threading.Event
 ) -> None:
-    """Replay under the orders of standard input, and print each change of state as a line of JSON."""
+    """Replay as standard input orders, and print each change of state as a line of JSON."""
     from gateway.record.player import Player
     from gateway.record.replay import SESSIONS_PER_PASS, from_time
 

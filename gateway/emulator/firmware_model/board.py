@@ -169,7 +169,7 @@ class Firmware:
                 self.reset(EventCode.RESET_WATCHDOG)
             return
         i_pin, x_pin = self._plant.sense()
-        # The plant is asked at every tick, not at every frame: the loss belongs to the board, not to the divider.
+        # The plant decides at every tick, not at every frame: the loss belongs to the board, not to the divider.
         lost = self._plant.drop_sample()
         self._execute_pending()
         if self._reset_wait and self._leave():
@@ -322,7 +322,7 @@ class Firmware:
 
 
 def _command(body: bytes) -> Message | Nack | None:
-    """Return the command, or its refusal; None if it is not from the host or has no id, and so gets no answer."""
+    """Return the command, or its refusal; None if it is not from the host or has no id: it gets no answer."""
     row = ROW_OF_TYPE.get(body[0])
     if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
         return None

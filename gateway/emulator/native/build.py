@@ -79,9 +79,9 @@ def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[st
 
 @cache
 def build_of_sources() -> bytes:
-    """Return what an image says in IDENTITY.build, 8 ASCII characters: of which commit or release its sources are.
+    """Return IDENTITY.build of an image, 8 ASCII characters: the commit or release of its sources.
 
-    The commit: 8 digits, or 7 and a `+` where the sources differ from it.  Outside of a clone: the installed version.
+    A commit has 8 digits, or 7 and a `+` if the sources differ from it.  Outside of a clone: the installed version.
     """
     if _git("ls-files", "core/core.h"):
         commit = _git("rev-parse", "HEAD")
@@ -95,7 +95,7 @@ def build_of_sources() -> bytes:
 
 
 def build_option() -> str:
-    """Return the compiler's option for it."""
+    """Return the compiler's option that sets IDENTITY.build."""
     return "-DB51_FIRMWARE_BUILD=" + ",".join(map(str, build_of_sources()))
 
 

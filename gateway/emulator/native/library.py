@@ -84,7 +84,7 @@ _FUNCTIONS = {  # name: result, arguments behind the board
 
 @cache
 def load(path: Path) -> ctypes.PyDLL:
-    """Load the library; one board at a time may be in it, so its calls keep Python's lock."""
+    """Load the library; only one board at a time may run in it, so its calls keep Python's lock."""
     library = ctypes.PyDLL(str(path))
     library.b51_posix_size.restype = c_uint32
     library.b51_posix_size.argtypes = ()

@@ -115,7 +115,7 @@ def sessions_of(path: Path) -> tuple[list[Session], str]:
             case pb.Event() if message.severity == "fault":
                 known.faults[message.name] = None
     damages = [damage.reason for scan in reader.scans for damage in scan.damages if not damage.is_cut]
-    # What comes without a sample, such as a model that was stated before the board answered, is no session.
+    # Messages without a sample, such as a model from before the board answered, are not a session.
     return [_row(*key, known) for key, known in sums.items() if known.samples], "; ".join(damages)
 
 

@@ -48,7 +48,7 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
 
     Raises:
         UsageError: the folder does not exist.
-        ServiceError: the catalogue cannot be written, or is no database.
+        ServiceError: the catalogue cannot be written, or is not a database.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder} is not a folder", remedy="Give the folder of the logs with --folder")
@@ -134,7 +134,7 @@ def _opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
 
 
 def _prepare(database: sqlite3.Connection) -> None:
-    """Make the tables; those of another version are made anew, as the logs hold everything."""
+    """Make the tables; replace those of another version, as the logs hold everything."""
     if database.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
         kinds = {int: "INTEGER", int | None: "INTEGER", float: "REAL", float | None: "REAL", str: "TEXT"}
         types = {"file": str, "bytes": int, **get_type_hints(Session), "problem": str}

@@ -20,7 +20,7 @@ def calibration(bench: Bench) -> Iterator[Verdict]:
         raise NotReadyError("x does not follow the ball: see polarity")
     corrects = (bench.identity.int("firmware_major"), bench.identity.int("firmware_minor")) >= _SINCE
     if bench.calibrate and not corrects:
-        raise NotReadyError("its firmware is older than 1.4 and takes no calibration: flash it anew")
+        raise NotReadyError("its firmware is older than 1.4 and takes no calibration: flash it again")
     ground_m, top_m = bench.rest().x_m, _ceiling_m(bench)
     if not bench.calibrate or _is_right(bench, ground_m, top_m):
         yield _travel(bench, top_m)

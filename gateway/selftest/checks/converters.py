@@ -16,11 +16,11 @@ def converters(bench: Bench) -> Iterator[Verdict]:
     u_v = max(bench.scaling.u_v(sample.state.u_c) for sample in rest.samples)
     yield judge(
         "input-at-zero",
-        "u_c when it is ordered 0",
+        "u_c when 0 V is commanded",
         u_v,
         "V",
         good=(-0.01, 0.01),
-        remedy="the input converter confirms nothing: cut the coil's supply, look at its bus",
+        remedy="the input converter does not confirm its value: cut the coil's supply, look at the converter's bus",
     )
     yield from _current(rest, rig)
     yield from _position(rest, rig)
@@ -81,9 +81,9 @@ def _position(rest: Rest, rig: RigNumbers) -> Iterator[Verdict]:
     if len(counts) == 1:
         yield warning(
             "position-constant",
-            "x to the bit",
-            f"{counts.pop()} at each tick",
-            remedy="quieter than a code, or stuck: the check polarity decides",
+            "codes of x at rest",
+            f"only {counts.pop()}",
+            remedy="the noise is less than a code, or the reading is stuck: the check `polarity` decides",
         )
     else:
         yield passed("position-constant", "codes of x at rest", str(len(counts)), "more than 1")

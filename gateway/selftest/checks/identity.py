@@ -10,7 +10,7 @@ from gateway.selftest.rigs import RIGS, RigNumbers
 from gateway.selftest.verdict import Verdict, fault, judge, passed, warning
 from protocol.wire.messages import COUNTS_MAX, EventCode, Message
 
-_ROOM = 10.0  # a converter's range is at most so many times what the rig needs
+_ROOM = 10.0  # largest ratio of a converter's range to what the rig needs
 _CORRECT = "correct the numbers in its firmware or EEPROM and flash it"
 
 
@@ -100,7 +100,7 @@ def _problem(parameters: Message, scaling: Scaling, rig: RigNumbers) -> str:
     if not -0.1 * rig.travel_m <= min(low, high) < max(low, high) <= 1.1 * rig.travel_m:
         return f"references from {1e3 * low:.2f} to {1e3 * high:.2f} mm are not in the travel of {rig.travel_m * 1e3:g}"
     if not number("x_ref_min") <= number("x_0") <= number("x_ref_max"):
-        return f"the operating point x_0 = {1e3 * scaling.x_m(number('x_0')):.2f} mm is no reference"
+        return f"the operating point x_0 = {1e3 * scaling.x_m(number('x_0')):.2f} mm is not a possible reference"
     if not any(number(f"k{n}_mantissa") for n in range(1, 4)):
         return "all gains are 0"
     if scaling.u_v(number("u_max")) < rig.rest_input_v:

@@ -2,7 +2,7 @@
 
 Rule: they are derived where they are shown, never recorded and never on the bus.  A recorder that wrote them would say
       each event twice, in two schemas; logs of before would have none; and a replay, beside which a live view derives
-      them again, would have to leave them out.  So they are no topics of the table: readers, `recover` and `replay`
+      them again, would have to leave them out.  So they are not topics of the table: readers, `recover` and `replay`
       pass over them as over any foreign topic.
 """
 

@@ -4,7 +4,7 @@ The frame is the board's name, in metres: z up, origin where the ball touches th
 centre at x + radius.  Travel and ball are those of the plant card; the coil's size is a proportion of the picture.
 
 Rule 1: each update is whole, coil included: after a seek Foxglove has the last message alone.
-Rule 2: what is not renewed vanishes (`LIFETIME_S`): a ball of an hour ago must not look like one in flight.
+Rule 2: an object that is not renewed vanishes (`LIFETIME_S`): a ball of an hour ago must not look like one in flight.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from protocol.plant import steel_ball_m
 
 PERIOD_NS = 40_000_000  # 25 Hz: a picture is smooth, and a hundredth of the samples' bytes
 LIFETIME_S = 1
-TWIN_AGE_S = 0.5  # an older sample of the twin is no part of the picture
+TWIN_AGE_S = 0.5  # an older sample of the twin is not drawn
 _COIL, _CORE, _PLATE = (
     Color(r=0.72, g=0.45, b=0.2, a=0.5),
     Color(r=0.35, g=0.35, b=0.4, a=1.0),

@@ -143,7 +143,7 @@ class Actions:
         shelve_s: float = 0.0,
         issued_ns: int = 0,
     ) -> pb.CommandReply:
-        """Acknowledge an alarm, or shelve it for so long."""
+        """Acknowledge an alarm, or shelve it for a time."""
         send = partial(self.feed.acknowledge, board, alarm, comment=comment, shelve_s=shelve_s, issued_ns=issued_ns)
         return self._send(session, "acknowledge", board, send)
 
@@ -152,7 +152,7 @@ class Actions:
     ) -> pb.CommandReply:
         """Acknowledge alarms, each by a command of its own; return the first refusal, if there is one.
 
-        An alarm that another person has acknowledged meanwhile is no refusal.
+        An alarm that another person has acknowledged meanwhile is not a refusal.
         """
         with ThreadPoolExecutor(min(8, max(1, len(alarms)))) as pool:  # each may wait for its answer
             acknowledge = partial(self.acknowledge, session, board, issued_ns=issued_ns)

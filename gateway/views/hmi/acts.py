@@ -48,7 +48,7 @@ class Acts:
     async def act(
         self, request: Request, board: str, do: Callable[[LoginSession, Wish], pb.CommandReply]
     ) -> pb.CommandReply:
-        """Do what a request asks, whose body has been read; `board` is its rig, "" for none."""
+        """Carry out a request whose body has been read; `board` is its rig, "" for none."""
         session, wish = session_of(request), Wish(board=board, arrived_s=_made_s(request))
         if not abs(time.monotonic() - wish.arrived_s) <= FRESH_S:  # also NaN
             return refusal("not-fresh", text_of("refusal.not_fresh"))

@@ -47,7 +47,7 @@ from protocol.errors import ServiceError
 
 REPORTS = ("report.html", "bode.html", "compare.html", "what_if.html")  # of diagnose, bode, compare, what-if
 STATIC = Path(__file__).parent / "static"
-END_S = 2  # open connections get so long at the end
+END_S = 2  # time for open connections at the end
 MAX_CONNECTIONS = 256  # beyond it: 503
 SEND_BUFFER = 16_384  # bytes that the system holds for a browser that does not read: a second or two of frames
 
@@ -168,13 +168,13 @@ def listen(host: str, port: int) -> socket.socket:
     """A listening socket.
 
     Raises:
-        ServiceError: the port is in use or not ours to open.
+        ServiceError: the port is in use or may not be opened.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     allow_restart(listener)
-    # Connections inherit both.  Without the second one that takes nothing stays for ever: what ends it, too, waits for
-    # the bytes before it to be taken.
+    # Connections inherit both.  Without the second option a connection that reads nothing stays for ever, because its
+    # close waits behind the bytes before it.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
     if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(STUCK_S * 1e3))

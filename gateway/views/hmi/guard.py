@@ -59,7 +59,7 @@ class Guard:
     Args:
         app: what is guarded.
         sessions: all that are open.
-        programs: sessions of those that are no browsers.
+        programs: sessions of programs other than browsers.
         newcomer: Opens a session for a browser without one if no login is needed; else None.
         loopback: whether the server listens on loopback only.
         https: whether it speaks TLS.

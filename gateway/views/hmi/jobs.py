@@ -80,7 +80,7 @@ class Jobs:
     """The jobs of this process."""
 
     def __init__(self) -> None:
-        # Who a job is on the bus is said by its options; that of this process must not replace it.
+        # The options of a job state its identity on the bus; that of this process must not replace it.
         self._environment = {name: value for name, value in os.environ.items() if name != IDENTITY_VARIABLE}
         self._jobs: dict[tuple[str, str], Job] = {}
         self._lock = threading.Lock()

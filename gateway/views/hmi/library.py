@@ -41,7 +41,7 @@ class LibraryFile:
 
 @lru_cache(maxsize=2 * MAX_FILES)
 def _extent(path: Path, _bytes: int, _changed_s: float) -> Extent | None:
-    return extent(path)  # read anew when the file has changed
+    return extent(path)  # read again when the file has changed
 
 
 class Library:

@@ -35,7 +35,7 @@ from protocol.errors import DataError
 from protocol.files import parse_json
 
 FRAME_S = 1.0 / 30.0
-REST_S = 0.25  # lists and health are looked at so often, and sent when they changed
+REST_S = 0.25  # interval at which lists and health are checked; they are sent when they have changed
 OVERVIEW_S = 0.2
 SPECTRUM_S = 1.0
 STUCK_S = 10.0

@@ -2,7 +2,7 @@
 
 Rule 1: a name ends with its unit, in base units (meters, amperes, seconds, bytes); a counter with total, a share or a
         figure without unit with ratio.  What is 0 or 1 has the name of what 1 means.
-Rule 2: what is not known is left out: an absent position is no 0.
+Rule 2: an unknown value is left out, because an absent position is not 0.
 Rule 3: the labels are bounded: rigs, causes, severities and modes are few, alarms at most 64 of a rig.
 """
 

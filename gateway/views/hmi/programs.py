@@ -1,6 +1,6 @@
 """The sessions of programs: by a bearer token, or, where the page needs no login, of this machine's user.
 
-Rule: a token opens the paths of `is_api` and nothing else; the cookie of a browser is no token (guard.py).
+Rule: a token opens the paths of `is_api` and nothing else; the cookie of a browser is not a token (guard.py).
 """
 
 from __future__ import annotations

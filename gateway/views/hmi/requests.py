@@ -60,8 +60,8 @@ class Requests:
     """The endpoints.
 
     Args:
-        actions: does what is asked.
-        acts: runs it.
+        actions: carries out acts.
+        acts: runs them in threads.
         work: on models.
     """
 

@@ -40,7 +40,7 @@ class LoginSessions:
 
     Args:
         users: where roles come from; None: no login is needed, and everybody here is the local operator.
-        idle_s: without an action for so long, a session is over.
+        idle_s: time without an action that ends a session.
         lifetime_s: so long after login it is over in any case.
     """
 

@@ -1,6 +1,6 @@
 """Data of a board for a page, as plain data for JSON: `now` with each frame, `rest` on change.
 
-`rest` bears a version of its parts, so that a reader which saw it is not sent it again.
+`rest` has a version, so that it is not sent again to a reader that has it.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
 
 
 def journal(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Return what became of the alarms, in words."""
+    """Return the history of the alarms, in words."""
     words = texts_of("journal_of")
     return [
         {
@@ -191,13 +191,13 @@ def summary(board: BoardFeed) -> dict[str, Any]:
         "alarms": sum(a.active for a in alarms),
         "shelved": len(board.shelved()),
         "gone": sum(not a.active for a in alarms),  # that nobody has acknowledged
-        # Also a shelved one: whoever looks at all rigs did not shelve it, and must see which of them has a fault.
+        # Also a shelved one: a user of the overview may not have shelved it, and must see which rig has a fault.
         "fault": any(a.active and a.severity == "fault" for a in listed),
     }
 
 
 def _excitation(records: Sequence[pb.CommandRecord]) -> dict[str, Any] | None:
-    """The excitation that plays, as far as the commands tell: what it is and when it ends (Unix time; 0: never)."""
+    """Return shape and end (Unix time; 0: never) of the excitation that plays, as far as the commands show."""
     for record in reversed(records):
         command, what = record.command, record.command.WhichOneof("what")
         if not record.reply.accepted or what not in ("excite", "stop", "set_mode"):

@@ -35,7 +35,7 @@ class Traces:
     """The traces of one board.
 
     Args:
-        board: as heard on the bus.
+        board: its messages from the bus.
     """
 
     def __init__(self, board: BoardFeed) -> None:

@@ -1,7 +1,7 @@
 """The spectra of a board's last seconds for one reader, from every tick since the reader began to look.
 
-Rule 1: what nobody looks at costs nothing: the readings are taken in from the first look to the last.
-Rule 2: what cannot be shown is said in words, and its column is null.
+Rule 1: readings are collected only while a reader looks.
+Rule 2: a column that cannot be shown is null, and a sentence says why.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gateway.views.hmi.traces import number
 from protocol.bus import board51_pb2 as pb
 
 SPAN_S = 10.0
-LEAST_S = 2.0  # of samples for a first spectrum
+LEAST_S = 2.0  # of samples needed for a first spectrum
 _MAX_READINGS = 10_000  # of a topic: SPAN_S at 1 kHz; twice as many are kept before the older half goes
 _HIGHEST = {"x": "spectrum.highest_x", "e": "spectrum.highest_e", "i": "spectrum.highest_i"}
 _TWIN_LAG_S = 0.25  # by which the twin may be behind
@@ -46,7 +46,7 @@ class Readings:
         """Take in a message; called by the feed."""
         row = (message.session, message.t_s, *self._values(message))
         with self._lock:
-            if row[0] != self._newest[0] or row[1] <= self._newest[1]:  # another clock
+            if row[0] != self._newest[0] or row[1] <= self._newest[1]:  # another time base
                 del self._numbers[:]
             elif len(self._numbers) >= 2 * _MAX_READINGS * len(row):
                 del self._numbers[: _MAX_READINGS * len(row)]
@@ -60,11 +60,7 @@ class Readings:
 
 
 class Watch:
-    """The look of one reader at a board.
-
-    Args:
-        board: as heard on the bus.
-    """
+    """The spectra of a board, while one reader looks at them."""
 
     def __init__(self, board: BoardFeed) -> None:
         self.board = board
@@ -73,12 +69,12 @@ class Watch:
         board.attach(pb.Divergence, self._errors)
 
     def close(self) -> None:
-        """Take in nothing more."""
+        """Stop collecting."""
         self.board.detach(pb.State, self._states)
         self.board.detach(pb.Divergence, self._errors)
 
     def spectra(self) -> dict[str, Any]:
-        """Return frequencies (Hz) and amplitudes of x, the residual (um) and i_c (mA), and what there is to say."""
+        """Return frequencies (Hz) and amplitudes of x, the residual (um) and i_c (mA), and sentences."""
         states, link = self._states.table(), self.board.link()
         if not link.live:
             return _words(text_of("spectrum.silent"))
@@ -110,7 +106,7 @@ def _words(*sentences: str) -> dict[str, Any]:
 
 
 def _word(name: str, share: float) -> str:
-    """Return what there is to say of a channel of which this share of the samples is missing."""
+    """Return the sentence about the missing share of a channel's samples; "" if none is missing."""
     if share == 0.0:
         return ""
     if share == 1.0 and name == "e":

@@ -85,7 +85,7 @@ class Conditions:
         node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
         condition = self._server.conditions.setdefault(node, ConditionNode(alarm.board, alarm.name))
         self._known[alarm.name] = condition, alarm
-        if came:  # the events and comments of before are over
+        if came:  # its earlier events and comments are over
             condition.event_ids.clear()
             condition.comment = None
         if condition.enabled or switched:

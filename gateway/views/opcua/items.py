@@ -173,7 +173,7 @@ def is_news(sent: ua.DataValue | None, value: ua.DataValue, filter_: Any) -> boo
         return True
     trigger = filter_.Trigger if filter_ is not None else Trigger.StatusValue
     band = filter_.DeadbandValue if filter_ is not None and filter_.DeadbandType == ua.DeadbandType.Absolute else 0.0
-    # With a deadband, a time stamp alone is no news.
+    # With a deadband, a new time stamp alone is not a change.
     if trigger == Trigger.StatusValueTimestamp and not band and sent.SourceTimestamp != value.SourceTimestamp:
         return True
     if trigger == Trigger.Status or sent.Value == value.Value:

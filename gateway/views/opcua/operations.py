@@ -77,7 +77,7 @@ class Operations:
         """Carry out a command and return its reply.
 
         A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
-        STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
+        STOP needs a login: a visitor without a name is always refused here.
         """
         text = ""
         if visitor == NOBODY:

@@ -28,7 +28,7 @@ from gateway.access.users import User, Users
 from protocol.errors import ConfigError
 
 S = ua.StatusCodes
-_RENEW = "Make both anew with `board51 security renew`"
+_RENEW = "Renew both with `board51 security renew`"
 _HASH = hashes.SHA256()
 _logger = logging.getLogger("gateway.opcua")
 

@@ -157,7 +157,7 @@ async def _keep_up(
             look_s = now_s
             if deaf := inner.drop_deaf():
                 _logger.warning("%d clients did not read and were dropped", deaf)
-        due_s = max(due_s + period_s, now_s)  # what was missed is not made up: the bins are all there
+        due_s = max(due_s + period_s, now_s)  # missed rounds are not repeated: the bins are complete
         try:
             await asyncio.wait_for(stop.wait(), max(0.0, due_s - now_s))
         except TimeoutError:

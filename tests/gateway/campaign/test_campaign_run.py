@@ -125,7 +125,7 @@ def test_a_board_that_somebody_flies_is_left_alone(tmp_path: Path, capsys: pytes
 
         assert line.run(tmp_path / "c") == 1
 
-        assert "rig is in closed loop: somebody uses it" in capsys.readouterr().err
+        assert "rig is in closed loop: another user works with it" in capsys.readouterr().err
         assert line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP
 
         assert line.run(tmp_path / "c", "--quick", "--experiment", "rest", "--park") == 0

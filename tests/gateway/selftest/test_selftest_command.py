@@ -75,7 +75,7 @@ def test_faults_are_exit_code_1_and_each_line_of_json_is_one_object(
         ([], "No board is given"),
         (["--board", "/dev/absent", "--yes"], "There is no /dev/absent"),
         (["--board", "tcp://127.0.0.1:1", "--yes"], "is the serial server running"),
-        (["--board", "/dev/null"], "Current is to flow, and nobody can be asked"),
+        (["--board", "/dev/null"], "Current will flow, and there is no terminal to ask"),
         (["--board", "/dev/null", "--only", "link", "--skip", "link"], "No check is left"),
         (["--board", "/dev/null", "--only", "link", "--calibrate"], "Add --only calibration"),
     ],

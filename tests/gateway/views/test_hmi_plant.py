@@ -51,8 +51,8 @@ def test_a_card_that_nobody_stated_and_one_that_has_not_come_are_told_apart() ->
     [
         ({"mass_g": "0.008"}, "mass_g", "0.008 g is outside 0.1 g .. 2 kg. You may mean 8 g", True),
         ({"mass_g": "8,28"}, "mass_g", "a steel ball of 17 mm weighs 20.19 g", False),
-        ({"mass_g": "heavy"}, "mass_g", "This is no number.", True),
-        ({"mass_g": "inf"}, "mass_g", "This is no number.", True),
+        ({"mass_g": "heavy"}, "mass_g", "This is not a number.", True),
+        ({"mass_g": "inf"}, "mass_g", "This is not a number.", True),
         ({"travel_mm": ""}, "travel_mm", "This value is needed.", True),
         ({"travel_mm": "5.7", "x_max_mm": ""}, "travel_mm", "whose references end at 10.9 mm", False),
         ({"x_max_mm": "11"}, "x_max_mm", "11 mm lies within the travel of 12 mm", True),

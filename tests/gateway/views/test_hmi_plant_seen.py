@@ -90,7 +90,7 @@ def test_what_is_typed_is_judged_beside_its_field_before_it_is_sent(
     state(page, mass_g="20", diameter_mm="12.6", x_max_mm="8")
     answer("mass_g").to_contain_text("a steel ball of 12.6 mm weighs 8.222 g")
     expect(page.get_by_role("button", name="State this plant", exact=True)).to_be_hidden()
-    press(page, "It is right: state this plant")
+    press(page, "The values are right: state this plant")
     (sent,) = wait_for(lambda: stated(gateway), "the command")
     assert sent.confirmed
     assert [sent.plant.mass_kg, sent.plant.x_max_m] == pytest.approx([20e-3, 8e-3])

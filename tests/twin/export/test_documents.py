@@ -98,8 +98,8 @@ def test_modelica_says_what_it_cannot_have(tmp_path: Path, capsys: pytest.Captur
     assert board51.main(["export-model", str(path), "--to", "modelica", "--out", str(tmp_path / "a.mo")]) == 2
 
     assert capsys.readouterr().err == (
-        "board51 export-model: Modelica cannot have a part of this model. coulomb-friction: a ball that sticks is no"
-        " differential equation. Export with --to fmu, which Modelica tools import, or leave the cause out of the"
-        " model.\n"
+        "board51 export-model: Modelica cannot express a part of this model. coulomb-friction: a ball that sticks"
+        " follows no differential equation. Export with --to fmu, which Modelica tools import, or leave the cause out"
+        " of the model.\n"
     )
     assert not (tmp_path / "a.mo").exists()

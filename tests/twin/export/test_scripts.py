@@ -89,7 +89,7 @@ def test_a_missing_equation_is_told(to: str, tmp_path: Path) -> None:
     notes = exported(MODELS["late, dry"], to, tmp_path / "rig").notes
 
     assert (
-        "the differential equation is left out. coulomb-friction: a ball that sticks is no differential equation"
+        "the differential equation is left out. coulomb-friction: a ball that sticks follows no differential equation"
         in (notes)
     )
     assert not (tmp_path / "rig" / "rig_ode.m").exists()

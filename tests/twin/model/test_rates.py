@@ -50,7 +50,7 @@ def test_what_has_no_equation_says_why() -> None:
     model = with_causes("coulomb-friction", "actuation-delay", "quadratic-drag", "eddy-current-lag")
 
     assert without_equation(model) == [
-        "coulomb-friction: a ball that sticks is no differential equation",
+        "coulomb-friction: a ball that sticks follows no differential equation",
         "actuation-delay: its state is the past of a signal",
         "eddy-current-lag: it has a state beside [i_c, x, x']",
     ]

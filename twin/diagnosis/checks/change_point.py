@@ -1,6 +1,6 @@
 """Change points: an effect that begins or ends between two recordings of a campaign.
 
-A change is looked for only if no cause that acts in all recordings leaves just noise.
+A change is searched for only if no cause that acts in all recordings leaves just noise.
 
 Rule 1: one set of the paper's parameters holds for the whole campaign; a cause acts on one side of the change alone.
 Rule 2: a change is reported only if it leaves just noise, and if the same cause in all recordings, fitted again, is

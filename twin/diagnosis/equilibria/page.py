@@ -1,4 +1,4 @@
-"""The page of a diagnosis from points of rest: the answer, the points, what each explanation says of them."""
+"""The page of a diagnosis from points of rest: the answer, the points, the errors of each explanation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin.page.render import render
 
 
 def page(diagnosis: StaticDiagnosis, title: str) -> str:
-    """Return the self-contained HTML."""
+    """Return the page as self-contained HTML."""
     points, base, members = diagnosis.points, diagnosis.base, diagnosis.members
     best = members[0] if members else None
     columns = (
@@ -76,12 +76,12 @@ def _proposal(first: Explanation, other: Explanation) -> str:
 
 @styled
 def figure(diagnosis: StaticDiagnosis) -> Figure:
-    """Return the currents over x, errors over x."""
+    """Draw the currents and their errors over x."""
     drawn = Figure(figsize=(9.6, 3.8), layout="constrained")
     left, right = drawn.subplots(1, 2)
     plant, points = diagnosis.plant, diagnosis.points
     x = np.linspace(0.0, plant.travel_m, 80)
-    models = [("(3), K_c at its best", diagnosis.base, MODEL)]
+    models = [("(3) with the best K_c", diagnosis.base, MODEL)]
     if diagnosis.members:
         models.append((f"with {diagnosis.members[0].name}", diagnosis.members[0].fit, EXTENDED))
     for label, fit, colour in models:

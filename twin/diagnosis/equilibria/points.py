@@ -72,10 +72,10 @@ class StaticFit:
 
 
 def points_of(records: Sequence[Record], plant: Plant, min_points: int = settings.STATIC_POINTS) -> Points:
-    """The rows of equilibria recordings, at least so many.
+    """Return the points of rest in equilibria recordings.
 
     Raises:
-        DataError: a row that cannot be a point of rest of this plant, or too few rows.
+        DataError: a row that cannot be a point of rest of this plant, or fewer than `min_points` rows.
     """
     x = np.concatenate([record.x for record in records]) if records else np.empty(0)
     i = np.concatenate([record.i_c for record in records]) if records else np.empty(0)

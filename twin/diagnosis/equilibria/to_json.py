@@ -26,7 +26,7 @@ def sentence_of(diagnosis: StaticDiagnosis) -> str:
     worst = int(np.argmax(np.abs(base_a)))
     off, i = base_a[worst], diagnosis.points.i_c_a[worst]
     wrong = (
-        f"With K_c at its best, (3) is off by {1e3 * rms(base_a):.3g} mA rms over {n} points of rest,"
+        f"With the best K_c, (3) is off by {1e3 * rms(base_a):.3g} mA rms over {n} points of rest,"
         f" most at x = {1e3 * diagnosis.points.x_m[worst]:.2f} mm: the ball needed {1e3 * off:+.0f} mA"
         f" ({100 * off / i:+.0f} % of its holding current) compared with (3)"
     )

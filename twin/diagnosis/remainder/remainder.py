@@ -269,7 +269,7 @@ def _extend(
         at: the model to begin with.
         candidates: causes that may have the form of a curve.
         attempts: receives each curve and each cause that was fitted.
-        max_curves: at most so many curves are added.
+        max_curves: largest number of curves that are added.
     """
     criterion = judging.criterion
     for _ in range(max_curves):

@@ -82,7 +82,7 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
         lead = fit.loglik - selection.fit.loglik + (len(names) - 1) * settings.MIN_GAIN
         if lead <= 0.0:
             continue
-        # Several names fall together or not at all: where one is right by another formula, the others are asked alone.
+        # Several names fall together or not at all: if one is right by another formula, the others are compared alone.
         if not any(_is_free_form(criterion, selection, names, name, score.curve, fit) for name in names):
             is_sole = len(names) == len(selection.causes)
             return Rival(curve=score.curve, names=names, lead=lead, fit=fit, is_sole=is_sole)

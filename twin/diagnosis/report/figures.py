@@ -1,6 +1,6 @@
 """The figures of the report: measured blue, baseline red, extended green, noise floor grey.
 
-Rule 1: one panel a picture, as wide as a phone: two stand side by side on a desk.
+Rule 1: each picture has one panel, as wide as a phone; on a desktop two stand side by side.
 Rule 2: the same colours and the same order everywhere; error bars are 95 % intervals.
 Rule 3: the same numbers give the same bytes.
 """
@@ -42,7 +42,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     ax.set_xticks(h, [f"{value:.3g}" for value in h])
     ax.minorticks_off()
     ticks_125(ax, *ax.get_ylim())
-    label(ax, "predicted so far ahead [ms]", "rms error of x [µm]")
+    label(ax, "prediction horizon [ms]", "rms error of x [µm]")
     return figure
 
 
@@ -103,10 +103,10 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
 
 @styled
 def curve_figure(curve: Curve) -> Figure:
-    """A mean residual over one quantity."""
+    """Draw a mean residual over one quantity."""
     figure, ax = panel()
     factor, unit = _SCALES.get(curve.unit, (1.0, curve.unit))
-    up, what = (1e3, "unexplained force [mN]") if curve.residual_unit == "N" else (1e3, "unforeseen current [mA]")
+    up, what = (1e3, "unexplained force [mN]") if curve.residual_unit == "N" else (1e3, "unexplained current [mA]")
     at = np.array([point.at for point in curve.points]) * factor
     ax.axhline(0.0, color="black", lw=0.6)
     for name, colour, estimates in _sides([p.baseline for p in curve.points], [p.extended for p in curve.points]):
@@ -174,13 +174,13 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
     ax.xaxis.set_minor_locator(matplotlib.ticker.NullLocator())
     ax.xaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("gain of log-likelihood")
-    ax.set_title(f"round {number}: " + (f"{step.selected} taken" if step.selected else "nothing taken"))
+    ax.set_title(f"round {number}: " + (f"{step.selected} selected" if step.selected else "none selected"))
     return figure
 
 
 @styled
 def shape_figure(shape: Shape) -> Figure:
-    """A curve through what is left, with its 95 % band."""
+    """Draw a curve through the remainder, with its 95 % band."""
     figure, ax = panel()
     known = shape.curve.parameters[0]
     factor, unit = _SCALES.get(known.unit, (1.0, known.unit))
@@ -215,9 +215,9 @@ def _bars(
 
 
 def short_label(label: str) -> str:
-    """A recording by its name alone, without folder and ending; both ends of what is still too long."""
+    """Shorten a label: a recording to its name without folder and ending, a longer text to both of its ends."""
     stem = label.removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
-    if stem != label:  # "slower than 1 mm/s" is no file
+    if stem != label:  # "slower than 1 mm/s" is not a file
         label = stem.rpartition("/")[2]
     return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
 

@@ -4,7 +4,7 @@ The parts are: the sentence; before and after; where the simulation is wrong; wh
 left; how to compute it again.
 
 Rule 1: every number is that of diagnosis.json, or of `twin/diagnosis/residuals/summary.py`; nothing is estimated here.
-Rule 2: a page of a model that is adequate, or of a cause that nobody knows, says what was looked at all the same.
+Rule 2: a page without a named cause also says what was examined.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ def _banners(diagnosis: Diagnosis, summary: Summary) -> list[str]:
         lines.append("No recording judged the extended model: it may predict worse than the baseline.")
     if diagnosis.quick:
         lines.append(
-            "Made with --quick: few confounders of several causes were searched for, and the confidence of several is"
-            " not calibrated."
+            "Made with --quick: if there are several causes, few alternatives were tried, and the confidence is not"
+            " calibrated."
         )
     if diagnosis.budget.unanswered:
         rest = "; ".join(diagnosis.budget.unanswered)
@@ -130,7 +130,7 @@ def _description(diagnosis: Diagnosis, campaign: Path) -> str:
 
 def _pictures(summary: Summary) -> list[Picture]:
     drawn = []
-    if len(summary.ahead) > 1:  # of one horizon the table says all
+    if len(summary.ahead) > 1:  # for one horizon the table suffices
         drawn.append(
             (figures.ahead_figure(summary.ahead), "Error of the predicted position over the horizon, 95 % intervals")
         )
@@ -251,7 +251,7 @@ def _usage(usage: Usage) -> list[str]:
 
 
 def _instruments(diagnosis: Diagnosis) -> tuple[list[list[str]], list[str]]:
-    """Return the rows of the instruments of each channel, none where each has one; sentences on heights."""
+    """Return (rows of the instruments of each channel, none if each has one; sentences on their noise)."""
     rows: list[list[str]] = []
     sentences: list[str] = []
     noise = diagnosis.fit_evidence.noise

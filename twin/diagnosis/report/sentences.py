@@ -1,10 +1,10 @@
 """Sentences for people: a cause with its size, the answer of a diagnosis, the bound on what was not found.
 
 Rule 1: a number has as many digits as its interval leaves it; both ends of an interval are in the unit of the number.
-Rule 2: the answer says what, how sure, how much of the error, and what it is worth; what these data cannot tell apart
-        is said in the same breath.
-Rule 3: a share is one of log-likelihood on the recordings for fitting, and so it is called; what an answer is worth is
-        said in prediction errors on the judge recordings.
+Rule 2: the answer has the causes, how sure they are, their share of the error, and the gain.  Causes that these data
+        cannot tell apart come next.
+Rule 3: a share is one of log-likelihood on the recordings for fitting, and the text says so.  A gain is given in
+        prediction errors on the judge recordings.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
 def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
     """The form of the literature that is nearest to the shape of a cause; "" for the usual one.
 
-    A shape that the data do not tell from neutral, by two standard errors, is that of the usual form.
+    A shape within two standard errors of its neutral value counts as the usual form.
     """
     shapes = [shape for shape in cause.shapes if shape.name in parameters]
 
@@ -177,7 +177,7 @@ def round_sentence(step: Round) -> str:
     if not step.refusal:
         return ("instead, " if step.on_trial else "") + f"log-likelihood +{best.gain:.0f}"
     because = {
-        "chance": f", with a gain of {best.gain:.1f}: chance does that",
+        "chance": f", but its gain of {best.gain:.1f} may be chance",
         "outside its range": ", but outside its physical range",
         "minor": ", but is a minor effect compared with the named causes",
         "minor beside noise": ", but hardly more than noise is left, and it is a minor effect",
@@ -204,7 +204,7 @@ def adequate_sentence(off: str) -> str:
 
 
 def summary_sentence(diagnosis: Diagnosis) -> str:
-    """The answer, first."""
+    """The answer of a diagnosis, verdict by verdict."""
     if diagnosis.verdict == "model-adequate":
         return adequate_sentence("") + _floor_clause(diagnosis.gain)
     gain = _gain_sentence(diagnosis)
@@ -228,7 +228,7 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
             largest = f", most {where.removeprefix('most ')}" if where else ""
             left = percent(diagnosis.account.unexplained)
             rest = f" But not everything is explained: {left} of {LACKED} is left{largest}."
-        small = " Smaller than the rest, and possibly only a matter of form: " if unsure else ""
+        small = " Smaller than what is left, and perhaps only due to another form of an equation: " if unsure else ""
         return (
             _causes_sentence(sure, whole=not unsure)
             + _classes_sentence(sure)
@@ -392,7 +392,7 @@ def change_sentence(change: Change) -> str:
 
 
 def _ratio(ratio: float) -> str:
-    """A prediction that has run off the travel is wrong by any factor: beyond a hundred the number says nothing."""
+    """Format a ratio of errors; a number over 100 says nothing, as the prediction has left the travel."""
     return "over 100" if ratio > 100.0 else f"{ratio:.2g}"
 
 

@@ -2,7 +2,7 @@
 
     for each selected cause: try every other candidate in its place -> a better one replaces it; equals are its class
 
-Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class, (S 10).
+Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class (S 10).
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from twin.settings import diagnosis as settings
 def find_classes(search: Search, selection: Selection) -> Selection:
     """Find the class of each selected cause and the best candidate outside it.
 
-    With `quick` and several causes, the last cause has the equals of its forward step.  Few candidates are tried
-    instead of each other cause, because these were selected when the later ones were missing.
+    With `quick` and several causes, the class of the last cause is read from the trials of its round, without new fits.
+    The other causes were selected while later ones were missing, so a few candidates are fitted for each.
 
-    In a thorough search, one of several causes may be false if they leave more than noise.  Then the last is examined
-    first, and all candidates are fitted, whatever their score.  Next to an incomplete friction a true cause had a
-    fifteenth of its gain.
+    If several causes leave more than noise, one of them may be false.  A thorough search then begins with the last one
+    and fits all candidates, whatever their score.  Beside dry friction, the score test predicted only a fifteenth of
+    what a true cause gained.
     """
     criterion = search.criterion
     selection = replace(selection, classes={}, runner_up={})
@@ -66,9 +66,9 @@ def _doubtful(search: Search, selection: Selection) -> bool:
 
 
 def _refit_from_usual_forms(criterion: Criterion, fit: Fit, cause: str) -> Fit:
-    """The better of a fit and one from the usual form of all causes but `cause`.
+    """Return the better of `fit` and a fit that starts from the usual forms of all causes but `cause`.
 
-    Next to the false cause they took a form that made up for its errors.
+    Beside the false cause that was replaced, the other forms had compensated for its errors.
     """
     free_shapes = [name for name in fit.free if math.isfinite(prior_spread(name)) and not name.startswith(cause + ".")]
     if not free_shapes:
@@ -138,8 +138,8 @@ def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selecti
         search.report(f"dropped: {cause} (the others explain it)")
         return selection.dropping(cause, current), True
     trials = placed(criterion, selected, _rivals(search, selection, current, selected, fit_all=fit_all))
-    # Fair to both: the selected cause, too, may be at a worse maximum, so it is fitted from the candidate's parameters
-    # before the candidate replaces it.
+    # The selected cause, too, may be at a local maximum.  So it is fitted again from the candidate's parameters before
+    # the candidate replaces it.
     if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
         selected = _refit_from(criterion, trials[0], selected)
         selection = replace(selection, fit=selected.fit)
@@ -166,7 +166,7 @@ def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selecti
 
 
 def _exchanged(criterion: Criterion, selection: Selection, cause: str, best: Trial) -> Selection:
-    """Return the selection with the candidate of `best` in the place of a cause."""
+    """Return the selection with the candidate of `best` instead of `cause`."""
     causes = tuple(best.cause if name == cause else name for name in selection.causes)
     if periodic.CAUSE.name in causes:
         fit = periodic.fit_phases(criterion, best.fit, settings.PASSES)
@@ -181,9 +181,9 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
 
     Args:
         search: the data and the candidates.
-        selection: all causes.
-        current: the model without the selected cause.
-        selected: the cause.
+        selection: the selected causes.
+        current: the fit without the cause of `selected`.
+        selected: the cause, with its fit and gain.
         fit_all: whether candidates are fitted whatever their score.
     """
     criterion, cause = search.criterion, BY_NAME[selected.cause]
@@ -208,7 +208,7 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
     cutoff_gain = -math.inf if fit_all else selected.gain - settings.OUT_OF_CLASS_GAIN
     if not fit_all:
         # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only
-        # sorts out candidates that cannot reach the class even then.  `fit_all` pays for fits of all of them.
+        # sorts out candidates that cannot reach the class even then.
         scores = [
             score
             for score in scores
@@ -233,12 +233,13 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
 def _rephase(
     criterion: Criterion, selected: Trial, trials: list[Trial], similar: set[str], periodic_gain: float
 ) -> None:
-    """Fit similar candidates that phases may hold back with phases of their own, in place.
+    """Fit phases of the periodic force for each candidate of `similar` that those of `selected` may hold back.
 
-    `similar` are the names of such candidates, `periodic_gain` is the gain of the periodic force.
+    Changes `trials`; `periodic_gain` is the gain of the periodic force.
 
     A lag of the sensor shifts the phase of a periodic force as it is read, a lag of the field does not.  On two
-    simulated flights the right cause was 990 behind the wrong one with the other's phases, and 110 ahead with its own.
+    simulated flights the log-likelihood of the right cause was 990 below that of the wrong one with the phases of the
+    latter, and 110 above it with its own.
     """
     lower, upper = selected.gain - settings.PHASE_SHARE * periodic_gain, selected.gain + settings.EQUIVALENT_GAIN
     behind = [n for n, trial in enumerate(trials) if trial.cause in similar and lower < trial.gain < upper]
@@ -251,7 +252,7 @@ def _rephase(
 
 
 def _refit_from(criterion: Criterion, selected: Trial, confounder: Trial) -> Trial:
-    """Fit a candidate that is behind once more, from the parameters found with `selected`."""
+    """Fit `confounder` again, from the parameters found with `selected`, if it is behind."""
     # A member of the class needs no better fit: its membership would not change.
     if selected.gain - confounder.gain < settings.EQUIVALENT_GAIN:
         return confounder

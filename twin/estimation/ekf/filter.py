@@ -1,12 +1,12 @@
 """The extended Kalman filter of the extended model: prediction errors along a whole campaign.
 
-The state and the prediction are those of `twin/model/extended.py`; the Jacobians are differences of it.  For each
-sample: predict (`predict.py`), initialise what begins there, correct (`correct.py`).  R. E. Kalman, J. Basic Eng. 82,
-1960.
+The state and the prediction are those of `twin/model/extended.py`; the Jacobians are its finite differences.  For each
+sample: predict (`predict.py`), initialise a recording or flight that begins there, correct (`correct.py`).
+R. E. Kalman, J. Basic Eng. 82, 1960.
 
-Rule 1: the flags are those of `../innovations.py`.  RESTS_LOW, RESTS_HIGH: the ball rests at a stop, whose place is
-        known, which tests the position sensor alone: offset, scale and crosstalk without any force.  RESTS_UNSEEN: the
-        ball rests beyond the sensor's range, and only i_c is valid.  LOST: the row of a lost sample
+Rule 1: the flags are those of `../innovations.py`.  RESTS_LOW, RESTS_HIGH: the ball rests at a stop of known position.
+        This tests the position sensor alone (offset, scale, crosstalk), without any force.  RESTS_UNSEEN: the ball
+        rests beyond the sensor's range, and only i_c is valid.  LOST: the row of a lost sample
         (`twin/evidence/lost_rows.py`) has no readings, and u_c from it on is unknown.
 Rule 2: the covariance contains only the states that are independent under the model's causes: three for the paper's
         model.  This keeps the cost of each candidate low.
@@ -76,8 +76,8 @@ def filtered(
     Args:
         system: the model and its noise.
         samples: of the series.
-        known: steps of a nearby model to reuse: its Jacobians; with its states also the steps themselves, for a model
-            that differs only in its noise.
+        known: steps of a nearby model to reuse: its Jacobians alone, or also its states if the models differ only in
+            their noise.
         state: whether to return the states.
         spread: whether to return their covariance.
         steps: whether to return the steps.
@@ -118,7 +118,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             lost = n - 1 - int(delay_s(f.c[:]) / T_s)  # its input comes into force on the way here
             unknown = lost >= f.first and flags[lost] & LOST != 0
             if unknown and use_i:
-                # About what it would be without its coloured noise.
+                # Approximately the reading without its coloured noise.
                 reading = y_i[n] - (expected_current_reading(f) - reading_of_current(f.c[:], f.y))
                 find_input(
                     base_of(f), f.c[:], f.previous[:], inputs, lost, n, f.first, t[n - 1], T_s, reading, f.moved[:]

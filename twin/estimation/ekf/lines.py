@@ -1,6 +1,6 @@
 """Lines in the spectrum of a sensor, as states of the filter: `twin/model/causes/sensor_line.py`.
 
-A line is a pair of states (p, q) that turn with its frequency; p is added to the reading.
+A line is a pair of states (p, q) that rotates at its frequency; p is added to the reading.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from twin.estimation.ekf.memory import Floats, Memory
 
 @kernel
 def turn_state(f: Memory, y: Floats, T_s: float) -> None:
-    """Turn the lines of the state y in place by T_s, s."""
+    """Rotate the lines of the state y by an interval T_s, s, in place."""
     for line in range(f.lines_count):
         at = f.places[f.lines + 2 * line]
         cosine, sine = math.cos(f.pulse[line] * T_s), math.sin(f.pulse[line] * T_s)
@@ -36,7 +36,7 @@ def slopes_of_lines(f: Memory, T_s: float) -> None:
 
 @kernel
 def turn_covariance(f: Memory, T_s: float) -> None:
-    """Turn rows and columns of lines in the covariance by T_s, s, where no other state moves with them."""
+    """Rotate rows and columns of lines in the covariance by an interval T_s, s, in which no other state moves."""
     P = f.P
     for line in range(f.lines_count):
         k = f.lines + 2 * line
@@ -51,7 +51,7 @@ def turn_covariance(f: Memory, T_s: float) -> None:
 
 @inlined
 def doubt_lines(f: Memory, T_s: float) -> None:
-    """Add to the covariance of lines what makes old readings lose their weight."""
+    """Add the process noise of lines over T_s, s, to their covariance: old readings lose their weight."""
     for line in range(f.lines_count):
         k = f.lines + 2 * line
         f.P[k, k] += f.q_line[line] * T_s
@@ -79,7 +79,7 @@ def lines_of_current(f: Memory, y: Floats) -> float:
 
 @kernel
 def share_of_lines(f: Memory, k: int) -> float:
-    """The covariance of what the lines add to the reading of x with state k."""
+    """The covariance, with state k, of what the lines add to the reading of x."""
     total = 0.0
     for a in range(f.lines, f.m):
         total += f.h_line[a] * f.P[a, k]

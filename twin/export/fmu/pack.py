@@ -1,7 +1,7 @@
 """The FMU as a file: description, C sources, and a binary for the machine that exports.
 
 Rule 1: the same model, controller and version give the same bytes, but for the binary, which depends on the compiler.
-Rule 2: no C compiler is no error: other machines compile the sources anyway.
+Rule 2: a missing C compiler is not an error: other machines compile the sources anyway.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ def modelica(parts: Content) -> Mapping[str, str]:
     """
     if parts.without_rates:
         raise NotTranslatableError(
-            f"Modelica cannot have a part of this model. {'. '.join(parts.without_rates)}",
+            f"Modelica cannot express a part of this model. {'. '.join(parts.without_rates)}",
             remedy="Export with --to fmu, which Modelica tools import, or leave the cause out of the model",
         )
     program, rates, readings = parts.rates()

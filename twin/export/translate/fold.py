@@ -1,4 +1,4 @@
-"""Arithmetic on values: what is known is computed now, and terms and factors that do nothing vanish.
+"""Constant folding: what is known is computed at translation, and terms and factors without effect are left out.
 
 Rule: 0 times a number is 0, and a number over infinity is 0.  That holds for finite numbers, as all states of the rig
       are; the sign of a zero is not kept.
@@ -51,7 +51,7 @@ def arithmetic(op: ast.operator, left: Value, right: Value) -> Value:
 
 
 def _shortened(op: ast.operator, left: Value, right: Value) -> Value | None:
-    """Return left op right where one side does nothing, or decides alone."""
+    """Return left op right where one side has no effect or alone determines the result; None elsewhere."""
     match op:
         case ast.Add():
             return right if is_number(left, 0.0) else left if is_number(right, 0.0) else None
@@ -111,7 +111,7 @@ def choice(test: Value, yes: Callable[[], Value], no: Callable[[], Value]) -> Va
 
 
 def function(known: Callable[..., Any], values: list[Value]) -> Value:
-    """Return the result of a function of Python's own or of `math`."""
+    """Return a call of a built-in function or one of `math`; its result if all values are known."""
     if all(isinstance(value, Known) for value in values):
         return Known(known(*(value.value for value in values if isinstance(value, Known))))
     if known in (min, max):

@@ -1,7 +1,7 @@
-"""A program of the specialiser as MATLAB, which Octave reads, too.
+"""Writes a program of the specialiser in MATLAB, which Octave reads, too.
 
-Rule 1: a function that changes an array gets it and returns it first: MATLAB passes values.
-Rule 2: an index is one larger than in Python.
+Rule 1: MATLAB passes arrays by value, so a function that changes an array also returns it, before its other results.
+Rule 2: MATLAB counts indices from 1, so an index is one larger than in Python.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def functions(program: Program) -> str:
 
 
 class _Text:
-    """The functions of one program as text: a call depends on what its function returns."""
+    """Writes the functions of one program; the text of a call depends on the results of the called function."""
 
     def __init__(self, program: Program) -> None:
         self.program = program
@@ -86,7 +86,7 @@ class _Text:
     def assignment(self, target: ast.expr | None, value: ast.expr) -> str:
         called = self.program.functions.get(ast.unparse(value.func)) if isinstance(value, ast.Call) else None
         if called is None:
-            assert target is not None  # a call without a result is one of a function here
+            assert target is not None  # only functions of the program are called without a result
             return f"{self.expression(target)} = {self.expression(value)}"
         passed = _arguments(value)[int(called.uses_model) :]
         left = [self.expression(array) for array in passed[: len(called.arrays)]]

@@ -300,5 +300,5 @@ def _reply(query: zenoh.Query, replies: list[tuple[str, pb.CommandReply]]) -> No
         with query:  # its end: without it the sender would wait for more until the time-out
             for key, reply in replies:
                 query.reply(key, reply.SerializeToString(), encoding=_REPLY_ENCODING)
-    except zenoh.ZError as error:  # whoever asked is gone; what was done stays done
+    except zenoh.ZError as error:  # the sender has left; the act remains done
         log.warning("a reply was not delivered: %s", error)

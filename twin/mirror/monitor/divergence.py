@@ -1,11 +1,11 @@
-"""Measured against twin: error, normalised error, rolling RMSE and fit per signal, innovations, and what they alarm.
+"""Measured against twin: error, normalised error, rolling RMSE and fit per signal, innovations, and their alarms.
 
-Rule 1: windows hold samples of one uninterrupted time in step; whatever interrupts it empties them.
+Rule 1: a window holds samples of one uninterrupted time in step; an interruption empties it.
 Rule 2: sums are kept incrementally and recomputed from the stored values once per window.  So rounding never
         accumulates over more than one window: after a week the figures are those of a fresh start.
 Rule 3: a figure that does not exist is NaN, never 0.
-Rule 4: an alarm lives on evidence.  One that no sample has judged for so long (the innovation: a window; the errors,
-        which a settling twin does not judge: a window and the longest settling) ends without a decision.
+Rule 4: an alarm that no sample has judged for some time ends without a decision.  For the innovation this time is a
+        window.  Errors are not judged while the twin settles, so it is a window and the longest settling time.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ Figures: TypeAlias = tuple[float, float, float, float, float, bool]
 
 X, I_C, U_C, NIS = 0, 1, 2, 3  # rows of the windows: errors of three signals, and the NIS
 SQUARE, Y, Y_SQUARE, VALUE = 0, 1, 2, 3  # columns of `ring`, and of `sums` over the window
-UNSEEN, HOLD = 4, 7  # in `counts`: samples in a row that did not judge an alarm, one for each; how many end an error's
-ORIGIN = 4  # in `sums`: the signal's first value in the window (squares of values near 0 keep their digits)
+UNSEEN = 4  # in `counts`, one for each alarm: samples in a row that did not judge it
+HOLD = 7  # in `counts`: how many such samples end an alarm on errors
+ORIGIN = 4  # in `sums`: the signal's first value in the window, subtracted so that squares keep their digits
 ALARMS = ("innovation", "divergence-x", "divergence-i_c")
 
 
@@ -42,7 +43,7 @@ class Windows(NamedTuple):
 
 @kernel
 def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, value: float, y: float) -> None:
-    """Put (value^2, y, y^2, value) into slot count % n of `ring`, shape (n, 4), keeping its column `sums`, sums[:4]."""
+    """Put (value^2, y, y^2, value) into slot count % n of `ring`, shape (n, 4), and update the sums, sums[:4]."""
     n = ring.shape[0]
     slot = count % n
     if count >= n:
@@ -54,7 +55,7 @@ def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, value
     ring[slot, VALUE] = value
     for column in range(ORIGIN):
         sums[column] += ring[slot, column]
-    # Once in a window: at each sample this pass would cost a window of work, and never would gather rounding errors.
+    # Once per window: at each sample this pass would cost too much, and without it rounding errors would accumulate.
     if slot == n - 1:
         for column in range(ORIGIN):
             total = 0.0
@@ -67,7 +68,7 @@ def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, value
 def rolling_mean(
     ring: NDArray[np.float64], sums: NDArray[np.float64], counts: NDArray[np.int64], row: int, value: float
 ) -> float:
-    """Take one finite value; returns the mean of those so far, at most the window."""
+    """Add one finite value and return the mean of the window, or of all values if they are fewer."""
     push(ring[row], sums[row], counts[row], value, 0.0)
     counts[row] += 1
     mean: float = max(sums[row, VALUE], 0.0) / min(counts[row], ring.shape[1])
@@ -172,8 +173,8 @@ def judge_innovation(
 class Comparison:
     """Windows, totals and alarms of one board.
 
-    `totals`: of a signal samples in step, sum of errors, sum of their squares; of the innovations samples, sums of the
-    squares of x and of i_c, sum of the NIS.
+    `totals`, for each signal: samples in step, sum of errors, sum of squared errors; for the innovations: samples, sum
+    of squares of x, of i_c, sum of the NIS.
     """
 
     def __init__(self) -> None:
@@ -197,14 +198,14 @@ class Comparison:
         return Windows(self.ring, self.sums, self.counts, self.totals, self.alarms)
 
     def interrupt(self) -> None:
-        """The twin is not where it was: nothing before this may be averaged with what comes."""
+        """Empty the windows of the errors: the twin has jumped, so errors before and after it are not averaged."""
         self.sums[:NIS] = 0.0
         self.counts[:NIS] = 0
         for alarm in self.alarms[1:]:
             clear_window(alarm)
 
     def drop_error_alarms(self) -> list[pb.Alarm]:
-        """The mode has changed: what the free twin did in the mode before is over."""
+        """End the alarms on errors after a change of mode: they belong to the mode before."""
         return self.messages((UNCHANGED, *(end(alarm) for alarm in self.alarms[1:])))
 
     def drop_alarms(self, why: str) -> list[pb.Alarm]:
@@ -212,7 +213,7 @@ class Comparison:
         return self.messages(tuple(end(alarm) for alarm in self.alarms), why_ended=why)
 
     def skip(self) -> list[pb.Alarm]:
-        """A sample with which nothing can be compared."""
+        """Count a sample that cannot be compared."""
         limits = (self.ring.shape[1], self.counts[HOLD], self.counts[HOLD])
         return self.messages(
             tuple(unseen(alarm, self.counts, row, limits[row]) for row, alarm in enumerate(self.alarms))

@@ -9,7 +9,7 @@ from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes,
 from twin.model.causes.instruments import CLAMP_METER
 
 LIMIT, SOFTNESS, FOLD = 2, 32, 46
-MIN_SOFTNESS = 0.005  # below that the knee is as hard as rounding leaves it
+MIN_SOFTNESS = 0.005  # below it the knee counts as hard
 
 CAUSE = Cause(
     name="current-limit",
@@ -36,7 +36,7 @@ CAUSE = Cause(
     signature="i_c stays flat at one value while u_c still rises",
     shows_in=("lift-off", "amplifier-steps"),
     confirm="block the ball, turn u_c up slowly and watch where i_c stops rising",
-    cure="a larger supply; until then u_max on the board below the limit, so that the integral does not wind up",
+    cure="a larger supply; until then set the board's u_max below the limit, so that the integral does not wind up",
     needs=("u_c", "i_c"),
     deciding_measurements={"current-sensor-gain": CLAMP_METER},
     measured_probes=MeasuredProbes(of="largest-current", times=(1.02, 1.0, 0.98, 0.93)),
@@ -51,7 +51,7 @@ CAUSE = Cause(
         Form(
             name="foldback",
             values={"fold": 0.3},
-            source="P. Horowitz, W. Hill, The Art of Electronics, 2015: less current the more is asked for",
+            source="P. Horowitz, W. Hill, The Art of Electronics, 2015: more demand, less current",
         ),
     ),
 )
@@ -65,7 +65,7 @@ def limited(c: Vector, i: float) -> float:
 
 @inlined
 def aimed_at(c: Vector, target: float) -> float:
-    """The current that the amplifier aims at below its limit, A; `target`: without one, not negative."""
+    """The current, A, that the amplifier tends to; `target`: the same without a limit, A, not negative."""
     if math.isinf(c[LIMIT]):
         return target
     if c[SOFTNESS] < MIN_SOFTNESS:

@@ -24,7 +24,7 @@ CAUSE = Cause(
     ),
     signature="fast flights are braked more than b from slow ones predicts, by the square of the speed",
     shows_in=("prbs-open-loop", "wide-steps"),
-    confirm="let the ball drop with the coil off and time it; once more without the guide tube",
+    confirm="let the ball drop with the coil off and time it; repeat it without the guide tube",
     cure="a wider or vented guide; for control the term hardly matters near an equilibrium",
     usual="square of the speed",
     forms=(

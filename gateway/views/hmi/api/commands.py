@@ -93,7 +93,7 @@ class SetStream(Keys):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetHostLoss(Keys):
-    """Set the action of the board without its host."""
+    """Set what the board does without its host."""
 
     command: Literal["host-loss"]
     policy: Annotated[Literal["keep", "coil-off", "hold"], key("action")]
@@ -119,11 +119,11 @@ class Acknowledge(Keys):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shelve(Keys):
-    """Keep an alarm quiet for a time, in every view, whether it goes and comes or not."""
+    """Keep an alarm quiet for a time, in every view, even if it goes and comes back."""
 
     command: Literal["shelve"]
     alarm: Annotated[str, key("its name, such as divergence-x")]
-    shelve_s: Annotated[Annotated[Number, Field(gt=0.0, le=MAX_SHELVE_S)], key("for so long, s; at most 24 h")]
+    shelve_s: Annotated[Annotated[Number, Field(gt=0.0, le=MAX_SHELVE_S)], key("duration, s; at most 24 h")]
     comment: Annotated[str, key("the reason")] = ""
 
 

@@ -1,4 +1,4 @@
-"""The endpoints of what runs for a while: campaigns, recordings, identification, and the jobs of job_bodies.py."""
+"""The endpoints of longer work: campaigns, recordings, identification, and the jobs of job_bodies.py."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class WorkEndpoints(Base):
         )
 
     async def start_campaign(self, call: Call) -> Response:
-        """Start a campaign, which moves the ball; GET tells its progress."""
+        """Start a campaign, which moves the ball; GET returns its progress."""
         body: StartCampaign = call.body
         table: dict[str, object] = {"quick": body.quick, "investigate": body.investigate}
         if body.resume:
@@ -107,7 +107,7 @@ class WorkEndpoints(Base):
         return shapes.Models(work=self._latest("identify", board), models=entries)
 
     async def identify(self, call: Call) -> Response:
-        """Identify K_A, T_A, K_c and b from a campaign; GET tells the progress and lists the model."""
+        """Identify K_A, T_A, K_c and b from a campaign; GET returns the progress and lists the model."""
         return await self._start(call, "identify", {"campaign": call.body.campaign})
 
     async def model(self, call: Call) -> Response:
@@ -132,7 +132,7 @@ class WorkEndpoints(Base):
         return shapes.Jobs(jobs=[_progress(job) for job in self._actions.jobs.of(self._board(call).name)])
 
     async def start_job(self, call: Call) -> Response:
-        """Start work on campaigns and models; GET tells its progress, and results has what came of it."""
+        """Start work on campaigns and models; GET returns its progress, and results has the result."""
         table = asdict(call.body)
         if isinstance(call.body, job_bodies.Design):  # starts.py reads the units of the page's form
             wish = call.body

@@ -20,7 +20,7 @@ class Samples:
     """The newest samples of one board.
 
     Args:
-        board: as heard on the bus.
+        board: its messages from the bus.
     """
 
     def __init__(self, board: BoardFeed) -> None:

@@ -1,6 +1,6 @@
 """The answer of one path of the API: reads a request, runs its endpoint, writes JSON.
 
-Rule 1: whatever is asked, the answer is an endpoint's or {"code", "message", "remedy"}; never a traceback.
+Rule 1: every answer is an endpoint's or {"code", "message", "remedy"}; never a traceback.
 Rule 2: an unknown key is an error, in the query and in the body: a misspelt one would be left out in silence.
 Rule 3: a body is JSON, or a form as HTML has it: MATLAB and Octave send forms, and curl -d sends JSON as one.
 Rule 4: with ?soft_errors=true the status is 200 whatever became of it, for clients that hide the body of an error.

@@ -147,6 +147,6 @@ def _reason(text: str) -> str:
 
 
 async def _departure(socket: WebSocket) -> None:
-    """Wait until a client has left; what it sends is dropped."""
+    """Wait until a client has left; drop all that it sends."""
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass

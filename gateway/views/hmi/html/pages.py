@@ -1,9 +1,9 @@
 """The pages: overview, rig, replay, logs, report.  What moves is drawn by static/hmi.js; here stand frames and words.
 
 Rule 1: a control that the session may not use is not on its page; `actions.py` refuses it as well.
-Rule 2: a page holds no state in the server: what it sends is a request of its own, so it works after any gap.
+Rule 2: a page has no state in the server: each act is a separate request, so it works after any interruption.
 Rule 3: every page has STOP and the key Esc: for its rig, or, where it belongs to none, for all rigs of the site.
-Rule 4: what comes and goes has its place: nothing may push a button away from under a finger.
+Rule 4: elements that come and go have a reserved place: nothing may push a button away from under a finger.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@
                              .../name.txt    what people call it
 
 Rule 1: a name from a browser is looked up among those found, never joined to a path.
-Rule 2: a campaign that failed or was interrupted is never shown in place of a finished one, unless it is asked for.
+Rule 2: a campaign that failed or was interrupted is never shown in place of a finished one, unless the user chooses it.
 """
 
 from __future__ import annotations

@@ -18,11 +18,11 @@ from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus import board51_pb2 as pb
 
 DESIGNS, FLIGHT, EXPERIMENT = "designs", "flight", "steps"
-_SAME = 1e-4  # share by which two gains may differ: far less than a design changes
+_SAME = 1e-4  # relative difference of gains that count as equal; a new design changes them by far more
 # Without these keys a file is damaged.
 _ANALYSIS = {"law", "on_board", "operating_point", "sample_time_s", "loops", "causes", "warnings"}
 _FORECAST = {"answer", "figures", "lost", "notes"}
-# Factors from SI to the units of the texts flight_figure.
+# Factors from SI to the units of the texts under flight_figure.
 _FACTORS = {"overshoot": 100.0, "settling_s": 1e3, "rise_s": 1e3, "effort_v2_s": 1.0, "rms_m": 1e6, "at_limit": 100.0}
 
 
@@ -31,10 +31,10 @@ class DesignFolder:
     """The folder of one design."""
 
     path: Path
-    made: str  # for people
-    model: dict[str, Any]  # of the JSON
-    analysis: dict[str, Any]  # of the JSON; empty: it gave no gains
-    forecast: dict[str, Any]  # of the JSON; empty: none yet
+    made: str  # date and time, as a page shows them
+    model: dict[str, Any]  # model.json
+    analysis: dict[str, Any]  # analysis.json; empty if the design gave no gains
+    forecast: dict[str, Any]  # what_if.json; empty if there is none yet
 
     @property
     def controller(self) -> Path:
@@ -54,7 +54,7 @@ class DesignFolder:
 
     @property
     def margins(self) -> list[tuple[str, str, str]]:
-        """Return the rows to show: title, with the gains to be replaced, with the new ones."""
+        """Return the rows to show: (title, value with the old gains, value with the new gains)."""
         before, after = self.analysis.get("before") or {}, self.analysis["loops"][2]
         rows = [(text_of("design.gain_margin"), _range(before), _range(after))]
         for key, name, factor in (

@@ -29,7 +29,7 @@ const FORMS = {
   mark: (f) => ({ name: textOf("recording.mark_act", { text: f.text }), send: (name) => command(name, { mark: { text: f.text } }) }),
 };
 
-// What a page shows of a campaign is fetched again.
+// Fetch again what the page shows of a campaign.
 async function changed(request) {
   const answer = await request;
   if (answer?.accepted) document.dispatchEvent(new Event("board51-changed"));
@@ -39,7 +39,7 @@ async function changed(request) {
 async function submit(form) {
   const { name, send } = FORMS[form.dataset.form](Object.fromEntries(new FormData(form)));
   const answer = await send(name);
-  // What was not taken must not stand there as if it were in force.
+  // A refused value must not look as if it were in force.
   form.dataset.refused = answer?.accepted ? "" : "yes";
   if (form.dataset.form !== "reference") return;
   form.dataset.unsent = "";
@@ -78,7 +78,7 @@ async function pressed(button) {
   }
 }
 
-// The second click of a double click, and a press while the first one waits for its answer, are no presses of their own.
+// The second click of a double click, and a press while the first one waits for its answer, do not count.
 let before = null; // the button of the last click
 
 document.addEventListener("click", (event) => {
@@ -106,7 +106,7 @@ document.addEventListener("input", (event) => {
   if (form.dataset.form === "excitation") units(form);
 });
 document.addEventListener("change", (event) => {
-  if (event.target.dataset?.slider) submit(event.target.form); // when the handle is let go, not on its way
+  if (event.target.dataset?.slider) submit(event.target.form); // when the handle is released, not while it moves
   if (event.target.dataset?.file) gains(event.target);
 });
 

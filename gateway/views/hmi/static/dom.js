@@ -12,7 +12,7 @@ export function put(name, text, state) {
 
 const filled = {};
 
-// A list of rows.  Only what changed is made anew: a button that is replaced between press and release is never clicked.
+// A list of rows.  Only changed rows are replaced: a button that is replaced between press and release is never clicked.
 export function fill(name, data, row, empty) {
   const text = JSON.stringify(data);
   if (filled[name] === text && $(name)?.childElementCount) return;

@@ -16,7 +16,7 @@ import { may, page } from "./server.js";
 import { IN_DOUBT, Stop } from "./stop.js";
 import { textOf, textsOf } from "./texts.js";
 
-const FRAME_LIMIT_S = 0.7; // without a frame for so long, the server or the line to it is gone
+const FRAME_LIMIT_S = 0.7; // after this time without a frame, the server or the line to it is gone
 const ACTED_EVERY_S = 20;
 const IDLE_DRAW_MS = 100; // between drawings while no frames come: the age of what is shown counts up
 const STATUS_LIMIT_S = 3.5; // it comes once a second
@@ -30,7 +30,7 @@ const shown = (value, scale, digits) =>
 let now = null, rest = null, boards = null, jobs = {}, actedAt = 0;
 const history = new History();
 const line = new Line(page.live, take);
-// A page of a recording has frames of its own; what STOP is told by are those of the live rigs.
+// A page of a recording has frames of its own; STOP uses the frames of the live rigs.
 let liveRigs = null;
 const liveLine = page.replay ? new Line("/live", (frame) => (liveRigs = frame.boards)) : line;
 
@@ -70,7 +70,7 @@ const stands = () => page.replay && still();
 const linkWords = (link) => (stands() ? standing() : link === "live" && page.replay ? LINK.replaying : LINK[link]) ?? link;
 const modeWords = (mode) => MODES[mode] ?? mode;
 
-// "" where what is shown is true now; else why not, in words.
+// "" if the shown values are true now; otherwise the reason in words.
 function lost() {
   const gap = line.gap();
   if (gap > FRAME_LIMIT_S) return textOf("line.no_server", { seconds: gap.toFixed(0) });
@@ -80,7 +80,7 @@ function lost() {
   return now.age_s === null ? textOf("line.no_data", { reason }) : textOf("line.no_data_for", { seconds: Math.max(1, now.age_s).toFixed(0), reason });
 }
 
-// What goes on at this rig.
+// The activity at this rig.
 function running() {
   const kinds = Object.entries(jobs).filter(([, job]) => job.running).map(([kind]) => kind);
   const words = kinds.map((kind) => textOf("rig.running", { job: textsOf("job_kind")[kind] ?? kind }));
@@ -127,7 +127,7 @@ function values() {
   follow(now, gone);
 }
 
-// Words in the bar; what no data bear out now is marked as the last known.
+// Words in the bar; words without present data are marked as the last known.
 function chip(name, text, state, old) {
   put(name, old && text !== "\u2013" ? textOf("rig.last_known", { text }) : text, old ? "old" : state);
 }

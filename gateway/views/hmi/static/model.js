@@ -1,4 +1,4 @@
-// The page of a model: what is written there is fetched again when a job has ended or the twin runs on another model.
+// The page of a model: its content is fetched again when a job has ended or the twin runs on another model.
 
 import "./plant.js";
 

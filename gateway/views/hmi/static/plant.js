@@ -1,6 +1,6 @@
-// The plant card: what is typed is judged by the server, beside its field, and stated by a press.
+// The plant card: the server judges typed values, its answers stand beside the fields, and a button states them.
 //
-// Rule: what cannot be is not sent.  What is unusual is sent by a button of its own, which shows only then.
+// Rule: impossible values are not sent.  Unusual ones are sent by a button of their own, which shows only then.
 
 import { act, page, server } from "./server.js";
 import { textOf } from "./texts.js";

@@ -1,6 +1,6 @@
 // The timeline of a replay: where it stands, events and alarms as marks, pause, seek, speed.
 //
-// Rule: what is shown is what the replay said last; a press changes nothing here before it is answered.
+// Rule: the page shows the last state that the replay reported; a press changes nothing before it is answered.
 
 import { cell, put } from "./dom.js";
 import { page, server, toast } from "./server.js";

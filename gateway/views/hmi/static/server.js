@@ -1,7 +1,7 @@
 // What a page asks of its server: one plain request each, answered or not, and nothing else to keep in step.
 //
 // Rule 1: a request says when it was made, by the server's clock: one that the network held up is refused there, so
-//         what was told as not answered does not happen later.  STOP has no such date.
+//         a request that was reported as not answered does not act later.  STOP has no such date.
 // Rule 2: the browser has six connections for a server: STOP's three and the question for the session are kept free.
 
 import { textOf } from "./texts.js";
@@ -64,7 +64,7 @@ class Server {
   }
 }
 
-// Load the page anew, or the login in its place; `said` is shown afterwards.
+// Reload the page, or show the login instead; `said` is shown afterwards.
 export function renew(said) {
   if (said) sessionStorage.setItem(SAID, said);
   location.reload();
@@ -78,7 +78,7 @@ const SUPERSEDED = "superseded-by-stop"; // an act that was issued before a STOP
 const SHOWN_MS = 4000, BAD_SHOWN_MS = 15000, MAX_TOASTS = 3;
 
 // Words at the edge of the page, to be changed until the act is over.  They go after a while, those about STOP only by
-// hand; what is said again replaces what was said before.
+// hand; a repeated message replaces the earlier one.
 export function toast(text, state = "busy", about = "") {
   const place = document.querySelector(".toasts"), element = document.createElement("div"), words = document.createElement("span");
   element.className = "toast";

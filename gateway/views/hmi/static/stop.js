@@ -2,7 +2,7 @@
 //
 // Rule 1: each press is a request of its own, at once, beside those that are not answered yet; more than UNANSWERED give
 //         the oldest up, never the newest.
-// Rule 2: what a coil is said to do is what samples say, never what an answer lets hope.
+// Rule 2: the state of a coil is that of its samples, never a conclusion from an answer.
 // Rule 3: STOP needs nothing but this script and the server: no confirmation, no focus.
 // Rule 4: where a panel is open, Esc closes it first and says so: who closes a list by habit must not drop the ball.
 

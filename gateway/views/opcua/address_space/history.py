@@ -1,7 +1,7 @@
 """The last minutes of every tick-rate variable, in memory of fixed size, for HistoryRead.
 
 Rule 1: a track is a ring of `rows`: one row for each interval of one topic, one column for each variable.
-Rule 2: what is read is what subscribers got: the same values, stamps and status codes; a loss is a row, not a hole.
+Rule 2: history has the values, stamps and status codes that subscribers got; a loss is a row, not a gap.
 Rule 3: reading is bounded by MAX_VALUES per call; the rest comes with a continuation point.
 Rule 4: an empty answer says why it is empty: nothing in that time, no history of this variable, no such variable.
 """
@@ -121,7 +121,7 @@ class RingHistory(HistoryManager):  # type: ignore[misc]  # asyncua's class is u
         if backwards:
             rows = rows[::-1]
         limit = min(count or MAX_VALUES, MAX_VALUES)
-        # A client hands the continuation point back as the start, which an absent start cannot be told from.
+        # A client returns the continuation point as the start, which cannot be distinguished from an absent start.
         more = track.stamp(rows[limit]) if len(rows) > limit and start is not None else None
         return [track.value(column, row) for row in rows[:limit]], more
 
