@@ -1,9 +1,10 @@
 """Runs one `board51` command as a child of another: `python -m gateway.processes.child opcua --listen ...`.
 
-It ends when its standard input closes, which happens when its parent ends for any reason.  What the parent writes there
-reaches the command's own standard input (`replay --control`).  It runs at a lower priority
-than its parent (NICER), unless the first word is SAME_PRIORITY, and never in real time, as a gateway may.  It is a
-new interpreter and not a fork of a multi-threaded parent.
+It ends when its standard input closes, which happens when its parent ends for any reason.  What the parent writes
+there reaches the command's own standard input (`replay --control`).  It runs at a lower priority than its parent,
+unless the first word is SAME_PRIORITY, and never in real time, as a gateway may.  NICER is the difference; where
+other programs fill the machine, a job would starve, and NICE_VARIABLE sets a smaller one.  It is a new interpreter
+and not a fork of a multi-threaded parent.
 
 Its main thread writes a byte every BEAT_S to the descriptor in the environment (BEAT_VARIABLE).  It does so
 in a signal handler, which Python runs there and nowhere else.  A process that is stopped, or whose main thread hangs
@@ -22,6 +23,7 @@ from types import FrameType
 from protocol.ending import order_end
 
 NICER = 5
+NICE_VARIABLE = "BOARD51_CHILD_NICE"
 SAME_PRIORITY = "--same-priority"
 BEAT_S = 1.0
 BEAT_VARIABLE = "BOARD51_BEAT_FD"
@@ -69,7 +71,8 @@ def main() -> int:
         if hasattr(os, "sched_setscheduler"):  # Linux
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         if hasattr(os, "nice"):  # not on Windows, where `command.start` gives the priority
-            os.nice(NICER)
+            own = os.environ.get(NICE_VARIABLE, "")
+            os.nice(int(own) if own.isdecimal() else NICER)
     _hand_on_input()
     _beat()
     try:

@@ -15,7 +15,7 @@ import pytest
 
 from gateway.config import BoardConfig, GatewayConfig, HmiConfig, OpcuaConfig, SecurityConfig, ZenohConfig
 from gateway.processes import supervisor
-from gateway.processes.child import BEAT_VARIABLE, NICER
+from gateway.processes.child import BEAT_VARIABLE, NICE_VARIABLE, NICER
 from gateway.processes.supervisor import Service, running
 from gateway.views.launch import views_for
 from protocol.errors import ConfigError
@@ -75,7 +75,11 @@ def test_a_view_that_hangs_is_killed_and_started_again(monkeypatch: pytest.Monke
     assert not listening(port)()
 
 
-def test_a_view_of_a_gateway_in_real_time_runs_as_any_process_and_gives_way() -> None:
+@pytest.mark.parametrize(("stated", "nicer"), [("", NICER), ("2", 2)])
+def test_a_view_of_a_gateway_in_real_time_runs_as_any_process_and_gives_way(
+    stated: str, nicer: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(NICE_VARIABLE, stated)
     port = free_port()
     words = ["-m", "gateway.processes.child", "router", "--listen", f"tcp/127.0.0.1:{port}"]
     before = "import os, sys; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))\n"
@@ -96,7 +100,7 @@ def test_a_view_of_a_gateway_in_real_time_runs_as_any_process_and_gives_way() ->
         view.communicate()
 
     assert policies == {os.SCHED_OTHER}
-    assert nice == os.getpriority(os.PRIO_PROCESS, 0) + NICER
+    assert nice == os.getpriority(os.PRIO_PROCESS, 0) + nicer
 
 
 def view_at(port: int) -> int:
