@@ -217,7 +217,7 @@ def test_a_campaign_shows_its_progress_parks_the_ball_when_interrupted_and_goes_
 
     def interrupt() -> None:
         page.get_by_role("button", name="Interrupt").click()
-        expect(page.get_by_text("not with all that was asked for")).to_be_visible()
+        expect(page.get_by_text("ended incomplete")).to_be_visible()
         wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
 
     before = folders()

@@ -128,9 +128,7 @@ def test_a_design_that_is_not_stable_gives_no_gains_and_says_why(page: Page) -> 
     page.get_by_label("settling time").fill("0.001")
     start_job(page, "Design")
 
-    expect(page.locator('[data-live="design-said"]')).to_contain_text(
-        "not with all that was asked for", timeout=WORK_MS
-    )
+    expect(page.locator('[data-live="design-said"]')).to_contain_text("ended incomplete", timeout=WORK_MS)
     expect(page.locator('[data-live="design-lines"]')).to_contain_text("the loop on the board is UNSTABLE")
     expect(page.get_by_text("This design gave no gains.")).to_be_visible()
     expect(page.get_by_role("button", name="Load on the board")).to_have_count(0)

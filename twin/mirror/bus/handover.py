@@ -19,7 +19,7 @@ from protocol.bus.encoding import parse
 from protocol.errors import DataError
 from twin.model.parameters import MAX_NAME, NAME_REMEDY, Model, model_text, name_problem, parse_model
 
-MAX_PAYLOAD = 1_000_000  # bytes; an identified model has some 10 000
+MAX_PAYLOAD = 400_000  # bytes; an identified model has some 10 000, and the queue of a router holds 1 MiB
 MAX_WORD = 128  # characters of id and who, as for the gateway's commands
 RETAINED_IDS = 256
 SHORT = 12  # digits of a hash for people
