@@ -81,7 +81,7 @@ def zenoh_config(
     }
     link: dict[str, Any] = {}
     # zenoh would pass messages from 3 KiB on through 16 MiB of shared memory, which each process at both ends maps and
-    # keeps: 27 MB of a gateway and 52 MB of a router after the first one. On a busy machine one was seen to be lost.
+    # keeps: 27 MB of a gateway and 52 MB of a router after the first one.
     config["transport"] = {"link": link, "shared_memory": {"enabled": False}}
     if listen:
         link["tx"] = {"queue": ROUTER_QUEUE}
