@@ -11,7 +11,7 @@ from twin.estimation.structures import EQUAL_NOISE
 from twin.evidence.gather import Evidence
 from twin.settings import diagnosis as settings
 
-_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # the golden ratio, less 1
 
 
 def thinned(evidence: Evidence, share: float) -> Evidence:

@@ -27,7 +27,7 @@ BOTH, LOG_ALONE, BUS_ALONE, NOWHERE = "published and logged", "logged", "publish
 DISK_FULL = "disk full for longer than the log's queue holds"
 IGNORED = "read, counted in states_ignored"
 IGNORED_UNSEEN = "read while the disk was full, counted in states_ignored"
-IGNORED_UNCOUNTED = "ignored before the end of a handshake, the count killed with the gateway"
+IGNORED_UNCOUNTED = "ignored before the end of a handshake, the gateway killed"
 LOG_CUT_NS = 250_000_000  # of log that a kill may cost, gateway/README.md
 _BEFORE = {
     Fate.SENSED: "in the board: its queue, a reset",
