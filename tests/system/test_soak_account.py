@@ -11,6 +11,7 @@ from gateway.emulator.firmware_model.flash import CURRENT, POSITION
 from tests.harness.soak.account import (
     BUS_ALONE,
     IGNORED_UNCOUNTED,
+    IGNORED_UNSEEN,
     LOG_ALONE,
     NOWHERE,
     account_of,
@@ -84,6 +85,17 @@ def test_a_kill_explains_what_was_ignored_and_not_yet_logged_and_nothing_beside_
     assert account.lines[NOWHERE, IGNORED_UNCOUNTED] == len({*early} - {*unexplained})
     assert account.too_early == []
     assert account.lines.total() == account.sensed == 11
+
+
+def test_a_full_disk_explains_what_was_ignored_and_not_what_was_lost() -> None:
+    ledger = board_that_was_reset({4, 5}, 8, every_ns=50 * MS)
+    published = np.array([(0, n, 0) for n in (1, 2, 3, 6, 8)], np.int64)
+    full = Occurrence("disk full", 0, 0, 0, 400 * MS)
+
+    account = account_of([ledger], published, {0: Logged()}, [full], GATEWAYS)
+
+    assert [(place, number) for place, _, number, _ in account.unexplained] == [(NOWHERE, 7)]
+    assert account.lines[NOWHERE, IGNORED_UNSEEN] == account.read_but_no_sample[0] == 2
 
 
 def test_a_sample_before_the_end_of_a_handshake_is_too_early() -> None:

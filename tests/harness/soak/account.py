@@ -41,7 +41,7 @@ class Cost:
     """Samples that a fault may cost, from `before_s` before it began to `after_s` after it ended.
 
     `in_one_piece`: what comes in order is lost in order, so they are one unbroken run of each board, through the moment
-    at which the fault struck, or up to it.
+    at which the fault struck, or up to it.  `early`: only such as came before the end of a handshake.
     """
 
     place: str
@@ -50,6 +50,7 @@ class Cost:
     before_s: float
     after_s: float
     in_one_piece: bool = True
+    early: bool = False
 
 
 _COSTS = (
@@ -57,8 +58,8 @@ _COSTS = (
     Cost(NOWHERE, "port closed", "in the cable when it was unplugged", 0.5, 0.0),
     # Whoever opens a serial port discards what waits in it (pyserial).
     Cost(NOWHERE, "port opened", "in the cable when the port was opened", 0.0, 0.5),
-    # Such as come before the end of a handshake; where the log has the bytes, they are seen in it.
-    Cost(NOWHERE, "disk full", IGNORED_UNSEEN, 0.5, 1.0, in_one_piece=False),
+    # A gateway ignores them; where the log has the bytes, they are seen in it.
+    Cost(NOWHERE, "disk full", IGNORED_UNSEEN, 0.5, 1.0, in_one_piece=False, early=True),
     # gateway/README.md: at most 250 ms of log.
     Cost(BUS_ALONE, "gateway killed", "not yet on the disk when the gateway was killed", 0.5, 0.1),
     # The log tries again each half second, and finds room for a few between others; it counts what it drops.
@@ -121,7 +122,8 @@ def account_of(
         known = np.array(ledger.fate) == Fate.TAKEN
         sampled = (on_bus > 0) | (in_log > 0)
         account.invented += [(board, int(n)) for n in np.flatnonzero(sampled & ~known) if n]
-        account.too_early += [(board, int(n)) for n in np.flatnonzero(sampled & np.array(ledger.early, np.bool_))]
+        early = np.array(ledger.early, np.bool_)
+        account.too_early += [(board, int(n)) for n in np.flatnonzero(sampled & early)]
         account.sensed += count - 1
         _add_replayed(account, board, published[published[:, 0] == -1 - board, 1], in_log)
 
@@ -142,7 +144,10 @@ def account_of(
             BUS_ALONE: _Gap(made, in_log == 0, at_ns),
             LOG_ALONE: _Gap(made, on_bus == 0, at_ns),
         }
-        causes = {place: [(c, gap.cost_of(c, o)) for c, o in _pairs(place, concerns)] for place, gap in gaps.items()}
+        causes = {
+            place: [(c, gap.cost_of(c, o) & (early | (not c.early))) for c, o in _pairs(place, concerns)]
+            for place, gap in gaps.items()
+        }
         for place, mask in places.items():
             _explain(account, place, mask, board, at_ns, causes)
         _add_counts(account, board, logged)
