@@ -1,0 +1,39 @@
+"""The logs of a catalogue that lie in an archive.  Their rows stay when the logs are deleted on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gateway.record.catalogue.store import COLUMNS, insert, opened
+
+
+def known_logs(folder: Path) -> dict[str, tuple[int, int]]:
+    """Return (size, time of change in ns) of each log that the catalogue has read, by its name."""
+    with opened(folder, "ro") as database:
+        return {name: (size, changed_ns) for name, size, changed_ns in database.execute("SELECT * FROM seen")}
+
+
+def rows_of(folder: Path, name: str) -> list[dict[str, Any]]:
+    """Return the rows of one log by column, as they are archived with it."""
+    columns = [column for column in COLUMNS if column != "archived"]
+    with opened(folder, "ro") as database:
+        rows = database.execute(f"SELECT {', '.join(columns)} FROM logs WHERE file = ? ORDER BY began", (name,))
+        return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def learn(folder: Path, name: str, size: int, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Take the rows of a log that lies in an archive alone.  A copy of it here will be read like any other log."""
+    values = [{column: row.get(column) for column in COLUMNS} | {"file": name, "archived": ""} for row in rows]
+    scalar = [{column: str(v) if isinstance(v, list | dict) else v for column, v in row.items()} for row in values]
+    with opened(folder, "rw") as database, database:
+        insert(database, name, (size, 0), scalar)
+
+
+def mark(folder: Path, addresses: Mapping[str, str]) -> None:
+    """Note the addresses of all logs that lie in the archive, and that no others do."""
+    with opened(folder, "rw") as database, database:
+        noted = dict(database.execute("SELECT DISTINCT file, archived FROM logs"))
+        changed = [(addresses.get(name, ""), name) for name in noted if noted[name] != addresses.get(name, "")]
+        database.executemany("UPDATE logs SET archived = ? WHERE file = ?", changed)
