@@ -111,8 +111,8 @@ def _progress(args: argparse.Namespace) -> Callable[[str], None]:
 
 
 def _as_text(tally: Tally) -> str:
-    text = f"{tally.copied} logs copied ({tally.bytes / 1e6:.1f} MB), {tally.archived} are archived"
-    return f"{text}, {tally.waiting} are being written: next time" if tally.waiting else text
+    text = f"logs copied: {tally.copied} ({tally.bytes / 1e6:.1f} MB), archived: {tally.archived}"
+    return f"{text}, being written: {tally.waiting}" if tally.waiting else text
 
 
 def _print_line(line: str) -> None:

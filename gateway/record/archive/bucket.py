@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
+from html import unescape
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
@@ -33,7 +34,7 @@ _REMEDIES = {
     "NoSuchBucket": "Create the bucket, or correct the address",
     "NoSuchKey": _ADDRESSES,
     "InvalidAccessKeyId": f"Correct {KEYS[0]}",
-    "SignatureDoesNotMatch": f"Correct {KEYS[1]}",
+    "SignatureDoesNotMatch": f"Correct {KEYS[1]} or {KEYS[0]}",
     "AccessDenied": _RIGHTS,
     "RequestTimeTooSkewed": "Set the clock of this machine, or that of the server",
     "AuthorizationHeaderMalformed": "Set AWS_REGION to the region of the bucket",
@@ -134,10 +135,13 @@ class Bucket:
 def _translate(where: str, text: str) -> Board51Error:
     first, _, details = text.partition("\n")
     if refusal := _REFUSAL.search(text) or _STATUS.search(first):
-        problem = f"{where}: the server refuses with {refusal[1]}: {(refusal[2] or '').strip().rstrip('.')}"
+        text = unescape(refusal[2] or "").strip().rstrip(".")
+        problem = f"{where}: the server refuses with {refusal[1]}: {text}"
         return ServiceError(problem, remedy=_REMEDIES.get(refusal[1], "Look into the log of the server"))
     if "HTTP error" not in first:
-        return ServiceError(f"{where}: {first}", remedy="Look at the address, --endpoint and the server")
+        return ServiceError(
+            f"{where}: {first.rstrip('.')}", remedy="Look at the address, --endpoint, AWS_CA_BUNDLE and the server"
+        )
     cause = _CAUSE.search(details)
     return ServiceError(
         f"{where}: no answer from the server{f' ({cause[1]})' if cause else ''}",

@@ -12,7 +12,13 @@ from gateway.record.catalogue.store import COLUMNS, insert, opened
 def known_logs(folder: Path) -> dict[str, tuple[int, int]]:
     """Return (size, time of change in ns) of each log that the catalogue has read, by its name."""
     with opened(folder, "ro") as database:
-        return {name: (size, changed_ns) for name, size, changed_ns in database.execute("SELECT * FROM seen")}
+        return {name: (size, changed_ns) for name, size, changed_ns, _ in database.execute("SELECT * FROM seen")}
+
+
+def archived_logs(folder: Path) -> set[tuple[str, int, int]]:
+    """Return (name, size, time of change in ns) of the logs that lie in the archive."""
+    with opened(folder, "ro") as database:
+        return set(database.execute("SELECT file, bytes, changed_ns FROM seen WHERE archived != ''"))
 
 
 def rows_of(folder: Path, name: str) -> list[dict[str, Any]]:
@@ -34,6 +40,7 @@ def learn(folder: Path, name: str, size: int, rows: Sequence[Mapping[str, Any]])
 def mark(folder: Path, addresses: Mapping[str, str]) -> None:
     """Note the addresses of all logs that lie in the archive, and that no others do."""
     with opened(folder, "rw") as database, database:
-        noted = dict(database.execute("SELECT DISTINCT file, archived FROM logs"))
+        noted = dict(database.execute("SELECT file, archived FROM seen"))
         changed = [(addresses.get(name, ""), name) for name in noted if noted[name] != addresses.get(name, "")]
-        database.executemany("UPDATE logs SET archived = ? WHERE file = ?", changed)
+        for table in ("seen", "logs"):
+            database.executemany(f"UPDATE {table} SET archived = ? WHERE file = ?", changed)

@@ -54,7 +54,7 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
         raise UsageError(f"{folder} is not a folder", remedy="Give the folder of the logs")
     with opened(folder, "rwc") as database:
         _prepare(database)
-        known = {name: (size, changed) for name, size, changed in database.execute("SELECT * FROM seen")}
+        known = {name: (size, changed) for name, size, changed, _ in database.execute("SELECT * FROM seen")}
         present, unfinished, unreadable, read = set[str](), [], [], 0
         paths = sorted(folder.rglob("*.mcap"))
         for number, path in enumerate(paths, 1):
@@ -80,8 +80,8 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
             with database:  # a log at a time: an interrupted update keeps what it has read
                 insert(database, name, (size, status.st_mtime_ns), values)
             read += 1
-        archived = {name for (name,) in database.execute("SELECT DISTINCT file FROM logs WHERE archived != ''")}
-        deleted = [name for name in known if name not in present and name not in archived]
+        stays = present | {name for (name,) in database.execute("SELECT file FROM seen WHERE archived != ''")}
+        deleted = [name for name in known if name not in stays]
         with database:
             _forget(database, deleted)
     return Update(read, len(deleted), tuple(unfinished), tuple(unreadable))
@@ -125,7 +125,7 @@ def selection(condition: str, columns: Sequence[str] = COLUMNS) -> str:
 def insert(database: sqlite3.Connection, name: str, state: tuple[int, int], rows: Sequence[dict[str, Any]]) -> None:
     """Put the rows of a log in place of those that are known; `state` is its size and its time of change in ns."""
     _forget(database, [name])
-    database.execute("INSERT INTO seen VALUES (?, ?, ?)", (name, *state))
+    database.execute("INSERT INTO seen VALUES (?, ?, ?, '')", (name, *state))
     places = ", ".join(f":{column}" for column in COLUMNS)
     database.executemany(f"INSERT INTO logs ({', '.join(COLUMNS)}) VALUES ({places})", rows)
 
@@ -154,7 +154,9 @@ def _prepare(database: sqlite3.Connection) -> None:
         with database:
             database.execute("DROP TABLE IF EXISTS seen")
             database.execute("DROP TABLE IF EXISTS logs")
-            database.execute("CREATE TABLE seen (file TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER)")
+            database.execute(
+                "CREATE TABLE seen (file TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER, archived TEXT)"
+            )
             database.execute(f"CREATE TABLE logs ({columns})")
             database.execute("CREATE INDEX by_file ON logs (file)")
             database.execute(f"PRAGMA user_version = {_VERSION}")

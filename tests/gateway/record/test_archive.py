@@ -16,6 +16,7 @@ import pytest
 from gateway.record.archive.bucket import Bucket
 from gateway.record.archive.copies import SESSIONS, Archiver, Tally, fetch
 from gateway.record.catalogue.store import query, selection, update
+from gateway.record.retention import DAY_S, delete_expired
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, ServiceError, UsageError
@@ -115,7 +116,7 @@ def test_a_log_that_was_deleted_is_found_by_a_question_and_opened_again(
     fetched = call("fetch", found[name], "-o", tmp_path / "back", server=server.endpoint)
 
     assert copied.returncode == 0, copied.stderr
-    assert "1 logs copied (20." in copied.stderr
+    assert "logs copied: 1 (20." in copied.stderr
     assert found == {name: f"{address}/{name}"}
     assert fetched.returncode == 0, fetched.stderr
     copy = Path(fetched.stdout.rstrip("\n"))
@@ -185,6 +186,30 @@ def test_another_machine_learns_from_the_bucket_what_lies_there(server: S3Server
     assert addresses(office).keys() == {"may/a.mcap"}
 
 
+def test_a_log_that_is_too_old_stays_until_it_is_archived(server: S3Server, address: str, tmp_path: Path) -> None:
+    def delete() -> list[tuple[str, str]]:
+        return list(delete_expired(tmp_path, "rig", keep_days=1.0, keep_gb=0.0, keep_unarchived=True))
+
+    old, new = (tmp_path / f"rig-20260501T00000{number}Z-000.mcap" for number in range(2))
+    for path in (old, new):
+        path.write_bytes(b"of no session")
+        grow_old(path, 2 * DAY_S)
+    ((severity, text),) = delete()
+    assert (severity, text.partition(",")[0]) == ("warning", "no log is deleted"), "there is no catalogue"
+
+    archive(tmp_path, address, server)
+    new.write_bytes(b"of another one")  # after it was archived
+    grow_old(new, 2 * DAY_S)
+
+    assert delete() == [
+        ("info", f"{old.name} deleted: older than 1 days"),
+        ("warning", "logs kept beyond the bound, as they are not archived yet: 1"),
+    ]
+    assert [path.name for path in tmp_path.glob("*.mcap")] == [new.name]
+    archive(tmp_path, address, server)
+    assert delete() == [("info", f"{new.name} deleted: older than 1 days")]
+
+
 def test_fetch_keeps_what_is_there_and_refuses_what_was_not_archived(
     server: S3Server, address: str, tmp_path: Path
 ) -> None:
@@ -247,12 +272,12 @@ def test_a_server_that_goes_and_comes_back(address: str, tmp_path: Path, server:
         with said.open("w") as sink:
             process = subprocess.Popen(words, stderr=sink)
         try:
-            wait_for(lambda: "1 logs copied" in said.read_text(), "copy")
+            wait_for(lambda: "logs copied: 1" in said.read_text(), "copy")
             other.kill()
             write(folder / "b.mcap")
             wait_for(lambda: "no answer from the server (Connection refused)" in said.read_text(), "error")
             other.start()
-            wait_for(lambda: said.read_text().count("1 logs copied") == 2, "second copy")
+            wait_for(lambda: said.read_text().count("logs copied: 1") == 2, "second copy")
         finally:
             process.terminate()
             process.wait()
@@ -277,7 +302,13 @@ def test_two_that_copy_at_once_do_no_harm(server: S3Server, address: str, tmp_pa
 @pytest.mark.parametrize(
     ("environment", "to", "endpoint", "code", "text"),
     [
-        ({"AWS_SECRET_ACCESS_KEY": "wrong"}, "", "", 1, "SignatureDoesNotMatch: .*Correct AWS_SECRET_ACCESS_KEY"),
+        (
+            {"AWS_SECRET_ACCESS_KEY": "wrong"},
+            "",
+            "",
+            1,
+            "SignatureDoesNotMatch: .*Correct AWS_SECRET_ACCESS_KEY or AWS_ACCESS_KEY_ID",
+        ),
         ({"AWS_ACCESS_KEY_ID": "nobody"}, "", "", 1, "InvalidAccessKeyId: .*Correct AWS_ACCESS_KEY_ID"),
         ({"AWS_ACCESS_KEY_ID": "reader"}, "", "", 1, r"a\.mcap.*AccessDenied: .*right to list, read and write"),
         ({"AWS_ACCESS_KEY_ID": ""}, "", "", 2, "AWS_ACCESS_KEY_ID not set. Set"),
