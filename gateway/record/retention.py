@@ -13,7 +13,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from gateway.record.catalogue.archived import archived_logs
 from protocol.errors import ServiceError
 
 RECENT_S = 60.0  # a gateway writes at least its status every second
@@ -35,12 +34,15 @@ def delete_expired(
     if not (keep_days or keep_gb):
         return
     logs = expired(logs_in(folder, prefix), time.time(), keep_days=keep_days, keep_gb=keep_gb)
-    try:
-        archived = archived_logs(folder) if logs and keep_unarchived else set()
-    except ServiceError as error:
-        yield "warning", f"no log is deleted, as the catalogue does not say which are archived: {error}"
-        return
-    kept = 0
+    kept, archived = 0, set[tuple[str, int, int]]()
+    if logs and keep_unarchived:
+        from gateway.record.catalogue.archived import archived_logs  # a gateway starts without it
+
+        try:
+            archived = archived_logs(folder)
+        except ServiceError as error:
+            yield "warning", f"no log is deleted, as the catalogue does not say which are archived: {error}"
+            return
     for path, reason in logs:
         try:
             if keep_unarchived and (path.name, path.stat().st_size, path.stat().st_mtime_ns) not in archived:

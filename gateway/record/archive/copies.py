@@ -10,15 +10,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from gateway.record.archive.bucket import Bucket, Stored
 from gateway.record.catalogue.archived import known_logs, learn, mark, rows_of
 from gateway.record.catalogue.store import update
 from protocol.errors import DataError, ServiceError, UsageError
-from protocol.files import writing
+from protocol.files import parse_json, writing
 
 SESSIONS = ".sessions.jsonl"
 _SHA256, _CHANGED = "sha256", "changed-ns"
@@ -69,9 +69,8 @@ class Archiver:
                 copied.append(log)
             else:
                 skipped.add(log.name)
-        for name in sorted(stored.keys() - local):
-            if known.get(name, (-1, 0))[0] != stored[name].size:
-                self._learn(name, stored[name].size, has_rows=f"{name}{SESSIONS}" in listing)
+        away = [name for name in sorted(stored.keys() - local) if known.get(name, (-1,))[0] != stored[name].size]
+        learn(self._folder, {name: (stored[name].size, self._rows(f"{name}{SESSIONS}", listing)) for name in away})
         archived = (stored.keys() | {log.name for log in copied}) - skipped
         mark(self._folder, {name: f"{self._bucket.address}/{name}" for name in archived})
         return Tally(len(copied), sum(log.size for log in copied), len(archived), len(skipped))
@@ -112,17 +111,18 @@ class Archiver:
             raise ServiceError(f"{path} cannot be read: {error.strerror}", remedy="Look at its rights") from None
         return True
 
-    def _learn(self, name: str, size: int, *, has_rows: bool) -> None:
-        """Take the rows of a log that only the bucket has into the catalogue."""
-        source, rows = f"{name}{SESSIONS}", []
-        self._progress(f"{name} lies in {self._bucket.address}")
-        if has_rows:
-            lines = b"".join(self._bucket.get(source)[1]).splitlines()
-            try:
-                rows = [json.loads(line) for line in lines]
-            except ValueError as error:
-                self._progress(f"{self._bucket.address}/{source} is not JSON: {error}")
-        learn(self._folder, name, size, [row for row in rows if isinstance(row, dict)])
+    def _rows(self, name: str, listing: Mapping[str, Stored]) -> list[dict[str, Any]]:
+        """Return the rows of a log that only the bucket has; none if another program put it there."""
+        self._progress(f"{self._bucket.address}/{name}")
+        if name not in listing:
+            return []
+        lines = b"".join(self._bucket.get(name)[1]).decode(errors="replace").split("\n")
+        try:
+            rows = [parse_json(line, where=f"{self._bucket.address}/{name}") for line in lines if line]
+        except DataError as error:
+            self._progress(str(error))
+            return []
+        return [row for row in rows if isinstance(row, dict)]
 
 
 def fetch(bucket: Bucket, name: str, out: Path) -> Path:

@@ -29,12 +29,16 @@ def rows_of(folder: Path, name: str) -> list[dict[str, Any]]:
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def learn(folder: Path, name: str, size: int, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Take the rows of a log that lies in an archive alone.  A copy of it here will be read like any other log."""
-    values = [{column: row.get(column) for column in COLUMNS} | {"file": name, "archived": ""} for row in rows]
-    scalar = [{column: str(v) if isinstance(v, list | dict) else v for column, v in row.items()} for row in values]
+def learn(folder: Path, logs: Mapping[str, tuple[int, Sequence[Mapping[str, Any]]]]) -> None:
+    """Take size and rows of logs that lie in an archive alone.  A copy of one here will be read like any other log."""
     with opened(folder, "rw") as database, database:
-        insert(database, name, (size, 0), scalar)
+        for name, (size, rows) in logs.items():
+            values = [{column: _scalar(row.get(column)) for column in COLUMNS} for row in rows]
+            insert(database, name, (size, 0), [{**row, "file": name, "archived": ""} for row in values])
+
+
+def _scalar(value: Any) -> Any:
+    return str(value) if isinstance(value, list | dict) else value
 
 
 def mark(folder: Path, addresses: Mapping[str, str]) -> None:

@@ -164,7 +164,9 @@ def test_a_log_that_is_written_waits_and_one_that_is_no_log_is_archived_as_it_is
     }  # fmt: skip
 
 
-def test_another_machine_learns_from_the_bucket_what_lies_there(server: S3Server, address: str, tmp_path: Path) -> None:
+def test_another_machine_learns_from_the_bucket_what_lies_there(
+    server: S3Server, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lab, office = tmp_path / "lab", tmp_path / "office"
     office.mkdir()
     write(lab / "may" / "a.mcap", "rig1")
@@ -173,6 +175,7 @@ def test_another_machine_learns_from_the_bucket_what_lies_there(server: S3Server
     server.store().put(f"{address.removeprefix(f's3://{BUCKET}/')}/alien.mcap", b"of another program")
     server.store().put(f"{address.removeprefix(f's3://{BUCKET}/')}/b.mcap{SESSIONS}", b'{"board": "rig2"}\n[1]\n')
 
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "reader")
     tally = archive(office, address, server)
 
     assert (tally.copied, tally.archived) == (0, 3)
