@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -39,33 +38,20 @@ def configure(work: argparse._SubParsersAction[Any]) -> None:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         parser.add_argument("--endpoint", metavar="URL", help="of the server (AWS_ENDPOINT_URL, or Amazon's own)")
-        parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
         return parser
 
     server = "--endpoint https://storage.plant:9000"
-    archiving = add(
-        "archive",
-        "logs into object storage",
-        _ARCHIVE,
-        f"board51 logs archive logs --to s3://plant/hall-3 {server} --every 300",
-    )
-    archiving.add_argument("folder", type=Path, metavar="FOLDER", help="of the logs, with its sub-folders")
-    archiving.add_argument(
-        "--to", required=True, metavar="ADDRESS", help="s3://BUCKET/PREFIX, a prefix for each FOLDER"
-    )
+    example = f"board51 logs archive logs --to s3://plant/hall-3 {server} --every 300"
+    archiving = add("archive", "logs into object storage", _ARCHIVE, example)
     archiving.set_defaults(run=_archive)
+    archiving.add_argument("folder", type=Path, metavar="FOLDER", help="of the logs, with its sub-folders")
+    archiving.add_argument("--to", required=True, metavar="ADDRESS", help="s3://BUCKET/PREFIX, one for each FOLDER")
     archiving.add_argument("--every", type=float, metavar="S", help="repeat every S seconds")
-    fetching = add(
-        "fetch",
-        "logs back from there",
-        _FETCH,
-        f"board51 logs fetch s3://plant/hall-3/board51-20260501T120000Z-000.mcap {server}",
-    )
+    example = f"board51 logs fetch s3://plant/hall-3/board51-20260501T120000Z-000.mcap {server}"
+    fetching = add("fetch", "logs back from there", _FETCH, example)
     fetching.set_defaults(run=_fetch)
     fetching.add_argument("addresses", nargs="+", metavar="ADDRESS", help="of a log: s3://BUCKET/PREFIX/NAME")
-    fetching.add_argument(
-        "-o", "--out", type=Path, default=Path("fetched"), metavar="DIR", help="made if absent (fetched)"
-    )
+    fetching.add_argument("-o", "--out", type=Path, default=Path("fetched"), help="folder, made if absent (fetched)")
 
 
 def _archive(args: argparse.Namespace) -> int:
@@ -75,7 +61,7 @@ def _archive(args: argparse.Namespace) -> int:
     end_at_once()
     with suppress(AttributeError, OSError):  # Windows has no such priority
         os.nice(_NICE)
-    archiver = Archiver(args.folder, Bucket(args.to, args.endpoint), _progress(args))
+    archiver = Archiver(args.folder, Bucket(args.to, args.endpoint), _print_line)
     if args.every is None:
         _print_line(_as_text(archiver.copy()))
         return 0
@@ -101,18 +87,14 @@ def _fetch(args: argparse.Namespace) -> int:
             raise UsageError(f"{address} is not the address of a log", remedy="Write s3://BUCKET/PREFIX/NAME")
         bucket = Bucket(prefix, args.endpoint)
         make_folder(args.out)
-        _progress(args)(f"{address} to {args.out}")
+        _print_line(f"{address} to {args.out}")
         print(fetch(bucket, name, args.out), flush=True)
     return 0
 
 
-def _progress(args: argparse.Namespace) -> Callable[[str], None]:
-    return (lambda _: None) if args.quiet else _print_line
-
-
 def _as_text(tally: Tally) -> str:
     text = f"logs copied: {tally.copied} ({tally.bytes / 1e6:.1f} MB), archived: {tally.archived}"
-    return f"{text}, being written: {tally.waiting}" if tally.waiting else text
+    return f"{text}, waiting: {tally.waiting}" if tally.waiting else text
 
 
 def _print_line(line: str) -> None:

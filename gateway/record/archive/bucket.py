@@ -105,9 +105,7 @@ class Bucket:
     def put(self, name: str, content: bytes | BinaryIO, attributes: Mapping[str, str]) -> None:
         """Write an object, in place of one that is there."""
         with self._reworded(name):
-            self._store.put(
-                name, content, attributes=dict(attributes), chunk_size=_PIECE, max_concurrency=_PIECES
-            )  # fmt: skip
+            self._store.put(name, content, attributes=dict(attributes), chunk_size=_PIECE, max_concurrency=_PIECES)
 
     def get(self, name: str) -> tuple[Mapping[str, str], Iterator[bytes]]:
         """Return the attributes of an object, and its content in pieces."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from gateway.record.archive.bucket import Bucket, Stored
 from gateway.record.catalogue.archived import known_logs, learn, mark, rows_of
 from gateway.record.catalogue.store import update
-from protocol.errors import DataError, ServiceError, UsageError
+from protocol.errors import DataError, UsageError
 from protocol.files import parse_json, writing
 
 SESSIONS = ".sessions.jsonl"
@@ -30,7 +30,7 @@ class Tally(NamedTuple):
     copied: int
     bytes: int
     archived: int  # logs in the bucket, without those that have changed in the folder since
-    waiting: int  # logs that are being written or have changed meanwhile
+    waiting: int  # logs that are being written, have changed meanwhile or cannot be read
 
 
 class _Log(NamedTuple):
@@ -53,7 +53,7 @@ class Archiver:
 
         Raises:
             UsageError: the folder does not exist.
-            ServiceError: the server, the network or the disk failed; what was copied so far stays.
+            ServiceError: the server, the network or the catalogue failed; what was copied so far stays.
         """
         listing = self._bucket.listing()
         stored = {name: item for name, item in listing.items() if name.endswith(".mcap")}
@@ -105,10 +105,9 @@ class Archiver:
                 rows = "".join(f"{json.dumps(row)}\n" for row in rows_of(self._folder, log.name))
                 self._bucket.put(f"{log.name}{SESSIONS}", rows.encode(), {})
                 self._bucket.put(log.name, file, attributes)
-        except FileNotFoundError:  # deleted meanwhile: logs have a greatest age
+        except OSError as error:  # deleted meanwhile, or not readable: the others go on
+            self._progress(f"{path} is left out: {error.strerror}")
             return False
-        except OSError as error:
-            raise ServiceError(f"{path} cannot be read: {error.strerror}", remedy="Look at its rights") from None
         return True
 
     def _rows(self, name: str, listing: Mapping[str, Stored]) -> list[dict[str, Any]]:
