@@ -162,6 +162,7 @@ class LogConfig(Keys):
     keep_gb: Annotated[
         Number, key("delete the oldest own logs when all have more, when a part begins; 0: keep all [GB]", 0.0, 1e6)
     ] = 0.0
+    keep_unarchived: Annotated[Flag, key("but keep those that `board51 logs archive` has not copied yet")] = False
     compression: Annotated[Literal["lz4", "zstd", "none"], key("of the chunks")] = "lz4"
     raw: Annotated[Flag, key("log the bytes of the UART too; `replay --bytes` needs them")] = True
 

@@ -61,6 +61,7 @@ class RecorderOptions:
     min_free_bytes: int = 50_000_000
     keep_days: float = 0.0  # 0: no bound
     keep_gb: float = 0.0  # 0: no bound
+    keep_unarchived: bool = False  # above both bounds
     compression: Compression = "lz4"  # of the chunks
 
 
@@ -201,7 +202,13 @@ class Recorder:
             self._check_free_space()
             if self._cleared_part < self._part:
                 self._cleared_part, o = self._part, self._options
-                for severity, text in delete_expired(self.directory, o.prefix, o.keep_days, o.keep_gb):
+                for severity, text in delete_expired(
+                    self.directory,
+                    o.prefix,
+                    keep_days=o.keep_days,
+                    keep_gb=o.keep_gb,
+                    keep_unarchived=o.keep_unarchived,
+                ):
                     self._publish_event("log-deleted", severity, text)
             self._drain()
             now_s = time.monotonic()

@@ -13,6 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from protocol.errors import ServiceError
+
 RECENT_S = 60.0  # a gateway writes at least its status every second
 DAY_S = 86400.0
 
@@ -25,16 +27,33 @@ class Log(NamedTuple):
     size: int  # bytes
 
 
-def delete_expired(folder: Path, prefix: str, keep_days: float, keep_gb: float) -> Iterator[tuple[str, str]]:
+def delete_expired(
+    folder: Path, prefix: str, *, keep_days: float, keep_gb: float, keep_unarchived: bool = False
+) -> Iterator[tuple[str, str]]:
     """Delete what `expired` names; yield severity and text of an event for each log."""
     if not (keep_days or keep_gb):
         return
-    for path, reason in expired(logs_in(folder, prefix), time.time(), keep_days=keep_days, keep_gb=keep_gb):
+    logs = expired(logs_in(folder, prefix), time.time(), keep_days=keep_days, keep_gb=keep_gb)
+    kept, archived = 0, set[tuple[str, int, int]]()
+    if logs and keep_unarchived:
+        from gateway.record.catalogue.archived import archived_logs  # a gateway starts without it
+
         try:
+            archived = archived_logs(folder)
+        except ServiceError as error:
+            yield "warning", f"no log is deleted, as the catalogue does not say which are archived: {error}"
+            return
+    for path, reason in logs:
+        try:
+            if keep_unarchived and (path.name, path.stat().st_size, path.stat().st_mtime_ns) not in archived:
+                kept += 1
+                continue
             path.unlink(missing_ok=True)
             yield "info", f"{path.name} deleted: {reason}"
         except OSError as error:
             yield "warning", f"{path.name} cannot be deleted: {error.strerror}"
+    if kept:
+        yield "warning", f"logs kept beyond the bound, as they are not archived yet: {kept}"
 
 
 def logs_in(folder: Path, prefix: str) -> list[Log]:

@@ -34,6 +34,8 @@ WITHOUT = [
     (["campaign", "run", "folder", "--board", "rig1"], "campaign"),
     (["import", "run.csv", "-o", "run.mcap"], "export"),
     (["export", "run.mcap", "-o", "run.csv"], "export"),
+    (["logs", "archive", ".", "--to", "s3://plant"], "s3"),
+    (["logs", "fetch", "s3://plant/run.mcap"], "s3"),
     (["twin"], "twin"),
     (["identify", "campaign.toml"], "twin"),
     (["design", "model.json"], "twin"),
@@ -177,7 +179,7 @@ def test_a_command_without_its_extra_says_what_to_install(core: Path, tmp_path: 
 
 
 def test_every_command_that_needs_an_extra_is_tried_above() -> None:
-    assert {words[0] for words, _ in WITHOUT} - {"gateway"} == set(board51.EXTRAS)
+    assert {words[0] for words, _ in WITHOUT} - {"gateway", "logs"} == set(board51.EXTRAS)
 
 
 @pytest.mark.parametrize(
@@ -188,6 +190,7 @@ def test_every_command_that_needs_an_extra_is_tried_above() -> None:
         ("emulator", ["gateway.emulator"]),
         ("campaign", ["gateway.campaign"]),
         ("export", ["gateway.record"]),
+        ("s3", ["gateway.record.archive"]),
         ("twin", ["twin"]),
     ],
 )

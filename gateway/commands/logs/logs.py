@@ -1,4 +1,4 @@
-"""Questions about many logs at once: which flights of which rig, when, on which model, with what result.
+"""Questions about many logs at once: which flights of which rig, when, on which model.  Their archive on an S3 server.
 
 The catalogue (catalogue.sqlite, beside the logs) has a row for each session of a board in a log.  It is brought up to
 date first: only logs that are new or have changed are read.
@@ -15,14 +15,27 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from gateway.commands.logs import archive
 from gateway.record.catalogue.store import COLUMNS, Answer, Update, query, selection, update
 from protocol.errors import UsageError
 
-COLUMNS_OF_TABLE = ("began", "board", "session", "duration_s", "flown_s", "model", "causes", "alarms", "nis", "file")
+COLUMNS_OF_TABLE = (
+    "began",
+    "board",
+    "session",
+    "duration_s",
+    "flown_s",
+    "model",
+    "causes",
+    "alarms",
+    "nis",
+    "file",
+    "archived",
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the sub-command."""
+    """Add the works."""
     parser.epilog = f"columns: {', '.join(COLUMNS)}\n{_EXAMPLES}"
     work = parser.add_subparsers(dest="work", required=True, metavar="WORK")
     parser_of_query = work.add_parser(
@@ -44,6 +57,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     form = parser_of_query.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print all columns as JSON, one row a line")
     form.add_argument("--csv", action="store_true", help="print all columns as CSV")
+    parser_of_query.set_defaults(run=_query)
+    archive.configure(work)
 
 
 _EXAMPLES = (
@@ -55,6 +70,11 @@ _EXAMPLES = (
 
 
 def run(args: argparse.Namespace) -> int:
+    """Do the work."""
+    return int(args.run(args))
+
+
+def _query(args: argparse.Namespace) -> int:
     """Bring the catalogue up to date, and print what was found; exit code 1: nothing was."""
     if args.sql and args.condition:
         raise UsageError("--sql excludes a CONDITION", remedy="Give one of the two")

@@ -18,12 +18,12 @@ from gateway.record.catalogue.sessions import Session, sessions_of
 from protocol.errors import DataError, ServiceError, UsageError
 
 NAME = "catalogue.sqlite"
-COLUMNS = ("file", "bytes", *(column.name for column in fields(Session)), "problem")
+COLUMNS = ("file", "bytes", *(column.name for column in fields(Session)), "problem", "archived")
 RECENT_S = 5.0  # a log that has changed since is being written
 LIMIT_S = 10.0  # for the answer to a question
 MAX_ROWS = 100_000
 MAX_TEXT = 1_000_000  # bytes of a value: no question fills the memory
-_VERSION = 1
+_VERSION = 2
 _READS = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION)
 
 
@@ -51,10 +51,10 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
         ServiceError: the catalogue cannot be written, or is not a database.
     """
     if not folder.is_dir():
-        raise UsageError(f"{folder} is not a folder", remedy="Give the folder of the logs with --folder")
-    with _opened(folder, "rwc") as database:
+        raise UsageError(f"{folder} is not a folder", remedy="Give the folder of the logs")
+    with opened(folder, "rwc") as database:
         _prepare(database)
-        known = {name: (size, changed) for name, size, changed in database.execute("SELECT * FROM seen")}
+        known = {name: (size, changed) for name, size, changed, _ in database.execute("SELECT * FROM seen")}
         present, unfinished, unreadable, read = set[str](), [], [], 0
         paths = sorted(folder.rglob("*.mcap"))
         for number, path in enumerate(paths, 1):
@@ -75,14 +75,13 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
             except DataError as error:
                 rows, problem = [], str(error)
                 unreadable.append(f"{name}: {error.problem}")
+            size = status.st_size
+            values = [{"file": name, "bytes": size, **asdict(row), "problem": problem, "archived": ""} for row in rows]
             with database:  # a log at a time: an interrupted update keeps what it has read
-                _forget(database, [name])
-                database.execute("INSERT INTO seen VALUES (?, ?, ?)", (name, status.st_size, status.st_mtime_ns))
-                values = [{"file": name, "bytes": status.st_size, **asdict(row), "problem": problem} for row in rows]
-                places = ", ".join(f":{column}" for column in COLUMNS)
-                database.executemany(f"INSERT INTO logs ({', '.join(COLUMNS)}) VALUES ({places})", values)
+                insert(database, name, (size, status.st_mtime_ns), values)
             read += 1
-        deleted = [name for name in known if name not in present]
+        stays = present | {name for (name,) in database.execute("SELECT file FROM seen WHERE archived != ''")}
+        deleted = [name for name in known if name not in stays]
         with database:
             _forget(database, deleted)
     return Update(read, len(deleted), tuple(unfinished), tuple(unreadable))
@@ -96,7 +95,7 @@ def query(folder: Path, sql: str, *, limit_s: float = LIMIT_S) -> Answer:
     """
     if not (folder / NAME).is_file():
         raise UsageError(f"{folder} has no catalogue", remedy="Run board51 logs query without --no-update first")
-    with _opened(folder, "ro") as database:
+    with opened(folder, "ro") as database:
         deadline = time.monotonic() + limit_s
         database.set_progress_handler(lambda: time.monotonic() > deadline, 10_000)
         database.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY)
@@ -123,8 +122,21 @@ def selection(condition: str, columns: Sequence[str] = COLUMNS) -> str:
     return f"SELECT {', '.join(columns)} FROM logs{where} ORDER BY began, site, board, session"
 
 
+def insert(database: sqlite3.Connection, name: str, state: tuple[int, int], rows: Sequence[dict[str, Any]]) -> None:
+    """Put the rows of a log in place of those that are known; `state` is its size and its time of change in ns."""
+    _forget(database, [name])
+    database.execute("INSERT INTO seen VALUES (?, ?, ?, '')", (name, *state))
+    places = ", ".join(f":{column}" for column in COLUMNS)
+    database.executemany(f"INSERT INTO logs ({', '.join(COLUMNS)}) VALUES ({places})", rows)
+
+
 @contextmanager
-def _opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
+def opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
+    """Open the database of a folder: `ro`, `rw`, or `rwc` to create it.
+
+    Raises:
+        ServiceError: it cannot be opened, read or written.
+    """
     try:
         with closing(sqlite3.connect(f"{(folder / NAME).resolve().as_uri()}?mode={mode}", uri=True)) as database:
             yield database
@@ -137,12 +149,14 @@ def _prepare(database: sqlite3.Connection) -> None:
     """Make the tables; replace those of another version, as the logs hold everything."""
     if database.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
         kinds = {int: "INTEGER", int | None: "INTEGER", float: "REAL", float | None: "REAL", str: "TEXT"}
-        types = {"file": str, "bytes": int, **get_type_hints(Session), "problem": str}
+        types = {"file": str, "bytes": int, **get_type_hints(Session), "problem": str, "archived": str}
         columns = ", ".join(f"{name} {kinds[types[name]]}" for name in COLUMNS)
         with database:
             database.execute("DROP TABLE IF EXISTS seen")
             database.execute("DROP TABLE IF EXISTS logs")
-            database.execute("CREATE TABLE seen (file TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER)")
+            database.execute(
+                "CREATE TABLE seen (file TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER, archived TEXT)"
+            )
             database.execute(f"CREATE TABLE logs ({columns})")
             database.execute("CREATE INDEX by_file ON logs (file)")
             database.execute(f"PRAGMA user_version = {_VERSION}")

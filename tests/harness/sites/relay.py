@@ -63,17 +63,41 @@ class Relay:
                     return
                 self._open += [near, far]
             for source, sink in ((near, far), (far, near)):
-                threading.Thread(target=_pass_on, args=(source, sink), daemon=True).start()
+                threading.Thread(target=self._pass_on, args=(source, sink), daemon=True).start()
+
+    def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
+        try:
+            while (data := source.recv(65536)) and self._passes(len(data)):
+                sink.sendall(data)
+        except OSError:
+            pass
+        _end(source)
+        _end(sink)
+
+    def _passes(self, size: int) -> bool:
+        return True
 
 
-def _pass_on(source: socket.socket, sink: socket.socket) -> None:
-    try:
-        while data := source.recv(65536):
-            sink.sendall(data)
-    except OSError:
-        pass
-    _end(source)
-    _end(sink)
+class StallingRelay(Relay):
+    """Passes `limit` bytes on, in both directions together; then it holds whatever comes, until it is cut."""
+
+    def __init__(self, target: str, limit: int) -> None:
+        super().__init__(target)
+        self.stalled, self._ended = threading.Event(), threading.Event()
+        self._left = limit
+
+    def cut(self) -> None:
+        self._ended.set()
+        super().cut()
+
+    def _passes(self, size: int) -> bool:
+        with self._lock:
+            self._left -= size
+            if self._left >= 0:
+                return True
+        self.stalled.set()
+        self._ended.wait()
+        return False
 
 
 def _end(end: socket.socket) -> None:
