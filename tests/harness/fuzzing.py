@@ -1,21 +1,26 @@
-"""Fuzz one parser, guided by coverage: `python -m tests.harness.fuzzing PARSER --minutes 5 --seed 1`.
+"""Fuzz parsers, guided by coverage: `python -m tests.harness.fuzzing "bus, views" campaign --minutes 5 --seed 1`.
 
 Needs atheris, which is not in the lock: `pip install atheris`.  Each new finding is written to --out, its input beside
-its traceback; fuzzing goes on.  Exits with 1 if there was one.
+its traceback; fuzzing goes on.  Exits with 1 if there was one.  `fuzz_targets.py` has the parsers.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
-import shutil
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
 from types import TracebackType
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from tests.harness.fuzz_targets import Target
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOW_S = 5.0
@@ -82,16 +87,11 @@ def _compiled_modules() -> list[str]:
     return [*names, "twin.compiled"]
 
 
-def _fuzz(name: str, *, minutes: float, seed: int, out: Path) -> None:
-    import atheris  # not in the lock
+def _fuzz(name: str, target: Target, *, minutes: float, seed: int, out: Path, scratch: Path) -> NoReturn:
+    import atheris
 
-    with atheris.instrument_imports(include=_OURS, exclude=_compiled_modules()):
-        from tests.harness.fuzz_targets import TARGETS
-
-    target, scratch = TARGETS[name], out / "scratch"  # the run ends without a return: the next one clears it up
-    shutil.rmtree(scratch, ignore_errors=True)
     corpus = scratch / "corpus"
-    corpus.mkdir(parents=True)
+    corpus.mkdir()
     for n, data in enumerate(target.seeds(scratch)):
         (corpus / str(n)).write_bytes(data)
 
@@ -99,7 +99,7 @@ def _fuzz(name: str, *, minutes: float, seed: int, out: Path) -> None:
         file = out / f"{name.replace(', ', '-').replace(' ', '-')}-{len(findings.kinds)}"
         file.with_suffix(".bin").write_bytes(data)
         file.with_suffix(".txt").write_text(f"{kind}\n{what}\n")
-        print(f"FINDING {kind}", flush=True)
+        print(f"{name}: FINDING {kind}", flush=True)
 
     findings = Findings(lambda data: target.run(scratch, data), report)
 
@@ -114,20 +114,33 @@ def _fuzz(name: str, *, minutes: float, seed: int, out: Path) -> None:
     }  # fmt: skip
     arguments = [sys.argv[0], *(f"-{key}={value}" for key, value in options.items()), str(corpus)]
     atheris.Setup(arguments, findings.execute, custom_mutator=change)
-    atheris.Fuzz()
+    atheris.Fuzz()  # ends the process
+    raise AssertionError
 
 
-def main() -> None:
-    """Fuzz the parser of the command line."""
+def main() -> int:
+    """Fuzz the parsers of the command line, one after the other."""
+    import atheris  # not in the lock
+
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parser", metavar="PARSER")
-    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("parsers", metavar="PARSER", nargs="+")
+    parser.add_argument("--minutes", type=float, default=5.0, help="of each")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("fuzz-out"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    _fuzz(args.parser, minutes=args.minutes, seed=args.seed, out=args.out)
+    with atheris.instrument_imports(include=_OURS, exclude=_compiled_modules()):
+        from tests.harness.fuzz_targets import TARGETS
+
+    for name in args.parsers:
+        with tempfile.TemporaryDirectory() as scratch:
+            print(f"{name}: {time.strftime('%H:%M:%S')}", flush=True)
+            child = os.fork()  # each in a process of its own, but instrumented once
+            if child == 0:
+                _fuzz(name, TARGETS[name], minutes=args.minutes, seed=args.seed, out=args.out, scratch=Path(scratch))
+            os.waitpid(child, 0)
+    return 1 if any(args.out.iterdir()) else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
