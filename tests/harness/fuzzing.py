@@ -115,7 +115,7 @@ def _fuzz(name: str, target: Target, *, minutes: float, seed: int, out: Path, sc
         if time.monotonic() > end_s:
             took_s, found = time.process_time() - began_s, len(findings.kinds)
             print(f"{name}: {findings.executions} executions in {took_s:.0f} s, {found} findings", flush=True)
-            os._exit(0)
+            os._exit(1 if found else 0)
 
     options = {
         "seed": seed, "max_len": 1 << 17, "timeout": 120, "rss_limit_mb": 4096, "artifact_prefix": f"{out}/",
@@ -141,14 +141,16 @@ def main() -> int:
     with atheris.instrument_imports(include=_OURS, exclude=_compiled_modules()):
         from tests.harness.fuzz_targets import TARGETS
 
+    failed = False
     for name in args.parsers:
         with tempfile.TemporaryDirectory() as scratch:
             print(f"{name}: {time.strftime('%H:%M:%S')}", flush=True)
             child = os.fork()  # each in a process of its own, but instrumented once
             if child == 0:
                 _fuzz(name, TARGETS[name], minutes=args.minutes, seed=args.seed, out=args.out, scratch=Path(scratch))
-            os.waitpid(child, 0)
-    return 1 if any(args.out.iterdir()) else 0
+            _, status = os.waitpid(child, 0)  # not 0 for a finding, a hang, or an interpreter that crashed, too
+            failed = failed or status != 0
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

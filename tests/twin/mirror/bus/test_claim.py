@@ -69,11 +69,9 @@ def test_the_second_twin_of_a_board_ends_and_says_who_serves_it(
 
 
 def test_a_token_with_a_name_that_no_twin_has_is_named(endpoint: str) -> None:
-    with router(endpoint) as session:
-        token = session.liveliness().declare_token("lab/rig/twin/alive/0")
+    with router(endpoint) as session, session.liveliness().declare_token("lab/rig/twin/alive/0"):
         with twin_of(endpoint) as service:
             said = ended(session, service)
-        token.undeclare()
 
     assert "board rig of site lab: one that calls itself '0'" in said
 
