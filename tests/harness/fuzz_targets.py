@@ -37,6 +37,7 @@ from tests.harness.gateway.lossy_line import LossyRig
 from tests.harness.hostile_bus import USUAL, show
 from tests.harness.hostile_files import READERS, Reader
 from tests.harness.hostile_messages import COMMANDS, message, usual_messages, write_log, write_payloads
+from tests.harness.hostile_opcua import serve
 from tests.harness.twin.true_model import true_model
 from twin.mirror.bus.handover import read_command, read_model
 from twin.mirror.mirror import Mirror
@@ -248,10 +249,19 @@ def _driver_seeds(_: Path) -> Iterator[bytes]:
 # ---- the bus
 
 
-def _view(_: Path, data: bytes) -> None:
-    """What pages, OPC UA and Foxglove make of messages."""
+def _samples_apart(data: bytes) -> list[Message]:
+    """Return the messages as a feed takes them: each sample alone."""
     messages = [one for _, one in parsed(data)]
-    show([part for one in messages for part in (one.states if isinstance(one, pb.StateBatch) else (one,))], later_s=1.5)
+    return [part for one in messages for part in (one.states if isinstance(one, pb.StateBatch) else (one,))]
+
+
+def _view(_: Path, data: bytes) -> None:
+    """What pages, API and Foxglove make of messages."""
+    show(_samples_apart(data), later_s=1.5)
+
+
+def _opcua(_: Path, data: bytes) -> None:
+    serve(_samples_apart(data))
 
 
 def _client(_: Path, data: bytes) -> None:
@@ -347,6 +357,7 @@ def _targets() -> dict[str, Target]:
         "wire": Target(seeds=_wire_seeds, change=mutations.binary, run=_wire),
         "driver": Target(seeds=_driver_seeds, change=mutations.binary, run=_driver),
         "bus, views": bus(run=_view),
+        "bus, OPC UA": bus(run=_opcua),
         "bus, client": bus(run=_client),
         "bus, twin": bus(run=_mirror),
         "bus, command": Target(

@@ -11,8 +11,11 @@ from google.protobuf.message import Message
 from gateway.views.board_feed import BoardFeed
 from gateway.views.foxglove.derived import Derived
 from gateway.views.hmi import snapshot
+from gateway.views.hmi.api import rigs
+from gateway.views.hmi.model.plant import plant_card
 from gateway.views.opcua.address_space.extras import EXTRAS, extra_value
 from gateway.views.opcua.address_space.parameters import instrument_ranges, nameplate, ranges
+from gateway.views.opcua.address_space.values import StampClock, datetime_of
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import is_plausible, stamp_ns
 from tests.harness.hostile_messages import START_NS, usual_messages
@@ -44,6 +47,7 @@ def show(messages: Iterable[Message], *, later_s: float) -> None:
     for one in messages:
         for _, panel in derived.take("board51", "rig", one, stamp_ns(one) or START_NS):
             panel.encode()
+        _describe(one)
         if not isinstance(one, pb.Status | pb.Parameters) or is_plausible(one):
             with lock:
                 feed.take(one, START_NS)
@@ -52,6 +56,8 @@ def show(messages: Iterable[Message], *, later_s: float) -> None:
     for picture in (snapshot.now, snapshot.rest, snapshot.summary):
         json.dumps(picture(feed))
     snapshot.journal(feed.journal()[1])
+    rigs.entry(feed), rigs.rig(feed), rigs.alarms(feed)
+    plant_card(feed.latest(pb.PlantCard), "rig")
     tap.take()
     feed.tap(pb.Divergence, width_s=1 / 30)
     for extra in EXTRAS:
@@ -59,3 +65,18 @@ def show(messages: Iterable[Message], *, later_s: float) -> None:
     if (parameters := feed.latest(pb.Parameters)) is not None:
         for read in (nameplate, ranges, instrument_ranges):
             read(parameters)
+
+
+def _describe(message: Message) -> None:
+    """Give a message as the HTTP API does, and a sample the time that OPC UA gives it."""
+    match message:
+        case pb.State():
+            rigs.csv_line(rigs.state(message))
+            clock = StampClock()
+            for _ in range(2):
+                datetime_of(clock.stamp(session=message.session, t_s=message.t_s, host_time_ns=message.host_time_ns))
+        case pb.Event():
+            rigs.event(message)
+        case pb.CaptureRecord():
+            rigs.capture(message)
+            rigs.capture_csv(message)

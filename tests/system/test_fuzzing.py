@@ -13,6 +13,7 @@ from tests.harness.fuzzing import Findings
 COSTLY = {
     "bus, twin": 3,
     "bus, command": 20,
+    "bus, OPC UA": 20,
     "users": 2,
     "configuration": 30,
     "model": 30,

@@ -84,8 +84,7 @@ class Mirror:
         if not is_plausible(parameters):
             self.counters["implausible_parameters"] += 1
             return
-        new = self._known.add(parameters)
-        last = self._last
+        new, last = self._known.add(parameters), self._last
         if new and last is not None and last.session == parameters.session and parameters.from_tick <= last.tick:
             if not self._known.first(last.session):
                 # Samples since from_tick were compared under the old ones.  They cannot be called back: count them.

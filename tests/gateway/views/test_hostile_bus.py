@@ -15,6 +15,7 @@ from tests.harness.gateway.bus_peers import feed_of, played_gateway
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.hostile_bus import USUAL, show
 from tests.harness.hostile_messages import fuzzed, message
+from tests.harness.hostile_opcua import serve
 
 
 @fuzzed
@@ -23,6 +24,12 @@ def test_a_view_makes_a_picture_of_whatever_comes(chance: Random) -> None:
     messages = [message(chance, usual) if chance.random() < 0.4 else usual for usual in USUAL]
 
     show(messages, later_s=chance.choice([0.01, 1.5, 5.0, 20.0]))
+
+
+@fuzzed
+@given(chance=st.randoms(use_true_random=False))
+def test_opc_ua_sends_whatever_comes(chance: Random) -> None:
+    serve(message(chance, usual) if chance.random() < 0.4 else usual for usual in USUAL)
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -1e300])
