@@ -61,9 +61,15 @@ soak: setup
 	  BOARD51_SOAK_SEED=$(or $(SOAK_SEED),1) $(BIN)/pytest -n0 -s tests/system/test_soak.py
 
 # Known vulnerabilities of what is locked, by the advisories of the package index: needs the network.  --strict: a package
-# of which the index says nothing is an error, too.
+# of which the index says nothing is an error, too.  Without the network: make audit ADVISORIES=a folder of advisories;
+# .ci/advisories.py says which.
+ifdef ADVISORIES
+audit: install
+	$(BIN)/python .ci/advisories.py $(ADVISORIES)
+else
 audit: $(VENV)/audit/bin/pip-audit
 	$< --strict --disable-pip --require-hashes --requirement requirements.lock
+endif
 
 $(VENV)/audit/bin/pip-audit:
 	$(PYTHON) -m venv $(VENV)/audit

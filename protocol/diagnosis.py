@@ -115,7 +115,7 @@ def _cause(table: Mapping[str, Any]) -> Cause:
     return Cause(
         name=str(table["name"]),
         sentence=str(table.get("sentence", table["name"])),
-        confidence=float(table["confidence"]),
+        confidence=_number(table, "confidence"),
         confounders={str(name): _z(now.get(name)) for name in table["indistinguishable_from"] if name not in stated},
         experiments={
             str(entry["name"]): {str(name): _z(z) for name, z in entry["separation_z"].items()}
@@ -136,16 +136,23 @@ def _z(value: object) -> float:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
 
 
+def _number(table: Mapping[str, Any], key: str) -> float:
+    value = float(table[key])
+    if not math.isfinite(value):
+        raise ValueError(f"{key} = {value}")
+    return value
+
+
 def _ahead(table: Mapping[str, Any]) -> Ahead:
     return Ahead(
-        horizon_s=float(table["horizon_s"]),
+        horizon_s=_number(table, "horizon_s"),
         before=_interval(table["baseline"]),
         after=_interval(table["extended"]),
-        noise_floor=float(table["floor_m"]),
+        noise_floor=_number(table, "floor_m"),
     )
 
 
 def _interval(table: Mapping[str, Any]) -> Interval:
-    value = float(table["value"])
-    low, high = (value if table.get(end) is None else float(table[end]) for end in ("low", "high"))
+    value = _number(table, "value")
+    low, high = (value if table.get(end) is None else _number(table, end) for end in ("low", "high"))
     return value, low, high

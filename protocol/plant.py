@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 from pydantic import Field
@@ -135,6 +135,12 @@ def steel_ball_kg(diameter_m: float) -> float:
 def steel_ball_m(mass_kg: float) -> float:
     """Return the diameter of a steel ball, m."""
     return float((6.0 * mass_kg / (math.pi * STEEL_KG_M3)) ** (1.0 / 3.0))
+
+
+def is_possible(plant: Plant) -> bool:
+    """Return whether all numbers of a plant are within the bounds of `[plant]`."""
+    numbers = {f.name: getattr(plant, f.name) for f in fields(plant) if f.name in _USUAL}
+    return all(value is None or _out_of_range(name, value) is None for name, value in numbers.items())
 
 
 def _out_of_range(name: str, value: float) -> Objection | None:

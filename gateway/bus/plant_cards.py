@@ -15,6 +15,7 @@ import math
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 from gateway.config import BoardConfig, GatewayConfig
 from gateway.link.card_keeper import STATED
@@ -23,7 +24,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import EMULATED, card_plant, plant_message
 from protocol.campaign import PlantFile, load_stated_plant
 from protocol.campaign_text import plant_text
-from protocol.checked import Number, checked
+from protocol.checked import Number, checked, key
 from protocol.errors import Board51Error, ConfigError, DataError, UsageError
 from protocol.files import parse_toml, read_small, replace_text
 from protocol.plant import Objection, Plant, in_words, objections
@@ -31,13 +32,14 @@ from protocol.plant import Objection, Plant, in_words, objections
 EVERY_S = 5.0
 CONFIGURATION = "configuration"  # who stated it
 _NOT_STORED = "plant-not-kept"  # the event
+_LAST_S = 1e10  # a message has room for nanoseconds until the year 2554
 _logger = logging.getLogger("gateway")
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Stated:
     who: str
-    at_s: Number  # Unix time
+    at_s: Annotated[Number, key("Unix time", 0.0, _LAST_S)]
     board: str = ""
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     IntArray = npt.NDArray[np.int64]
 
 _MODES = {pb.MODE_IDLE: Mode.IDLE, pb.MODE_OPEN_LOOP: Mode.OPEN_LOOP, pb.MODE_CLOSED_LOOP: Mode.CLOSED_LOOP}
+_LAST_TICK = (1 << 63) - 1  # the arrays hold no larger one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +58,18 @@ class Sample:
 
     @classmethod
     def of(cls, state: pb.State) -> Self:
-        """Return the values of a message of the bus."""
+        """Return the values of a message of the bus.
+
+        Raises:
+            DataError: no sample of this version has its mode or tick.
+        """
+        mode = _MODES.get(state.mode)
+        if mode is None or state.tick > _LAST_TICK:
+            what = f"mode {state.mode}" if mode is None else f"tick {state.tick}"
+            raise DataError(
+                f"A sample of session {state.session} has the {what}, which this version does not know",
+                remedy="Install the version of board51 that the gateway has",
+            )
         return cls(
             tick=state.tick,
             session=state.session,
@@ -66,7 +78,7 @@ class Sample:
             x_m=state.x_m if state.HasField("x_m") else math.nan,
             u_c_v=state.u_c_v if state.HasField("u_c_v") else math.nan,
             x_ref_m=state.x_ref_m if state.HasField("x_ref_m") else math.nan,
-            mode=_MODES[state.mode],
+            mode=mode,
             flags=state.flags,
             lost_before=state.lost_before,
         )
@@ -164,8 +176,8 @@ def read_log(path: Path | str | Sequence[Path], *, board: str | None = None) -> 
         Arrays of shape (n,), SI units.
 
     Raises:
-        DataError: the file is not a board51 log, is damaged, does not have this board, or has several boards and
-            `board` is None.
+        DataError: the file is not a board51 log, is damaged, has samples of another version, does not have this
+            board, or has several boards and `board` is None.
     """
     from protocol.log.reader import read
 
@@ -174,7 +186,10 @@ def read_log(path: Path | str | Sequence[Path], *, board: str | None = None) -> 
     for record in read(where, ["state"], [board] if board else None):
         assert isinstance(record.message, pb.State)
         boards.add(record.board)
-        rows.append(Sample.of(record.message))
+        try:
+            rows.append(Sample.of(record.message))
+        except DataError as error:
+            raise DataError(f"{path}: {error.problem}", remedy=error.remedy) from None
     if len(boards) > 1:
         raise DataError(f"{path} has the boards {', '.join(sorted(boards))}", remedy="Name one of them: board=...")
     if not rows:

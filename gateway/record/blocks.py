@@ -20,7 +20,7 @@ import zstandard
 from google.protobuf.message import Message
 
 from protocol.bus.encoding import parse, stamp_ns
-from protocol.bus.topics import TOPIC_OF_NAME, TOPICS
+from protocol.bus.topics import TOPIC_OF_NAME, TOPICS, split
 from protocol.errors import DataError
 
 TICKS_BITS = 14  # of a block: 33 s at 500 Hz
@@ -60,15 +60,18 @@ class Located(NamedTuple):
 
 
 @lru_cache(maxsize=4096)
-def _topic_of(key: str) -> tuple[str, str, type[Message]]:
-    """Return board (<site>/<board>), topic and message class of a key."""
-    site, board, topic = key.split("/", 2)
-    return f"{site}/{board}", topic, TOPIC_OF_NAME[topic].message
+def _topic_of(key: str) -> tuple[str, str, type[Message]] | None:
+    """Return board (<site>/<board>), topic and message class of a key; None for a key of another program."""
+    parts = split(key)
+    return None if parts is None else (f"{parts[0]}/{parts[1]}", parts[2], TOPIC_OF_NAME[parts[2]].message)
 
 
 def locate(record: Record) -> Located | None:
     """Return where a record belongs; None if to no block."""
-    board, topic, kind = _topic_of(record.key)
+    known = _topic_of(record.key)
+    if known is None:
+        return None
+    board, topic, kind = known
     message: Any = parse(kind, record.data)
     if message is None:
         return None

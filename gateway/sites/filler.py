@@ -151,7 +151,7 @@ class Filler:
             reply = self._request_first(key, pb.LogRequest(part=part, block=request, have=pack(have)[0]))
             before = len(have)
             for record in reply.records:
-                located = locate(record) if topics.split(record.key) is not None else None
+                located = locate(record)
                 if located is None or located.block != block:
                     tally.refused += 1
                 elif located.id not in have:

@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD
 from gateway.board.faults import BOARD_FAULTS, COIL, FAULT, FAULT_TEXT
+from gateway.board.limits import MAX_SHELVE_S
 from gateway.views.journal import Entry, Journal
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
@@ -197,13 +198,13 @@ class AlarmBook:
             who: for the journal.
             at_ns: Unix time of the act.
             comment: of who acknowledged.
-            shelve_s: for how long to shelve it; 0: not.
+            shelve_s: for how long to shelve it, as a gateway lets it through; 0: not.
             now_ns: Unix time at which this arrives; 0: that of the act.
         """
         alarm = self._alarms.get(name)
         if alarm is None or at_ns <= alarm.shelved_ns:
             return False
-        until_ns = at_ns + round(shelve_s * 1e9) if shelve_s > 0.0 else 0
+        until_ns = at_ns + round(min(shelve_s, MAX_SHELVE_S) * 1e9) if shelve_s > 0.0 else 0
         if until_ns:
             if until_ns <= max(now_ns, at_ns):
                 return False  # it is over

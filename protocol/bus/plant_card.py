@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from protocol.bus import board51_pb2 as pb
-from protocol.plant import Plant
+from protocol.plant import Plant, is_possible
 
 EMULATED = "emulated board"  # who stated the card of an emulated CE 152: its build
 
@@ -33,5 +33,6 @@ def plant_of(message: pb.Plant) -> Plant:
 
 
 def card_plant(card: pb.PlantCard | None) -> Plant | None:
-    """Return the plant of a card; None without one, or where nobody stated it."""
-    return plant_of(card.plant) if card is not None and card.HasField("plant") else None
+    """Return the plant of a card; None without one, where nobody stated it, or where no gateway lets it through."""
+    plant = plant_of(card.plant) if card is not None and card.HasField("plant") else None
+    return plant if plant is not None and is_possible(plant) else None

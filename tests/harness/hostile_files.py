@@ -32,6 +32,7 @@ from gateway.record.tables.table_import import import_recording
 from gateway.record.timeline import timeline
 from gateway.views.hmi.gains import parse_gains
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.encoding import parse
 from protocol.campaign import Recording, load, load_stated_plant
 from protocol.diagnosis import load_diagnosis
 from protocol.log.reader import LogReader, read
@@ -188,7 +189,8 @@ def _read_log(path: Path) -> None:
 
 
 def _replay_bytes(path: Path) -> None:
-    RecordedBoard(pb.RawBytes.FromString(r.data) for r in LogReader(path).raw(topics_=["raw"]))
+    pieces = (parse(pb.RawBytes, record.data) for record in LogReader(path).raw(topics_=["raw"]))
+    RecordedBoard(piece for piece in pieces if piece is not None)
 
 
 def _read_users(path: Path) -> None:
@@ -218,7 +220,7 @@ def _recover(path: Path) -> None:
     recover(path, clean)
 
 
-GAINS = ("The file", "law ", "gains ", "The gains", "operating_point ")
+GAINS = ("The file", "law ", "gains ", "The gains", "operating_point ", "x_0 = ")
 READERS = {
     "campaign": Reader("campaign.toml", _toml(CAMPAIGN), load),
     "plant": Reader("plant.toml", _toml(CAMPAIGN), load_stated_plant),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -23,8 +24,22 @@ fuzzed = settings(
 )
 START_NS = 1_700_000_000_000_000_000
 _FLOATS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e308, -1e308, 5e-324, -1.0, 1e9)
-_WHOLE = {3: 64, 4: 64, 5: 32, 13: 32, 14: 32}  # protobuf types: int64, uint64, int32, uint32, enum
+_WHOLE = {3: 64, 4: 64, 5: 32, 6: 64, 13: 32, 14: 32}  # protobuf types: int64, uint64, int32, fixed64, uint32, enum
 _TEXTS = ("", "x" * 5000, "\x00", "\x1b[2J", "rig1/state", "../..", "é\u202e")
+
+COMMANDS = (
+    pb.Command(id="a", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)),
+    pb.Command(id="a", set_reference=pb.SetReference(x_ref_m=3e-3)),
+    pb.Command(id="a", set_gains=pb.SetGains(gains=[0.49, 1700.0, 17.7, -17600.0], i_0_a=0.6, x_0_m=3e-3, u_0_v=2.1)),
+    pb.Command(id="a", excite=pb.Excite(shape=pb.SHAPE_CHIRP, amplitude=0.1, offset=1.0, period_s=1.0, duration_s=1.0)),
+    pb.Command(id="a", capture=pb.Capture(u_from_v=1.0, u_to_v=2.0, duration_s=0.02, pre_s=0.001)),
+    pb.Command(id="a", set_stream=pb.SetStream(divider=2)),
+    pb.Command(id="a", set_host_loss=pb.SetHostLoss(policy=1, timeout_s=1.0)),
+    pb.Command(id="a", mark=pb.Mark(text="here")),
+    pb.Command(id="a", acknowledge=pb.Acknowledge(alarm="link-down", comment="seen", shelve_s=10.0)),
+    pb.Command(id="a", set_plant=pb.SetPlant(plant=pb.Plant(mass_kg=8e-3, travel_m=5e-3, x_max_m=8e-3))),
+    pb.Command(id="a", stop=pb.Stop()),
+)  # fmt: skip
 
 
 def message(chance: Random, valid: Message) -> Message:
@@ -71,7 +86,7 @@ def _change(chance: Random, target: Message) -> None:
 def _value(chance: Random, kind: int) -> Any:
     if kind in _WHOLE:
         bits = _WHOLE[kind]
-        low, high = (0, (1 << bits) - 1) if kind in (4, 13) else (-(1 << bits - 1), (1 << bits - 1) - 1)
+        low, high = (0, (1 << bits) - 1) if kind in (4, 6, 13) else (-(1 << bits - 1), (1 << bits - 1) - 1)
         return chance.choice([low, high, 0, 1, 7, high // 2])
     if kind in (1, 2):  # double, float
         return chance.choice(_FLOATS)
@@ -116,9 +131,14 @@ def usual_messages() -> list[tuple[str, Message]]:
 
 def write_log(path: Path, messages: list[tuple[str, Message]]) -> bytes:
     """Write a log of these messages, and return its bytes."""
+    return write_payloads(path, [(topic, one.SerializeToString()) for topic, one in messages])
+
+
+def write_payloads(path: Path, payloads: Iterable[tuple[str, bytes]]) -> bytes:
+    """Write a log of these payloads by topic, and return its bytes."""
     path.unlink(missing_ok=True)
     writer = LogWriter(path)
-    for n, (topic, one) in enumerate(messages):
-        writer.write(f"board51/rig/{topic}", one.SerializeToString(), START_NS + n * 1_000_000)
+    for n, (topic, payload) in enumerate(payloads):
+        writer.write(f"board51/rig/{topic}", payload, START_NS + n * 1_000_000)
     writer.close()
     return path.read_bytes()

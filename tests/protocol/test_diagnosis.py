@@ -63,3 +63,17 @@ def test_a_cause_without_a_class_is_not_open() -> None:
 def test_what_is_no_answer_is_named(wrong: dict[str, Any]) -> None:
     with pytest.raises(DataError, match=r"^here is not a diagnosis.json of board51 diagnose"):
         read_diagnosis(wrong, where="here")
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+@pytest.mark.parametrize("key", ["confidence", "horizon_s", "floor_m", "value", "low"])
+def test_a_number_that_is_not_finite_is_named(key: str, number: float) -> None:
+    interval = {"value": 1e-3, "low": 5e-4, "high": 2e-3}
+    ahead = {"horizon_s": 0.1, "floor_m": 1e-5, "baseline": interval, "extended": interval | {key: number}}
+    wrong = FOUND | {
+        "causes": [CAUSE | ({key: number} if key == "confidence" else {})],
+        "show": {"judged": True, "ahead": [ahead | {key: number}]},
+    }
+
+    with pytest.raises(DataError, match=f"{key} = {number}"):
+        read_diagnosis(wrong, where="here")

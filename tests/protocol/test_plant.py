@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.bus import board51_pb2 as pb
+from protocol.bus.plant_card import card_plant
 from protocol.campaign import parse
 from protocol.errors import ConfigError
 from protocol.plant import Objection, Plant, in_words, objections, steel_ball_kg
@@ -120,3 +122,12 @@ def test_a_plant_in_words_has_the_units_of_people() -> None:
     assert in_words(Plant(name="rig", **CE152)) == (
         "a ball of 8.28 g (12.6 mm), travel 5.7 mm, x_max 8.138 mm, g 9.81 m/s2"
     )
+
+
+@pytest.mark.parametrize("value", [0.0, -1e-3, math.nan, math.inf, 1e300])
+@pytest.mark.parametrize("key", CE152)
+def test_a_card_with_a_plant_that_no_gateway_lets_through_states_none(key: str, value: float) -> None:
+    good, bad = (pb.PlantCard(plant=pb.Plant(name="rig", **(CE152 | changed))) for changed in ({}, {key: value}))
+
+    assert card_plant(good) == Plant(name="rig", **CE152)
+    assert card_plant(bad) is None

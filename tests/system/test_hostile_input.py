@@ -22,24 +22,10 @@ from tests.harness import mutations
 from tests.harness.gateway.board_host import FIRMWARES
 from tests.harness.gateway.lossy_line import LossyRig
 from tests.harness.hostile_files import READERS, Reader, envelope_of
-from tests.harness.hostile_messages import fuzzed, message, usual_messages, write_log
+from tests.harness.hostile_messages import COMMANDS, fuzzed, message, usual_messages, write_log
 from twin.readers.campaign import read_flight
 
 chances = st.randoms(use_true_random=False)
-
-COMMANDS = (
-    pb.Command(id="a", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)),
-    pb.Command(id="a", set_reference=pb.SetReference(x_ref_m=3e-3)),
-    pb.Command(id="a", set_gains=pb.SetGains(gains=[0.49, 1700.0, 17.7, -17600.0], i_0_a=0.6, x_0_m=3e-3, u_0_v=2.1)),
-    pb.Command(id="a", excite=pb.Excite(shape=pb.SHAPE_CHIRP, amplitude=0.1, offset=1.0, period_s=1.0, duration_s=1.0)),
-    pb.Command(id="a", capture=pb.Capture(u_from_v=1.0, u_to_v=2.0, duration_s=0.02, pre_s=0.001)),
-    pb.Command(id="a", set_stream=pb.SetStream(divider=2)),
-    pb.Command(id="a", set_host_loss=pb.SetHostLoss(policy=1, timeout_s=1.0)),
-    pb.Command(id="a", mark=pb.Mark(text="here")),
-    pb.Command(id="a", acknowledge=pb.Acknowledge(alarm="link-down", comment="seen", shelve_s=10.0)),
-    pb.Command(id="a", set_plant=pb.SetPlant(plant=pb.Plant(mass_kg=8e-3, travel_m=5e-3, x_max_m=8e-3))),
-    pb.Command(id="a", stop=pb.Stop()),
-)  # fmt: skip
 
 
 @pytest.mark.parametrize("reader", READERS.values(), ids=READERS)

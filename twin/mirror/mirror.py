@@ -25,6 +25,7 @@ from collections import Counter
 import numpy as np
 
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.encoding import is_plausible
 from twin.compiled import Packed
 from twin.mirror.loop import advance
 from twin.mirror.monitor.divergence import Comparison
@@ -79,9 +80,11 @@ class Mirror:
         return self._regime
 
     def parameters(self, parameters: pb.Parameters) -> None:
-        """Take the parameters of the board; repetitions have no effect."""
-        new = self._known.add(parameters)
-        last = self._last
+        """Take the parameters of the board; repetitions have no effect, and neither have numbers of no rig."""
+        if not is_plausible(parameters):
+            self.counters["implausible_parameters"] += 1
+            return
+        new, last = self._known.add(parameters), self._last
         if new and last is not None and last.session == parameters.session and parameters.from_tick <= last.tick:
             if not self._known.first(last.session):
                 # Samples since from_tick were compared under the old ones.  They cannot be called back: count them.

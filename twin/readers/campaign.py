@@ -334,12 +334,10 @@ def _read_log(path: Path, recording: Recording) -> Record:
     captures: list[Capture] = []
     switched: set[tuple[int, int]] = set()
     T_s, lsb, boards = 0.0, (0.0, 0.0), set()
-    state = pb.State()
     for entry in entries(reader, topics=("state", "capture", "parameters"), board=recording.board or None):
         boards.add(entry.board)
         if entry.topic == "state":
-            state.ParseFromString(entry.data)
-            samples.add(state)
+            samples.add(parse(pb.State, entry, path))
         elif entry.topic == "parameters":
             parameters = parse(pb.Parameters, entry, path)
             lsb = (abs(parameters.i_lsb_a), abs(parameters.x_lsb_m))

@@ -8,6 +8,12 @@ from google.protobuf.message import Message
 from protocol.bus import board51_pb2 as pb
 
 _LEVELS = {"info": LogLevel.Info, "warning": LogLevel.Warning, "fault": LogLevel.Error}
+_LATEST_S = (1 << 32) - 1  # of Foxglove's messages: February 2106
+
+
+def timestamp_of(time_ns: int) -> Timestamp:
+    """Return a Unix time as Foxglove's; one that it cannot express, which no clock of a rig gives, as its latest."""
+    return Timestamp(min(time_ns // 10**9, _LATEST_S), time_ns % 10**9)
 
 
 def line_of(message: Message, time_ns: int) -> Log | None:
@@ -32,4 +38,4 @@ def line_of(message: Message, time_ns: int) -> Log | None:
             text = f"{what} by {message.command.who or '?'} refused ({reply.refused_by}, {reply.reason}): {reply.text}"
         case _:
             return None
-    return Log(timestamp=Timestamp(time_ns // 10**9, time_ns % 10**9), level=level, name=name, message=text)
+    return Log(timestamp=timestamp_of(time_ns), level=level, name=name, message=text)

@@ -25,6 +25,7 @@ from foxglove.messages import (
 from google.protobuf.message import Message
 
 from gateway.board.emulated import CE152
+from gateway.views.foxglove.lines import timestamp_of
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import card_plant
 from protocol.plant import steel_ball_m
@@ -61,7 +62,7 @@ class Scene:
             case pb.TwinState():
                 self._twin = message
             case pb.State() if self._is_due(time_ns):
-                return self._update(message, Timestamp(time_ns // 10**9, time_ns % 10**9))
+                return self._update(message, timestamp_of(time_ns))
         return None
 
     def _use_card(self, card: pb.PlantCard | None) -> None:

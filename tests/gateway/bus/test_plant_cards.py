@@ -138,9 +138,12 @@ def test_a_configured_plant_that_is_impossible_or_assumed_ends_the_start(
     assert not configured_card(replace(board, plant="")).HasField("plant")
 
 
-def test_a_kept_card_that_is_damaged_costs_no_start(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "content", ["[plant\n", *(f'{FILE}[stated]\nwho = "a"\nat_s = {at}\n' for at in (1e300, -1.0))]
+)
+def test_a_kept_card_that_is_damaged_costs_no_start(content: str, tmp_path: Path) -> None:
     (tmp_path / "plants").mkdir()
-    (tmp_path / "plants" / "rig.toml").write_text("[plant\n")
+    (tmp_path / "plants" / "rig.toml").write_text(content)
     with ScriptedBoard() as board, served(gateway_config(board.url, log=tmp_path)) as bus:
         event = bus.await_event("plant-not-kept")
         assert not card(bus, who="").HasField("plant")

@@ -10,8 +10,9 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.record.blocks import EVERY_TICK, MAX_IDS, BlockId, decompress, pack, unpack
+from gateway.record.blocks import EVERY_TICK, MAX_IDS, BlockId, decompress, locate, pack, unpack
 from gateway.record.contents import Contents
+from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import TOPIC_OF_NAME
 from protocol.errors import DataError
 from tests.harness.sites.logs import flight, write
@@ -73,3 +74,8 @@ def test_what_unpacks_to_more_than_it_may_is_refused() -> None:
         decompress(b"nothing packed", 100)
     with pytest.raises(DataError, match="malformed"):
         unpack(zstandard.ZstdCompressor().compress(b"123"))
+
+
+@pytest.mark.parametrize("key", ["board51/rig/command/as/engineer/ana", "board51/rig/none", "board51/", ""])
+def test_a_record_of_another_site_that_no_log_has_belongs_nowhere(key: str) -> None:
+    assert locate(pb.LogRecord(key=key, data=b"")) is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from gateway.board.conditions import LINK, LOG, TO_BOARD
 from gateway.views.alarms import MAX_ALARMS, TWIN, AlarmBook
 from gateway.views.journal import MAX_ENTRIES
@@ -328,6 +330,15 @@ def test_a_view_that_joined_late_hears_of_a_shelving_from_the_gateway() -> None:
     book.repeated(pb.Alarms(acknowledged=[record]), 40 * S)
 
     assert [(a.acknowledger, a.shelved_until_ns) for a in book.shelved()] == [("eva", 80 * S)]
+
+
+def test_a_shelving_lasts_as_long_as_a_gateway_lets_it_at_most() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(divergence(active=True), 1)
+
+    book.repeated(pb.Alarms(acknowledged=[pb.Acknowledgement(alarm="divergence-x", shelve_s=math.inf)]), 40 * S)
+
+    assert [a.shelved_until_ns for a in book.shelved()] == [40 * S + 86_400 * S]
 
 
 def test_the_journal_is_bounded() -> None:

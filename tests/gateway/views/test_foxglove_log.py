@@ -17,7 +17,7 @@ import board51
 from gateway.commands.views.foxglove import layout
 from gateway.emulator.serve import Emulator
 from gateway.record.replay import DEFAULT_TOPICS, contents
-from gateway.views.foxglove.lines import line_of
+from gateway.views.foxglove.lines import line_of, timestamp_of
 from gateway.views.foxglove.scene import PERIOD_NS, Scene
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import plant_message
@@ -127,6 +127,14 @@ def test_an_alarm_is_a_line_when_it_is_raised_and_when_it_is_over() -> None:
     assert "alarm divergence-x raised: too far" in repr(raised)
     assert "alarm divergence-x over: near again" in repr(over)
     assert line_of(pb.Alarms(active=[pb.Alarm(name="link-down", active=True)]), 7) is None  # it repeats itself
+
+
+def test_a_time_that_foxglove_cannot_express_is_its_latest() -> None:
+    never_ns = (1 << 64) - 1  # in the year 2554
+
+    assert timestamp_of(never_ns).sec == (1 << 32) - 1
+    assert line_of(pb.Event(severity="info", name="x"), never_ns) is not None
+    assert Scene("rig").take(pb.State(x_m=1e-3), never_ns) is not None
 
 
 def test_the_card_gives_the_size_of_ball_and_travel() -> None:

@@ -16,7 +16,7 @@ from gateway.views.board_feed import Link
 from gateway.views.opcua.address_space import quality
 from gateway.views.opcua.address_space.history import RingHistory, Track
 from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods
-from gateway.views.opcua.address_space.values import StampClock
+from gateway.views.opcua.address_space.values import StampClock, data_value, datetime_of
 from gateway.views.opcua.operations import called, code_of, written
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -91,13 +91,22 @@ def test_stamps_are_the_boards_ticks_without_the_jitter_of_the_link() -> None:
     assert max(abs(step - 20_000_000) for step in steps[10:]) < 20_000  # arrivals jitter by 1.2 ms
 
 
-@given(st.lists(st.tuples(st.integers(1, 3), st.floats(0, 1e6), st.integers(1, 2**60)), max_size=50))
-def test_stamps_always_rise(samples: list[tuple[int, float, int]]) -> None:
+@given(st.lists(st.tuples(st.integers(1, 3), st.floats() | st.floats(0, 1e6), st.integers(0, 2**64 - 1)), max_size=50))
+def test_stamps_always_rise_and_are_times(samples: list[tuple[int, float, int]]) -> None:
     clock = StampClock()
 
     stamps = [clock.stamp(session=s, t_s=t, host_time_ns=h) for s, t, h in samples]
 
     assert all(a < b for a, b in pairwise(stamps))
+    assert all(datetime_of(stamp).year < 2200 for stamp in stamps)
+    assert clock.time_ns(math.nan) == clock.time_ns(math.inf) == clock.time_ns(0.0)
+
+
+@pytest.mark.parametrize(("value", "variant"), [(math.nan, ua.VariantType.Double), (-1, ua.VariantType.UInt32)])
+def test_a_number_that_a_client_cannot_take_is_unavailable(value: float, variant: ua.VariantType) -> None:
+    shown = data_value(value, variant, quality.GOOD, 1)
+
+    assert (shown.Value.Value, shown.StatusCode.value) == (None, quality.UNAVAILABLE)
 
 
 def history_of(rows: int, retained: int) -> RingHistory:

@@ -37,6 +37,25 @@ def alarms(outputs: Iterable[Output], name: str) -> list[bool]:
     return [alarm.active for output in outputs for alarm in output.alarms if alarm.name == name]
 
 
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, 1e300])
+@pytest.mark.parametrize("name", ["i_lsb_a", "x_lsb_m", "u_lsb_v", "sample_time_s", "i_0_a"])
+def test_parameters_with_numbers_of_no_rig_change_nothing(name: str, wrong: float) -> None:
+    rig = Rig(seed=1)
+    rig.hold(HELD)
+    mirror = Mirror(Model.load("ce152"))
+    mirror.parameters(rig.parameters())
+    parameters = rig.parameters()
+    setattr(parameters, name, wrong)
+    list(map(mirror.handle, rig.run(3, HELD)))
+
+    mirror.parameters(parameters)
+    outputs = feed(mirror, rig.run(200, HELD))
+
+    assert mirror.counters["implausible_parameters"] == 1
+    assert mirror.counters["samples_under_old_parameters"] == 0
+    assert outputs[-1].divergence.sync == IN_STEP
+
+
 def test_it_attaches_to_a_running_loop_with_the_integrator_the_board_must_have() -> None:
     rig = Rig(seed=3)
     rig.hold(HELD)

@@ -22,7 +22,7 @@ from collections.abc import Callable
 import zenoh
 
 from protocol.bus import topics
-from protocol.errors import ServiceError
+from protocol.errors import ServiceError, quoted
 
 LEASE_S = 10.0  # zenoh's default
 _LOOK_S = 2.0
@@ -75,11 +75,12 @@ class Claim:
             if self._refused:
                 return
             self._refused = True
-        _, process, host = name.split("-", 2)
+        process, _, host = name.partition("-")[2].partition("-")
+        who = f"process {process} on {host}" if host else f"one that calls itself {quoted(name)}"
         what = "every board" if board == topics.EVERY_BOARD else f"board {board}"
         self._refuse(
             ServiceError(
-                f"A twin already serves {what} of site {self._site}: process {process} on {host}",
+                f"A twin already serves {what} of site {self._site}: {who}",
                 remedy="End it, hand your model over to it (board51 twin --hand-over), or give another --board. If it "
                 f"is gone because its machine or network failed, start again in {LEASE_S:g} s",
             )

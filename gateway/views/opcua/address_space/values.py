@@ -14,6 +14,8 @@ from asyncua.common.utils import ServiceError
 
 from gateway.views.opcua.address_space.quality import UNAVAILABLE, is_bad
 
+LONGEST_S = 1e9  # of a board since its reset: 31 years
+LATEST_NS = 1 << 62  # of a host's clock: the year 2116
 PULL = 0.002  # share of a late arrival's error taken per sample
 JUMP_NS = 500_000_000  # a clock that was set, or a long gap: restart the estimate
 T = ua.TimestampsToReturn
@@ -38,7 +40,7 @@ def datetime_of(stamp_ns: int) -> datetime:
 
 def data_value(value: object, variant: ua.VariantType, code: int, stamp_ns: int) -> Value:
     """Return `value` with status and source time; without a value if the status is bad (Part 4, 7.7.1)."""
-    if isinstance(value, float) and not math.isfinite(value) and not is_bad(code):
+    if isinstance(value, float | int) and not _fits(value, variant) and not is_bad(code):
         code = UNAVAILABLE
     if is_bad(code) or value is None:
         held = ua.Variant(None, ua.VariantType.Null)
@@ -48,6 +50,11 @@ def data_value(value: object, variant: ua.VariantType, code: int, stamp_ns: int)
     if status is None:
         status = _STATUS[code] = ua.StatusCode(code)
     return Value(Value=held, StatusCode=status, SourceTimestamp=datetime_of(stamp_ns) if stamp_ns else None)
+
+
+def _fits(value: float, variant: ua.VariantType) -> bool:
+    """Return whether a number is finite, and no code that this version does not know: an enum may be negative."""
+    return math.isfinite(value) and (value >= 0 or variant is not ua.VariantType.UInt32)
 
 
 async def notify(attribute: Any, value: Value) -> None:
@@ -105,8 +112,8 @@ class StampClock:
 
     def stamp(self, *, session: int, t_s: float, host_time_ns: int) -> int:
         """Return the time of the sample with board time `t_s`; `host_time_ns` is 0 if its arrival is not known."""
-        t_ns = round(t_s * 1e9)
-        if host_time_ns:
+        t_ns = _whole_ns(t_s)
+        if 0 < host_time_ns <= LATEST_NS:
             delay_ns = host_time_ns - (self._origin_ns + t_ns)
             if session != self._session or abs(delay_ns) > JUMP_NS:
                 self._origin_ns = host_time_ns - t_ns
@@ -118,4 +125,9 @@ class StampClock:
 
     def time_ns(self, t_s: float) -> int:
         """Return the time of another message of the same session, such as the twin's, without updating the estimate."""
-        return self._origin_ns + round(t_s * 1e9)
+        return self._origin_ns + _whole_ns(t_s)
+
+
+def _whole_ns(t_s: float) -> int:
+    """Return a board's time in ns; 0 for NaN and what no board's clock shows, which Python's datetime cannot hold."""
+    return round(t_s * 1e9) if abs(t_s) <= LONGEST_S else 0

@@ -68,6 +68,14 @@ def test_the_second_twin_of_a_board_ends_and_says_who_serves_it(
             assert two.boards == {}
 
 
+def test_a_token_with_a_name_that_no_twin_has_is_named(endpoint: str) -> None:
+    with router(endpoint) as session, session.liveliness().declare_token("lab/rig/twin/alive/0"):
+        with twin_of(endpoint) as service:
+            said = ended(session, service)
+
+    assert "board rig of site lab: one that calls itself '0'" in said
+
+
 def test_twins_of_other_boards_and_sites_do_not_meet(endpoint: str) -> None:
     one, two, three = twin_of(endpoint, "rig"), twin_of(endpoint, "other"), twin_of(endpoint, site="elsewhere")
     with router(endpoint) as session, one, two, three:
