@@ -138,7 +138,19 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
 
 
 @inlined
-def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
+def carry(f: Memory) -> None:
+    """Set P = F P F'."""
+    # With a constant the compiler unrolls the loops.
+    if f.m == 3:
+        _carry(f.F, f.P, f.G, 3)
+    elif f.m == 4:
+        _carry(f.F, f.P, f.G, 4)
+    else:
+        _carry(f.F, f.P, f.G, f.m)
+
+
+@inlined
+def _carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
     """Set P = F P F' in the first m rows and columns; G is a working array."""
     for row in range(m):
         for column in range(m):
@@ -221,7 +233,7 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     else:
         _differences_held(f, inputs, n, t, T_s)
     slopes_of_colour(f, T_s)
-    carry(f.F, f.P, f.G, f.m)
+    carry(f)
     f.P[0, 0] += f.q_i * T_s
     wander_on(f, T_s)
 
