@@ -203,7 +203,7 @@ def relaxed(p: Base, c: Vector, i: float, target: float, u: float, T_A: float, h
     for _ in range(3):
         aim, tau, end = freewheel_diode.piece(c, u, i, p.K_A, T_A, target)
         after = slew_rate_limit.relaxed(c, i, aim, tau, h)
-        if (after - end) * (aim - i) <= 0.0:
+        if not (after - end) * (aim - i) > 0.0:  # not `<=`: at rest this is not a number
             break
         h = max(h - slew_rate_limit.time_to(c, i, end, aim, tau), 0.0)
         i = after = end
