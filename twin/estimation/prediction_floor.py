@@ -64,7 +64,7 @@ def _carry(
         copy_square(f.P, spread[n - ahead], f.m)
         for k in range(n - ahead + 1, n + 1):
             copy_square(f.F, steps.slopes[k], f.m)
-            carry(f)
+            carry(f.F, f.P, f.G, f.m)
             add_process_noise(f, step[k])
         wandered(f, steps.before[n])
         ratio = noise_ratio[n, 1] if noise_ratio.shape[0] > 0 else 1.0

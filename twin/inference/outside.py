@@ -57,7 +57,7 @@ class Outside:
         # The error is one of K_c, which goes with the square of the current. The residual is a relative error of the
         # current: hence both halves.
         sigma = max(0.5 * point.relative_error, 0.003)
-        force = magnetic_force(p, c, i, x, True)
+        force = magnetic_force(p, c, i, x)
         # What the magnet has to carry: the weight less every other force on a ball at rest.
-        load = force - p.mass_kg * acceleration(p, c, i, x, 0.0, 0.0, True)
+        load = force - p.mass_kg * acceleration(p, c, i, x, 0.0, 0.0)
         return 0.5 * math.log(max(force, 1e-12) / max(load, 1e-12)) / sigma

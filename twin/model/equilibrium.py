@@ -131,7 +131,7 @@ def _lift(i: float, base: Packed, c: Vector, x_m: float, as_reading: bool) -> fl
     """Return the acceleration of a ball at rest at x under the current i, m/s^2."""
     p = Base(*base)
     x = position_of_reading(p, c, x_m, i) if as_reading else x_m
-    return acceleration(p, c, i, x, 0.0, 0.0, True)
+    return acceleration(p, c, i, x, 0.0, 0.0)
 
 
 @kernel

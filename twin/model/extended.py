@@ -104,7 +104,7 @@ def mid_current(p: Base) -> float:
 
 
 @inlined
-def magnetic_force(p: Base, c: Vector, field: float, x: float, bent: bool) -> float:
+def magnetic_force(p: Base, c: Vector, field: float, x: float, bent: bool = True) -> float:
     """Return F_m of (3), N; `bent`: whether some cause of `is_bent` acts."""
     i = residual_magnetism.field(c, field)
     if bent:
@@ -114,11 +114,13 @@ def magnetic_force(p: Base, c: Vector, field: float, x: float, bent: bool) -> fl
     if not bent:
         return force
     factor = force_exponent.factor(c, gap, p.x_max_m - 0.5 * p.travel_m)
-    return force * factor * (1.0 + curve.value(c, curve.PULL_OVER_X, x)) * (1.0 + curve.value(c, curve.PULL_OVER_I, field))
+    return (
+        force * factor * (1.0 + curve.value(c, curve.PULL_OVER_X, x)) * (1.0 + curve.value(c, curve.PULL_OVER_I, field))
+    )
 
 
 @inlined
-def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float, bent: bool) -> float:
+def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float, bent: bool = True) -> float:
     """Return x'' of (6) away from the stops and without dry friction, m/s^2; `bent` as in `magnetic_force`."""
     force, weights = magnetic_force(p, c, field, x, bent) - p.b * v + constant_force.force_n(c), -1.0
     if bent:
@@ -283,7 +285,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
     """
     if duration < INSTANT_S:  # what a delay of whole intervals leaves of its first part
         return
-    # The constants make the compiler leave out what does not act: a step of the paper's model takes a third of the time.
+    # The constants make the compiler leave out what does not act: a step of the paper's model takes half the time.
     if is_slow(c):
         if is_bent(c):
             _substeps(base, c, y, u, t, duration, stops, True, True)
@@ -296,7 +298,17 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
 
 
 @inlined
-def _substeps(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool, bent: bool, slow: bool) -> None:
+def _substeps(
+    base: Packed,
+    c: Vector,
+    y: NDArray[np.float64],
+    u: float,
+    t: float,
+    duration: float,
+    stops: bool,
+    bent: bool,
+    slow: bool,
+) -> None:
     """Run `advance` with constants that say what acts: `is_bent`, `is_slow`; the other arguments are the same."""
     p = Base(*base)
     plane = air_gap_offset.gap_m(c, p.x_max_m)

@@ -137,7 +137,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             if written.slopes.shape[0] > 0:
                 copy_square(written.slopes[n], f.F, f.m)
                 copy(written.before[n], f.y[:])
-            carry(f)
+            carry(f.F, f.P, f.G, f.m)
             if unknown:
                 doubt_input(f, inputs, lost, n, t[n - 1], T_s)
             add_process_noise(f, T_s)

@@ -10,8 +10,8 @@ from twin.compiled import inlined, kernel
 from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, copy_square, wandered
 from twin.estimation.ekf.transition import moments, transit
-from twin.estimation.structures import Steps
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
+from twin.estimation.structures import Steps
 from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
@@ -138,20 +138,19 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
 
 
 @inlined
-def carry(f: Memory) -> None:
-    """Set P = F P F'."""
+def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
+    """Set P = F P F' in the first m rows and columns; G is a working array."""
     # With a constant the compiler unrolls the loops.
-    if f.m == 3:
-        _carry(f.F, f.P, f.G, 3)
-    elif f.m == 4:
-        _carry(f.F, f.P, f.G, 4)
+    if m == 3:
+        _carry(F, P, G, 3)
+    elif m == 4:
+        _carry(F, P, G, 4)
     else:
-        _carry(f.F, f.P, f.G, f.m)
+        _carry(F, P, G, m)
 
 
 @inlined
 def _carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
-    """Set P = F P F' in the first m rows and columns; G is a working array."""
     for row in range(m):
         for column in range(m):
             total = 0.0
@@ -233,7 +232,7 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     else:
         _differences_held(f, inputs, n, t, T_s)
     slopes_of_colour(f, T_s)
-    carry(f)
+    carry(f.F, f.P, f.G, f.m)
     f.P[0, 0] += f.q_i * T_s
     wander_on(f, T_s)
 
