@@ -18,7 +18,7 @@ from typing import Any
 from protocol.arguments import whole_number
 from protocol.errors import UsageError
 from twin.commands import progress_printer
-from twin.inference.budget import FULL, MILLION, QUICK
+from twin.inference.budget import MILLION
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
 from twin.settings import diagnosis as settings
 
@@ -91,12 +91,13 @@ def _add_search_options(parser: argparse.ArgumentParser) -> None:
         metavar="CAUSE",
         help="leave this cause out of the catalogue (again for more): is it missed, or is another named for it?",
     )
+    quick, full = settings.BUDGET_QUICK / MILLION, settings.BUDGET_FULL / MILLION
     parser.add_argument(
         "--budget",
         type=float,
         metavar="M",
         help="most that is computed, in millions of filter steps: 5 to 12 take a second of processor time, and the"
-        f" answer is the same on any machine ({QUICK / MILLION:.0f} with --quick, else {FULL / MILLION:.0f})",
+        f" answer is the same on any machine ({quick:.0f} with --quick, else {full:.0f})",
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from twin.inference.budget import FULL, QUICK
 from twin.model.parameters import Model
 from twin.settings import diagnosis as settings
 
@@ -24,7 +23,7 @@ class Options:
     without: tuple[str, ...] = ()  # causes that the catalogue is to lack
     seed: int = 0
     workers: int = 2
-    budget: float | None = None  # filter steps; None: QUICK or FULL
+    budget: float | None = None  # filter steps; None: that of the settings
     say: Progress = lambda line: None  # receives progress, each line with the used share of the budget
 
     @property
@@ -35,4 +34,4 @@ class Options:
     @property
     def limit(self) -> float:
         """The largest number of filter steps."""
-        return self.budget or (QUICK if self.quick else FULL)
+        return self.budget or (settings.BUDGET_QUICK if self.quick else settings.BUDGET_FULL)

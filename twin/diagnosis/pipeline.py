@@ -39,7 +39,7 @@ from twin.evidence.instruments import instruments, with_noise
 from twin.evidence.noise_levels import Noise
 from twin.evidence.outliers import without_outliers
 from twin.inference.adequacy import adequate
-from twin.inference.budget import RESERVED, Budget, Spent, millions
+from twin.inference.budget import Budget, Spent, millions
 from twin.inference.fisher_scoring import climb
 from twin.inference.initial_guess import start_theta, with_noise_bounds
 from twin.inference.likelihood import Criterion
@@ -47,13 +47,10 @@ from twin.inference.noise_floor import floor_of
 from twin.inference.theta import BASE, STOPS, Theta, parameter_of
 from twin.model.assumed import assumption_warning
 from twin.readers.campaign import read_campaign
+from twin.settings import diagnosis as settings
 
 UNASKED = "--quick did not examine whether an effect begins or ends in the middle of the campaign"
-# With --quick.
-FLIGHT_SAMPLES = 2000  # of a closed-loop or open-loop recording: four seconds at 500 Hz
-ALL_SAMPLES = 40_000  # of all flights together
-_LONG = ("closed-loop", "prbs", "free")
-MIN_FLIGHT_S = 2.0  # 120 time constants of the unstable pole
+_LONG = ("closed-loop", "prbs", "free")  # kinds of which --quick uses the beginning
 
 
 def diagnose(campaign: Campaign, options: Options | None = None, *, data: Path | None = None) -> Diagnosis:
@@ -86,7 +83,7 @@ def diagnose_records(
 
     With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
     """
-    plant, budget = campaign.plant, budget or Budget(options.limit, RESERVED)
+    plant, budget = campaign.plant, budget or Budget(options.limit, settings.BUDGET_RESERVED)
     options = replace(options, say=_with_share(options.say, budget))
     if options.model is not None:
         check_plant(options.model, plant)
@@ -206,12 +203,14 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
 def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
     """Return (the recordings, long ones cut to their beginning; a sentence about it, empty if none was).
 
-    With very many flights each is shorter, as the budget of `--quick` covers a search over `ALL_SAMPLES`.
+    With very many flights each is shorter, as the budget of `--quick` covers a search over `QUICK_SAMPLES`.
     """
     result, cut = [], 0
-    flights = [min(len(record.t), FLIGHT_SAMPLES) for record in records if record.kind in _LONG]
+    max_samples, all_samples = settings.QUICK_FLIGHT_SAMPLES, settings.QUICK_SAMPLES
+    flights = [min(len(record.t), max_samples) for record in records if record.kind in _LONG]
     # Less of each flight, not fewer flights: recordings differ more from one another than their parts do.
-    max_samples = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
+    if sum(flights) > all_samples:
+        max_samples = all_samples // len(flights)
     for record in records:
         if record.kind in _LONG and len(record.t) > max_samples:
             cut += 1
@@ -297,8 +296,8 @@ def check_flight_time(evidence: Evidence) -> None:
     """
     series = evidence.series
     flown_s = float(series.step[series.flags & (FLIES | FOLLOWS) == FLIES | FOLLOWS].sum())
-    if any(record.has("x") for record in evidence.records) and flown_s < MIN_FLIGHT_S:
+    if any(record.has("x") for record in evidence.records) and flown_s < settings.MIN_FLIGHT_S:
         raise DataError(
             f"the recordings for fitting hold {flown_s:.2g} s of flight: too little to tell one cause from another",
-            remedy=f"Record at least {MIN_FLIGHT_S:g} s of flight, preferably a minute with steps of x_ref",
+            remedy=f"Record at least {settings.MIN_FLIGHT_S:g} s of flight, preferably a minute with steps of x_ref",
         )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from twin.diagnosis.judge.account import MAX_CONFIDENCE, Account, Verdict
+from twin.diagnosis.judge.account import Account, Verdict
 from twin.diagnosis.judge.choice import Choice
 from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.remainder.remainder import Remainder
@@ -24,6 +24,7 @@ from twin.inference.trade_offs import TradeOff
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, Parameter
 from twin.page.plain import plain
+from twin.settings import diagnosis as settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +148,7 @@ class Diagnosis:
             return False
         if self.verdict == "partly-explained" and self.account.leads(cause.name):
             return True
-        return self.verdict == "causes-found" or cause.confidence > MAX_CONFIDENCE[self.verdict]
+        return self.verdict == "causes-found" or cause.confidence > settings.MAX_CONFIDENCE[self.verdict]
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:

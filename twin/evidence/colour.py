@@ -31,12 +31,10 @@ from twin.evidence.rest_lines import without_lines
 from twin.model.extended import SHORT_S
 from twin.settings import diagnosis as settings
 
-WINDOW = 100  # readings
-SETTLES = 50  # readings after a change of u_c that are left out, as the current still settles
-SETTLES_FAST = 500  # the same of captures, 20 ms at 25 kHz
-FEWEST = 3  # windows needed
+WINDOW = settings.COLOUR_WINDOW  # readings; the matrices below are made for it
+# Grids over the ranges of `TAU_S` and `WHITE` of `twin/inference/theta.py`.
 _TAU_S = np.geomspace(2e-4, 0.1, 41)
-_WHITE = np.concatenate((np.geomspace(1e-3, 0.5, 14), 1.0 - np.geomspace(0.4, 0.02, 8)))  # share of the variance
+_WHITE = np.concatenate((np.geomspace(1e-3, 0.5, 14), 1.0 - np.geomspace(0.4, 0.02, 8)))
 _FREE = null_space(np.vander(np.arange(WINDOW) - 0.5 * (WINDOW - 1.0), 2).T).T  # projects mean and slope out
 _WALK = _FREE @ np.minimum.outer(np.arange(WINDOW), np.arange(WINDOW)) @ _FREE.T / WINDOW
 
@@ -95,7 +93,7 @@ def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
 
 
 def _colour(windows: Sequence[_Windows]) -> Colour | None:
-    if sum(len(part.rows) for part in windows) < FEWEST:
+    if sum(len(part.rows) for part in windows) < settings.COLOUR_WINDOWS:
         return None
     # The score needs no fit, so white noise is recognised without the costly grid of fits.
     if max(_score(windows, tau_s) for tau_s in _TAU_S[::5].tolist()) < settings.COLOUR_SCORE:
@@ -204,10 +202,10 @@ def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
     since = np.arange(len(values)) - np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))
     if captures:
         steps = np.cumsum(changed & follows) - np.maximum.accumulate(np.where(follows, 0, np.cumsum(changed & follows)))
-        allowed = used & captured & ((steps == 0) | (since >= SETTLES_FAST))
+        allowed = used & captured & ((steps == 0) | (since >= settings.COLOUR_SETTLES_FAST))
     else:
         rest = series.flags & RESTS != 0
-        allowed = used & ~captured & rest & (series.flags & FLIES == 0) & (since >= SETTLES)
+        allowed = used & ~captured & rest & (series.flags & FLIES == 0) & (since >= settings.COLOUR_SETTLES)
     rows_of_step: dict[float, list[FloatArray]] = {}
     for piece in runs(allowed, WINDOW):
         for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):

@@ -15,10 +15,9 @@ import numpy as np
 
 from twin.estimation.record import Record
 from twin.evidence.starting.regression import amplifier_start
+from twin.settings import diagnosis as settings
 
-_FAST_S = 2e-4  # longest sampling interval of a step response that shows both
-_LONGEST_S = 6e-3
-_COARSE_S = 2e-4
+_COARSE_S = 2e-4  # of the first grid; a finer one follows around its best
 
 
 def dead_time(records: Sequence[Record]) -> tuple[float, float] | None:
@@ -28,7 +27,7 @@ def dead_time(records: Sequence[Record]) -> tuple[float, float] | None:
         return None
     interval = min(_interval(record) for record in steps)
     # A grid of whole samples, coarse and then fine: the error has a kink at each sample, at which a slope misleads.
-    coarse, longest = max(round(_COARSE_S / interval), 1), round(_LONGEST_S / interval)
+    coarse, longest = max(round(_COARSE_S / interval), 1), round(settings.DEAD_TIME_LONGEST_S / interval)
     errors = {delay: _error(steps, delay) for delay in range(0, longest + 1, coarse)}
     best = min(errors, key=lambda delay: errors[delay])
     neighbours = range(max(best - coarse + 1, 0), best + coarse)
@@ -48,11 +47,11 @@ def delayed(record: Record, samples: int) -> Record:
 
 def _fast(record: Record) -> list[Record]:
     empty = record.t[:0]
-    captures = tuple(capture for capture in record.captures if capture.sample_time_s <= _FAST_S)
+    captures = tuple(capture for capture in record.captures if capture.sample_time_s <= settings.DEAD_TIME_FAST_S)
     result = []
     if captures:
         result.append(replace(record, captures=captures, t=empty, u_c=empty, i_c=empty, x=empty, x_ref=empty))
-    if record.kind == "amplifier-step" and len(record.t) > 1 and record.interval_s <= _FAST_S:
+    if record.kind == "amplifier-step" and len(record.t) > 1 and record.interval_s <= settings.DEAD_TIME_FAST_S:
         result.append(replace(record, captures=()))
     return result
 

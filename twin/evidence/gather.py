@@ -33,11 +33,7 @@ from twin.estimation.structures import EQUAL_NOISE, Samples
 from twin.evidence.lost_rows import between, bridged, mark
 from twin.evidence.noise_levels import Noise
 from twin.evidence.starting.liftoff import LiftOff, equilibria, lift_offs
-
-TRIM_SAMPLES = 2
-LIFTS_SHARE = 0.97  # of the lift-off current
-STAYS_S = 3e-3  # time after that current within which the ball rises by 10 um at most
-POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: not used as flight
+from twin.settings import diagnosis as settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +94,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         high_m=high,
         blind_m=blind,
         noise_shows=noise_shows,
-        lifts_at_a=LIFTS_SHARE * min(departures) if departures else None,
+        lifts_at_a=settings.LIFTS_SHARE * min(departures) if departures else None,
     )
     parts: list[Series] = []
     times: list[FloatArray] = []
@@ -196,7 +192,7 @@ def _flag(
     flags[is_held & (flags & FLIES != 0)] &= no_flight
     # If the paper's model has the coil too low, a single sample near the pole has a score of 32 000 in K_c (others at
     # most 60); it dominates the fit and makes the score tests meaningless.
-    flags[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (flags & FLIES != 0)] &= no_flight
+    flags[(plant.x_max_m - record.x < settings.POLE_SHARE * plant.travel_m) & (flags & FLIES != 0)] &= no_flight
 
 
 def _flag_rest(flags: NDArray[np.uint16], record: Record, on_stop: tuple[BoolArray, BoolArray], cut: BoolArray) -> None:
@@ -220,7 +216,7 @@ def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Se
         over = np.flatnonzero(series.i[in_chain] > lifts_at)
         if len(over):
             after_lift = in_chain[
-                np.cumsum(series.step[in_chain]) > series.step[in_chain][: over[0] + 1].sum() + STAYS_S
+                np.cumsum(series.step[in_chain]) > series.step[in_chain][: over[0] + 1].sum() + settings.STAYS_S
             ]
             flags[after_lift] &= np.uint16(~USE_I & 0xFFFF)
 
@@ -228,7 +224,8 @@ def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Se
 def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint16]]) -> None:
     """Take TRIM_SAMPLES off both ends of each flight between stops, as a lagging sensor shows the impact later."""
     for piece in runs(np.asarray(flags & FLIES != 0)):
-        for part in (slice(piece.start, piece.start + TRIM_SAMPLES), slice(piece.stop - TRIM_SAMPLES, piece.stop)):
+        begin, end = piece.start + settings.TRIM_SAMPLES, piece.stop - settings.TRIM_SAMPLES
+        for part in (slice(piece.start, begin), slice(end, piece.stop)):
             flags[part] &= np.uint16(~(FLIES | USE_X) & 0xFFFF)
 
 

@@ -43,11 +43,7 @@ IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 ORDER = 5  # of the difference; the third leaves five times as much of a step of the acceleration
 _GAIN = math.comb(2 * ORDER, ORDER)  # sum of its squared weights
 _DIFFERENCE = np.array([(-1.0) ** k * math.comb(ORDER, k) for k in range(ORDER + 1)])
-WINDOW = 25  # readings
-FEWEST = 8  # windows of a source
-SHOWS = 8  # length of the finite impulse response from u_c to i_c, samples; slower parts are those of `_TIMES`
-_TIMES = (2.0, 6.0, 20.0, 60.0)  # samples: time constants of first-order lags
-_BENDS = 2  # highest order of the polynomial of the logarithm of the noise over height
+_TIMES = (2.0, 6.0, 20.0, 60.0)  # samples: first-order lags for what the response has after `INPUT_SHOWS` samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +80,7 @@ def _windows(
     evidences: Sequence[Evidence], names: Sequence[str], column: int, colours: Sequence[Colour | None]
 ) -> _Windows:
     rows: list[tuple[float, float, int, bool, bool]] = []
+    length = settings.INSTRUMENT_WINDOW
     for evidence in evidences:
         series, captured = without_lines(evidence.series), is_fast(evidence.series)
         flies = series.flags & FLIES != 0
@@ -94,11 +91,11 @@ def _windows(
             if colour is not None:  # scale to the level of white noise of the same variance
                 rough /= math.sqrt(expected_gain(colour, float(np.median(series.step[part][1:])), _DIFFERENCE))
             squares, windows = [], []
-            for piece in runs(np.isfinite(rough), WINDOW):
-                for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):
-                    window = slice(part.start + start, part.start + start + WINDOW)
+            for piece in runs(np.isfinite(rough), length):
+                for start in range(piece.start, piece.stop - length + 1, length):
+                    window = slice(part.start + start, part.start + start + length)
                     if flies[window].all() or not flies[window].any():
-                        squares.append(float(np.mean(rough[start : start + WINDOW] ** 2)) / _GAIN)
+                        squares.append(float(np.mean(rough[start : start + length] ** 2)) / _GAIN)
                         windows.append(window)
             for kind in (True, False):
                 usual = [index for index, window in enumerate(windows) if flies[window.start] == kind]
@@ -147,12 +144,12 @@ def smooth(series: Series, column: int, *, before: int = 0, around: int = 0) -> 
     """
     used = series.flags & (USE_I, USE_X)[column] != 0
     chain = np.cumsum(series.flags & FOLLOWS == 0)
-    # For SHOWS samples i_c depends on the unknown u_c of a lost sample, or on that before the first sample of a chain.
+    # For some samples i_c depends on the unknown u_c of a lost sample, or on that before the first sample of a chain.
     input_known = np.ones(len(used), np.bool_)
     for at in np.flatnonzero((series.flags & LOST != 0) | (np.diff(chain, prepend=1) != 0)):
-        input_known[at : at + SHOWS] = False
+        input_known[at : at + settings.INPUT_SHOWS] = False
     known = used & input_known if column == 0 else used
-    if np.count_nonzero(known) < FEWEST * WINDOW:
+    if np.count_nonzero(known) < settings.INSTRUMENT_WINDOWS * settings.INSTRUMENT_WINDOW:
         return series.x, np.zeros(len(used), np.bool_)
     whole = known.copy()
     for lag in range(1, before + 2 * around + 1):
@@ -168,7 +165,7 @@ def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
     from scipy.signal import lfilter  # here: it takes 45 MB, and the running twin filters nothing
 
     before = np.concatenate((u[:1], u[:-1]))
-    lagged = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, SHOWS + 1)]
+    lagged = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, settings.INPUT_SHOWS + 1)]
     slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
     regressors = np.column_stack([np.ones(len(u)), *lagged, *slow])
     return np.asarray(i - regressors @ np.linalg.lstsq(regressors[used], i[used], rcond=None)[0])
@@ -240,7 +237,8 @@ def _groups(windows: _Windows) -> list[_Group]:
     present, counts = np.unique(windows.source, return_counts=True)
     # Levels are compared as logarithms of squares: their scatter is the same for any level, and nearly normal for
     # windows of this length.  An F test of the squares would rely on Gaussian tails.
-    groups = [_Group((int(first),), windows.log[windows.source == first]) for first in present[counts >= FEWEST]]
+    present = present[counts >= settings.INSTRUMENT_WINDOWS]
+    groups = [_Group((int(first),), windows.log[windows.source == first]) for first in present]
     surely = normal_exceeded(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1))
     while len(groups) > 1:
         # Merging from below, not splitting: with no difference all recordings end in one group, the simplest answer.
@@ -258,7 +256,8 @@ def _groups(windows: _Windows) -> list[_Group]:
 def _curve(windows: _Windows) -> Channel:
     """Test whether the noise depends on height, within flights first: recordings may differ by instrument."""
     flown = windows.where(windows.flies)
-    if len(flown.log) < FEWEST * (_BENDS + 1) or not _fitted(flown, flown.source).bend:
+    fewest = settings.INSTRUMENT_WINDOWS * (settings.NOISE_BENDS + 1)
+    if len(flown.log) < fewest or not _fitted(flown, flown.source).bend:
         return Channel()
     groups = _groups(flown)
     comparable = windows.where(windows.rests | (windows.flies & np.isin(windows.source, groups[0].sources)))
@@ -276,11 +275,11 @@ def _follows(flown: _Windows, curve: Channel) -> bool:
     """
     left = flown.log - curve.log_at(flown.height_m)
     height = flown.height_m - float(np.mean(flown.height_m))
-    powers = np.column_stack([height**n for n in range(_BENDS + 1)])
+    powers = np.column_stack([height**n for n in range(settings.NOISE_BENDS + 1)])
     after = left - powers @ np.linalg.lstsq(powers, left, rcond=None)[0]
     left = left - float(np.mean(left))
-    gained = float(left @ left - after @ after) / float(np.var(after, ddof=_BENDS + 1))
-    return bool(chi2_above(gained, _BENDS) > settings.INSTRUMENT_CHANCE)
+    gained = float(left @ left - after @ after) / float(np.var(after, ddof=settings.NOISE_BENDS + 1))
+    return bool(chi2_above(gained, settings.NOISE_BENDS) > settings.INSTRUMENT_CHANCE)
 
 
 def _fitted(windows: _Windows, group: IntArray) -> Channel:
@@ -289,7 +288,7 @@ def _fitted(windows: _Windows, group: IntArray) -> Channel:
     height = np.clip(windows.height_m, low, high)
     log, curve = _within(windows.log, group), Channel()
     left = log
-    for bends in range(1, _BENDS + 1):
+    for bends in range(1, settings.NOISE_BENDS + 1):
         powers = np.column_stack([_within(height**n, group) for n in range(1, bends + 1)])
         bend = np.linalg.lstsq(powers, log, rcond=None)[0]
         after = log - powers @ bend

@@ -19,13 +19,12 @@ import numpy as np
 from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray
 from twin.evidence.gather import Evidence
-from twin.evidence.instruments import SHOWS, smooth
+from twin.evidence.instruments import smooth
 from twin.evidence.noise_levels import parts_of
 from twin.settings import diagnosis as settings
 
-_SPIKE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+_SPIKE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # weights of the fourth difference
 _POWER = float(_SPIKE @ _SPIKE)
-_FEWEST = 200
 
 
 def without_outliers(evidence: Evidence) -> Evidence:
@@ -51,7 +50,7 @@ def without_outliers(evidence: Evidence) -> Evidence:
 
 def _wild(series: Series, column: int) -> BoolArray:
     """Return a mask of the outliers of one recording, shape (n,); `column`: 0 for i_c, 1 for x."""
-    if len(series) < _FEWEST:
+    if len(series) < settings.OUTLIER_READINGS:
         return np.zeros(len(series), np.bool_)
     values, whole = smooth(series, column, around=2)
     off = np.full(len(values), np.nan)
@@ -63,7 +62,7 @@ def _wild(series: Series, column: int) -> BoolArray:
     for kind in (flies, ~flies):
         # The median, not the standard deviation: outliers must not hide themselves by widening the scale.
         usual = off[kind & whole]
-        if len(usual) >= _FEWEST:
+        if len(usual) >= settings.OUTLIER_READINGS:
             spread = max(1.4826 * float(np.median(np.abs(usual))), min_spread)
             scaled[kind] = off[kind] / spread if spread > 0.0 else np.nan
     wild = np.abs(np.nan_to_num(scaled)) > settings.OUTLIER_ERRORS
@@ -83,7 +82,7 @@ def _steps(u: FloatArray) -> BoolArray:
     """Mark samples after an unusually large step of u_c, shape (n,): the response of i_c can have any shape."""
     change = np.abs(np.diff(u, prepend=u[:1]))
     far = change > settings.OUTLIER_ERRORS * 1.4826 * float(np.median(change))
-    return np.asarray(np.convolve(far, np.ones(SHOWS))[: len(u)] > 0.0)
+    return np.asarray(np.convolve(far, np.ones(settings.INPUT_SHOWS))[: len(u)] > 0.0)
 
 
 def _count(values: FloatArray) -> float:

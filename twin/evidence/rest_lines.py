@@ -14,9 +14,6 @@ from twin.evidence.noise_levels import RESTS
 from twin.model.causes.sensor_line import MEMORY_S
 from twin.settings import diagnosis as settings
 
-_MAX_LINES = 6  # lines of a channel, their harmonics included
-_MIN_READINGS = 50  # readings for two numbers
-
 
 def without_lines(series: Series) -> Series:
     """The series without the significant lines of i_c and x with the ball at rest; the same object without any."""
@@ -33,19 +30,19 @@ def without_lines(series: Series) -> Series:
 
 def _cleaned(series: Series, values: FloatArray, known: BoolArray, step_s: float) -> FloatArray:
     """The values without their lines where the mask `known` is set."""
-    pieces = runs(np.asarray(known & np.isfinite(values)), _MIN_READINGS)
+    pieces = runs(np.asarray(known & np.isfinite(values)), settings.WAVE_READINGS)
     length = max(round(MEMORY_S / step_s), settings.LINE_SAMPLES)
     blocks = [
         block
         for piece in pieces
         for begin in range(piece.start, piece.stop, length)
-        if (block := slice(begin, min(begin + length, piece.stop))).stop - begin >= _MIN_READINGS
+        if (block := slice(begin, min(begin + length, piece.stop))).stop - begin >= settings.WAVE_READINGS
     ]
     level = np.full(len(values), np.nan)  # of each piece: one input or one stop; their steps would be lines
     for piece in pieces:
         level[piece] = np.mean(values[piece])
     known = np.isfinite(level)
-    for _ in range(_MAX_LINES):
+    for _ in range(settings.MAX_LINES):
         spectrum = spectrum_of(series, values - level, known, step_s)
         at = None if spectrum is None else spectrum.line(settings.LINE_LOWEST_HZ, highest_hz(step_s))
         if spectrum is None or at is None:

@@ -9,11 +9,9 @@ import numpy as np
 from twin.estimation.innovations import FOLLOWS
 from twin.estimation.structures import EQUAL_NOISE
 from twin.evidence.gather import Evidence
+from twin.settings import diagnosis as settings
 
-# Samples that stay together: twelve time constants of the unstable pole, and a whole capture.  A model with a delay
-# needs the input before its first sample.
-BLOCK_S = 0.2
-_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # the golden ratio, less 1
 
 
 def thinned(evidence: Evidence, share: float) -> Evidence:
@@ -26,7 +24,7 @@ def thinned(evidence: Evidence, share: float) -> Evidence:
     begins = series.flags & FOLLOWS == 0
     elapsed_s = np.cumsum(series.step)
     elapsed_s -= np.maximum.accumulate(np.where(begins, elapsed_s, 0.0))
-    heads = begins | (np.diff(np.floor(elapsed_s / BLOCK_S + 1e-6), prepend=0.0) != 0.0)
+    heads = begins | (np.diff(np.floor(elapsed_s / settings.THINNED_BLOCK_S + 1e-6), prepend=0.0) != 0.0)
     stays = np.cumsum(heads) * _GOLDEN % 1.0 < share
     flags = np.where(heads, series.flags & np.uint16(~FOLLOWS & 0xFFFF), series.flags)
     columns = {name: getattr(series, name)[stays] for name in type(series).__slots__}

@@ -13,9 +13,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-MILLION = 1e6
-QUICK, FULL = 600 * MILLION, 20_000 * MILLION  # a million takes 0.06 to 0.09 s of processor time
-RESERVED = 0.2  # of the limit: for experiments and gain, whatever the search takes
+MILLION = 1e6  # filter steps, in which a budget is given
 
 
 def millions(steps: float) -> str:

@@ -18,8 +18,7 @@ from twin.inference.optimiser import Fit as Fit
 from twin.inference.theta import Theta, prior_spread
 from twin.settings import diagnosis as settings
 
-TOLERANCE = 0.02  # of a standard error
-_ROUGH = 0.5  # log-likelihood that cheaper slopes leave: 0.1 to 2 in trials
+TOLERANCE = 0.02  # of a standard error: 2e-4 of log-likelihood is left
 
 
 def with_covariance(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray] | None = None) -> Fit:
@@ -68,7 +67,7 @@ def climb(
         loglik=top.loglik + narrowing(free, top.covariance),
         # Never converged by rough slopes: they give the direction of a step, but not the maximum.
         converged=top.converged and not approximate,
-        ahead=max(top.ahead, _ROUGH) if approximate else top.ahead,
+        ahead=max(top.ahead, settings.ROUGH_LEFT) if approximate else top.ahead,
     )
 
 

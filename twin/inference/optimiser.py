@@ -25,7 +25,7 @@ from twin.settings import diagnosis as settings
 
 SLOW_TOLERANCE = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
 CLOSE = 3.0  # decrement, standard errors, below which exact derivatives are used
-_LITTLE = 0.05  # of log-likelihood
+_LITTLE = 0.05  # of log-likelihood: a pass that gains less counts as slow
 _NUDGE = 1e-3  # of a coordinate: test whether it is at its bound
 
 

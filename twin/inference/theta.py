@@ -32,8 +32,8 @@ BASE = PARAMETERS + NOISES
 FLOORS = {"T_A": 2e-6, "process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
 TAU_S = (2e-4, 0.1)  # correlation times of coloured noise; a slower one is an offset that wanders
 WHITE = (1e-3, 0.98)  # white share of the variance of coloured noise
-STOP_UNIT_M = 1e-5
-_RESTART_M_S2 = 0.3
+STOP_UNIT_M = 1e-5  # rule 1
+_RESTART_M_S2 = 0.3  # process noise at which its logarithm moves the likelihood
 # Below the first, no sampling shows a T_A, so its logarithm cannot recover; at the second it can.
 _FLAT_T_A_S, _RESTART_T_A_S = 1e-5, 1e-4
 

@@ -20,10 +20,9 @@ from twin.inference.optimiser import Fit, shortened
 from twin.inference.theta import PARAMETERS, moved
 from twin.settings import diagnosis as settings
 
-REGION = math.sqrt(-2.0 * math.log(0.05))  # standard deviations: 95 % of two normal variables lie within
-END = 1.96  # standard deviations along the long axis
-END_DROP = 0.5 * END**2  # of log-likelihood there, were it a parabola
-_POINTS = 73
+REGION = math.sqrt(-2.0 * math.log(settings.TRADE_OFF_LEVEL))  # standard deviations of two normal variables
+END_DROP = 0.5 * settings.TRADE_OFF_END**2  # of log-likelihood there, were it a parabola
+_POINTS = 73  # of the contour that is drawn: one for each five degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +82,7 @@ def _trade_off(criterion: Criterion, fit: Fit, pair: tuple[int, int]) -> TradeOf
     long_axis = std * np.array([1.0, math.copysign(1.0, correlation)]) * math.sqrt(0.5 * (1.0 + abs(correlation)))
     # All other parameters follow by their regression on the two: the ridge of the likelihood, not a cut through it.
     follow = fit.covariance[:, pair] @ np.linalg.pinv(block) @ long_axis
-    ends = [shortened(plant, fit.theta, fit.free, sign * END * follow) for sign in (-1.0, 1.0)]
+    ends = [shortened(plant, fit.theta, fit.free, sign * settings.TRADE_OFF_END * follow) for sign in (-1.0, 1.0)]
     here, low, high = criterion.values([fit.theta, *ends])
     angle = np.linspace(0.0, 2.0 * math.pi, _POINTS)
     aside = math.sqrt(max(1.0 - correlation**2, 0.0)) * np.sin(angle)
@@ -119,7 +118,7 @@ def _best_known(
 
     None where a value is not told from 0: a change relative to it has no meaning.
     """
-    if any(abs(value) < END * std for value, std in zip(values, stds, strict=True)):
+    if any(abs(value) < settings.TRADE_OFF_END * std for value, std in zip(values, stds, strict=True)):
         return None
     relative = np.array(stds) / np.abs(values)
     covariance = np.outer(relative, relative) * np.array([[1.0, correlation], [correlation, 1.0]])

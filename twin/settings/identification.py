@@ -74,10 +74,12 @@ DEPARTURE_ERRORS = 8.0
 LINE_S = 0.2
 LINEAR_SHARE = 0.06
 
-# --- Regression for starting values: length of a window, s, and number of windows ---
+# --- Regression for starting values (reasoned) ---
 
-WINDOW_S = 0.06
+WINDOW_S = 0.06  # length of a window
 WINDOWS = 40
+SHORTEST_T_A, LONGEST_T_A = 0.03, 100.0  # ends of the grid of T_A, in sampling intervals
+START_SAMPLES = 5_000  # of one piece: enough for a starting value
 
 # --- Input delay ---
 

@@ -11,9 +11,9 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from twin.diagnosis.judge.account import MAX_CONFIDENCE
 from twin.diagnosis.report.sentences import micrometres, percent
 from twin.estimation.prediction_floor import TOLERANCE
+from twin.settings import diagnosis as settings
 
 COUNTED = "lost-samples"  # its gaps are counted: no likelihood, no share
 _ROUNDING = 1e-6
@@ -70,7 +70,7 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
 
 def _confidence(data: Mapping[str, Any]) -> Iterator[str]:
     for cause in _listed(data):
-        most = 1.0 if cause["name"] == COUNTED else MAX_CONFIDENCE.get(data["verdict"], 0.0)
+        most = 1.0 if cause["name"] == COUNTED else settings.MAX_CONFIDENCE.get(data["verdict"], 0.0)
         if not 0.0 <= cause["confidence"] <= most + _ROUNDING:
             yield f"{cause['name']} is sure to {cause['confidence']} beside {data['verdict']}"
 

@@ -38,6 +38,21 @@ INSIDE = (
     "LINE_NEIGHBOURS_HZ",
     "RESTLESS",
     "MIN_NOISE_SHARE",
+    "TRIM_SAMPLES",
+    "LIFTS_SHARE",
+    "STAYS_S",
+    "POLE_SHARE",
+    "DEAD_TIME_FAST_S",
+    "DEAD_TIME_LONGEST_S",
+    "SMALL_PROBE",
+    "RATE_SPAN_S",
+    "PROBE_SAMPLES",
+    "FORCE_HIGHEST",
+    "WAVE_READINGS",
+    "QUICK_FLIGHT_SAMPLES",
+    "QUICK_SAMPLES",
+    "ROUGH_LEFT",
+    "DRIFT_BLOCK_S",
 )
 _PACKAGES = ("twin.diagnosis", "twin.evidence", "twin.inference")
 _FUNCTIONS = (

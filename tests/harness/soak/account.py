@@ -3,6 +3,9 @@
 How far a sample came before the gateway is in the emulator's ledger, what the gateway read and kept is in its log, what
 it published has the witness.  What is missing must be missing beside a fault that can cost it (`_COSTS`).  The rest is
 `unexplained`: there must be none.
+
+A gateway ignores what comes before the end of a handshake.  Its log has the bytes, unless it was killed before they
+were on the disk.  The ledger has the handshakes, so that both together explain a sample, and neither alone.
 """
 
 from __future__ import annotations
@@ -22,7 +25,10 @@ Mask = NDArray[np.bool_]
 
 BOTH, LOG_ALONE, BUS_ALONE, NOWHERE = "published and logged", "logged", "published", "lost"
 DISK_FULL = "disk full for longer than the log's queue holds"
+IGNORED = "read, counted in states_ignored"
 IGNORED_UNSEEN = "read while the disk was full, counted in states_ignored"
+IGNORED_UNCOUNTED = "ignored before the end of a handshake, the gateway killed"
+LOG_CUT_NS = 250_000_000  # of log that a kill may cost, gateway/README.md
 _BEFORE = {
     Fate.SENSED: "in the board: its queue, a reset",
     Fate.SENT: "on the line: damaged",
@@ -35,7 +41,7 @@ class Cost:
     """Samples that a fault may cost, from `before_s` before it began to `after_s` after it ended.
 
     `in_one_piece`: what comes in order is lost in order, so they are one unbroken run of each board, through the moment
-    at which the fault struck, or up to it.
+    at which the fault struck, or up to it.  `early`: only such as came before the end of a handshake.
     """
 
     place: str
@@ -44,6 +50,7 @@ class Cost:
     before_s: float
     after_s: float
     in_one_piece: bool = True
+    early: bool = False
 
 
 _COSTS = (
@@ -51,8 +58,8 @@ _COSTS = (
     Cost(NOWHERE, "port closed", "in the cable when it was unplugged", 0.5, 0.0),
     # Whoever opens a serial port discards what waits in it (pyserial).
     Cost(NOWHERE, "port opened", "in the cable when the port was opened", 0.0, 0.5),
-    # Such as come before the end of a handshake; where the log has the bytes, they are seen in it.
-    Cost(NOWHERE, "disk full", IGNORED_UNSEEN, 0.5, 1.0, in_one_piece=False),
+    # A gateway ignores them; where the log has the bytes, they are seen in it.
+    Cost(NOWHERE, "disk full", IGNORED_UNSEEN, 0.5, 1.0, in_one_piece=False, early=True),
     # gateway/README.md: at most 250 ms of log.
     Cost(BUS_ALONE, "gateway killed", "not yet on the disk when the gateway was killed", 0.5, 0.1),
     # The log tries again each half second, and finds room for a few between others; it counts what it drops.
@@ -72,6 +79,7 @@ class Account:
     lines: Counter[tuple[str, str]] = field(default_factory=Counter)  # place and reason
     twice: list[tuple[int, int]] = field(default_factory=list)  # board, number: published or logged twice
     invented: list[tuple[int, int]] = field(default_factory=list)  # never sent
+    too_early: list[tuple[int, int]] = field(default_factory=list)  # a sample before the end of a handshake
     unexplained: list[tuple[str, int, int, int]] = field(default_factory=list)  # place, board, number, ns
     replayed: int = 0  # under another name; each must be in the log
     read_but_no_sample: Counter[int] = field(default_factory=Counter)  # by board
@@ -107,12 +115,15 @@ def account_of(
     account = Account()
     for board, ledger in enumerate(ledgers):
         count, logged = len(ledger.fate), logs.get(board, Logged())
-        fate, at_ns = np.array(ledger.fate), np.array(ledger.at_ns)
+        at_ns = np.array(ledger.at_ns)
         on_bus = _times(published[published[:, 0] == board, 1], count, board, account)
         in_log = _times(logged.numbers, count, board, account)
         read = np.bincount([n for n in logged.read if n < count], minlength=count)
-        known = fate == Fate.TAKEN
-        account.invented += [(board, int(n)) for n in np.flatnonzero(((on_bus > 0) | (in_log > 0)) & ~known) if n]
+        known = np.array(ledger.fate) == Fate.TAKEN
+        sampled = (on_bus > 0) | (in_log > 0)
+        account.invented += [(board, int(n)) for n in np.flatnonzero(sampled & ~known) if n]
+        early = np.array(ledger.early, np.bool_)
+        account.too_early += [(board, int(n)) for n in np.flatnonzero(sampled & early)]
         account.sensed += count - 1
         _add_replayed(account, board, published[published[:, 0] == -1 - board, 1], in_log)
 
@@ -125,26 +136,39 @@ def account_of(
         for mask in places.values():
             mask[0] = False
         account.lines[BOTH, "all is well"] += int(places.pop(BOTH).sum())
-        for early, reason in _BEFORE.items():
-            gone = places[NOWHERE] & (fate == early)
-            account.lines[NOWHERE, reason] += int(gone.sum())
-            places[NOWHERE] &= ~gone
-        refused = places[NOWHERE] & (read > 0)
-        account.lines[NOWHERE, "read, counted in states_ignored"] += int(refused.sum())
-        account.read_but_no_sample[board] += int(refused.sum())
-        places[NOWHERE] &= ~refused
         concerns = [*_ledger_faults(ledger, board), *(o for o in happened if _concerns(o, board, gateways))]
-        made = (on_bus > 0) | (in_log > 0) | places[NOWHERE]
+        _add_ended(account, board, places[NOWHERE], _ended(ledger, read > 0, in_log > 0, concerns))
+        made = sampled | places[NOWHERE]
         gaps = {
             NOWHERE: _Gap(known, known & (on_bus == 0) & (in_log == 0) & (read == 0), at_ns),
             BUS_ALONE: _Gap(made, in_log == 0, at_ns),
             LOG_ALONE: _Gap(made, on_bus == 0, at_ns),
         }
-        causes = {place: [(c, gap.cost_of(c, o)) for c, o in _pairs(place, concerns)] for place, gap in gaps.items()}
+        causes = {
+            place: [(c, gap.cost_of(c, o) & (early | (not c.early))) for c, o in _pairs(place, concerns)]
+            for place, gap in gaps.items()
+        }
         for place, mask in places.items():
             _explain(account, place, mask, board, at_ns, causes)
         _add_counts(account, board, logged)
     return account
+
+
+def _ended(ledger: Ledger, read: Mask, in_log: Mask, happened: Sequence[Occurrence]) -> dict[str, Mask]:
+    """Return which samples were to come no further, whatever befell bus and log, by the reason."""
+    fate, at_ns, early = np.array(ledger.fate), np.array(ledger.at_ns), np.array(ledger.early, np.bool_)
+    ended = {reason: fate == before for before, reason in _BEFORE.items()}
+    return ended | {IGNORED: read, IGNORED_UNCOUNTED: early & _cut_off(read | in_log, at_ns, happened)}
+
+
+def _add_ended(account: Account, board: int, lost: Mask, ended: Mapping[str, Mask]) -> None:
+    """Move what is lost for these reasons from `lost` to the account."""
+    for reason, mask in ended.items():
+        gone = lost & mask
+        account.lines[NOWHERE, reason] += int(gone.sum())
+        if reason == IGNORED:
+            account.read_but_no_sample[board] += int(gone.sum())
+        lost &= ~gone
 
 
 def _ledger_faults(ledger: Ledger, board: int) -> list[Occurrence]:
@@ -170,6 +194,19 @@ def _concerns(occurrence: Occurrence, board: int, gateways: int) -> bool:
             return board % gateways == occurrence.target
         case _:
             return board == occurrence.target
+
+
+def _cut_off(logged: Mask, at_ns: NDArray[np.int64], happened: Sequence[Occurrence]) -> Mask:
+    """Return which samples may have been on their way to the disk when their gateway was killed.
+
+    The log is written in order, so they come after the last one that has reached it.
+    """
+    found = np.zeros(len(at_ns), np.bool_)
+    for killed in (o for o in happened if o.name == "gateway killed"):
+        before = at_ns <= killed.struck_ns
+        end = int(np.flatnonzero(logged & before).max(initial=0)) + 1
+        found[end:] |= before[end:] & (at_ns[end:] >= killed.begin_ns - LOG_CUT_NS)
+    return found
 
 
 class _Gap:

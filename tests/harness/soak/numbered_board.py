@@ -1,5 +1,7 @@
 """Boards whose samples bear numbers, and a ledger of how far each sample came before it left the emulator.
 
+The ledger also says which samples came to the host before the end of a handshake: a host ignores them.
+
 A sample's number is in what its pins carry: i_c has the lower 12 bits, x the upper.  It counts over resets, so for nine
 hours at 500 Hz no two samples of a board are alike, whatever session or tick a gateway gives them.
 """
@@ -18,6 +20,7 @@ from gateway.emulator.firmware_model.board import AnalogSide, Firmware
 from gateway.emulator.firmware_model.flash import CE152_BOARD, CURRENT, POSITION, BoardProfile
 from gateway.emulator.ports import EmulatedPort
 from protocol.wire.decoder import State, StreamDecoder
+from protocol.wire.messages import EventCode, Message
 
 _BITS = 12
 _LOW = (1 << _BITS) - 1
@@ -49,12 +52,16 @@ class Ledger:
 
     def __init__(self) -> None:
         self.fate, self.at_ns = array("B", [Fate.SENSED]), array("q", [0])
+        self.early = array("B", [False])  # taken before the end of a handshake
         self.opened_ns: list[int] = []  # when a host came
         self.closed_ns: list[int] = []  # when the board was unplugged
+        self._early_from: int | None = 0  # samples from this one on come before the end of a handshake
+        self._hello = 0  # id of the newest one
 
     def sense(self) -> int:
         """Begin a new sample and return its number."""
         self.fate.append(Fate.SENSED)
+        self.early.append(False)
         self.at_ns.append(time.monotonic_ns())
         return len(self.fate) - 1
 
@@ -63,6 +70,28 @@ class Ledger:
         if 0 < number < len(self.fate):
             self.fate[number] = max(self.fate[number], fate)
             self.at_ns[number] = time.monotonic_ns()  # a line that stalls keeps samples for a second
+            if fate == Fate.TAKEN and self._early_from is not None and number >= self._early_from:
+                self.early[number] = True
+
+    def reset(self) -> None:
+        """Note that the board restarts: the samples from now on need a handshake."""
+        if self._early_from is None:
+            self._early_from = len(self.fate)  # what a stalled line still keeps is from before
+
+    def opened(self) -> None:
+        """Note that a host has come."""
+        self.opened_ns.append(time.monotonic_ns())
+        self._early_from = 0
+
+    def asked(self, hello: int) -> None:
+        """Note a HELLO of the host, by its id; the same one again begins nothing: its answer may have come."""
+        if hello != self._hello:
+            self._early_from, self._hello = 0, hello
+
+    def answered(self, hello: int) -> None:
+        """Note that the host has taken the answer to a HELLO."""
+        if hello == self._hello:
+            self._early_from = None
 
 
 class NumberedPins(AnalogSide):
@@ -95,13 +124,17 @@ class NumberedBoard(Firmware):
             self._ledger.came(number, Fate.SENT)
         return frame
 
+    def reset(self, cause: EventCode) -> None:
+        super().reset(cause)
+        self._ledger.reset()
+
 
 class LedgerPort:
-    """A port that notes which samples arrive at it undamaged, and which of them its host takes."""
+    """A port that notes which samples arrive at it undamaged, which of them its host takes, and the handshakes."""
 
     def __init__(self, port: EmulatedPort, ledger: Ledger) -> None:
         self._port, self._ledger = port, ledger
-        self._offered, self._taken = StreamDecoder(), StreamDecoder()
+        self._offered, self._taken, self._asked = StreamDecoder(), StreamDecoder(), StreamDecoder()
         self._read = False  # by a host
 
     @property
@@ -119,17 +152,24 @@ class LedgerPort:
         return self._port.connected()
 
     def read(self, limit: int) -> bytes:
-        return self._port.read(limit)
+        data = self._port.read(limit)
+        for event in self._asked.feed(data):
+            if isinstance(event, Message) and event.name == "HELLO":
+                self._ledger.asked(event.int("id"))
+        return data
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
         for number in _numbers(self._offered, data):
             self._ledger.came(number, Fate.INTACT)
         count = self._port.write(data, wait_s)
         if count and not self._read:
-            self._ledger.opened_ns.append(time.monotonic_ns())
+            self._ledger.opened()
         self._read = count > 0
-        for number in _numbers(self._taken, data[:count]):
-            self._ledger.came(number, Fate.TAKEN)
+        for event in self._taken.feed(data[:count]):
+            if isinstance(event, State):
+                self._ledger.came(number_of(event.i_c, event.x), Fate.TAKEN)
+            elif isinstance(event, Message) and event.name == "IDENTITY":
+                self._ledger.answered(event.int("id"))
         if count < len(data):  # the next host begins anew; for the same one, the next frame has its own delimiter
             self._taken = StreamDecoder()
         return count

@@ -7,7 +7,8 @@ import numpy as np
 from protocol.campaign import Plant
 from twin.estimation.innovations import FLIES, USE_I
 from twin.estimation.record import Record
-from twin.evidence.gather import POLE_SHARE, gather
+from twin.evidence.gather import gather
+from twin.settings import diagnosis as settings
 
 TRAVEL_M = 5.7e-3
 
@@ -30,7 +31,7 @@ def test_no_sample_next_to_the_pole_is_flight() -> None:
     flies, record = flown(TRAVEL_M)
     _, clear = flown(TRAVEL_M), flown(TRAVEL_M + 2.44e-3)[0]
 
-    near = TRAVEL_M - record.x < POLE_SHARE * TRAVEL_M
+    near = TRAVEL_M - record.x < settings.POLE_SHARE * TRAVEL_M
     assert near.sum() > 50
     assert not flies[near].any()
     assert clear[near].any(), "with the coil higher up the same flight is far from the pole"

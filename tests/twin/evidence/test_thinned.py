@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, narrow
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.evidence.gather import Evidence, gather
-from twin.evidence.thinned import BLOCK_S, thinned
+from twin.evidence.thinned import thinned
+from twin.settings import diagnosis as settings
 
 STEP_S = 2e-3
-BLOCK = round(BLOCK_S / STEP_S)
+BLOCK = round(settings.THINNED_BLOCK_S / STEP_S)
 
 
 def series_of(chains: list[int]) -> Evidence:

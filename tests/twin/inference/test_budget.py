@@ -18,7 +18,7 @@ from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow, strong
 from tests.twin.diagnosis.test_diagnose_campaign import comparable
 from twin.diagnosis.options import Options
-from twin.diagnosis.pipeline import ALL_SAMPLES, FLIGHT_SAMPLES, diagnose, shortened
+from twin.diagnosis.pipeline import diagnose, shortened
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search.periodic import AMPLITUDE, CAUSE, FREQUENCY
 from twin.diagnosis.search.state import Selection
@@ -26,12 +26,13 @@ from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
 from twin.estimation.pace import Reuse, pace_of
 from twin.evidence.gather import gather
-from twin.inference.budget import MILLION, QUICK, Budget, Spent
+from twin.inference.budget import MILLION, Budget, Spent
 from twin.inference.fisher_scoring import climb, narrowing
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import floor_of
 from twin.inference.theta import BASE, Theta
 from twin.model.causes.catalogue import BY_NAME
+from twin.settings import diagnosis as settings
 
 SHORT = 2.0 * MILLION  # the rounds of the small foreign campaign take more
 LAG, FORCE = "position-sensor-lag", "constant-force"
@@ -115,7 +116,7 @@ def test_quick_has_a_budget_without_being_asked_and_a_sufficient_one_changes_not
     found = diagnose(load(foreign), Options(quick=True))
     free = diagnose(load(foreign), Options(quick=True, budget=math.inf))
 
-    assert found.budget.limit == QUICK
+    assert found.budget.limit == settings.BUDGET_QUICK
     assert found.verdict != "unfinished"
     assert found.budget.unanswered == []
     assert without_budget(comparable(found)) == without_budget(comparable(free))
@@ -159,8 +160,8 @@ def test_of_very_many_flights_quick_takes_less_of_each() -> None:
     (flight,) = [record for record in narrow(THETA, seconds=5.0) if record.kind == "closed-loop"]
     few, many = [flight] * 3, [flight] * 100
 
-    assert {len(record.t) for record in shortened(few)[0]} == {FLIGHT_SAMPLES}
-    assert sum(len(record.t) for record in shortened(many)[0]) == ALL_SAMPLES
+    assert {len(record.t) for record in shortened(few)[0]} == {settings.QUICK_FLIGHT_SAMPLES}
+    assert sum(len(record.t) for record in shortened(many)[0]) == settings.QUICK_SAMPLES
     assert "400 samples of 100 recordings" in shortened(many)[1]
 
 

@@ -24,8 +24,6 @@ from twin.inference.theta import parameter_of, unit_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.settings import diagnosis as settings
 
-BLOCK_S = 1.0
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
@@ -144,14 +142,14 @@ def _blocks(
     flags: np.ndarray[tuple[int], np.dtype[np.uint16]],
     step: FloatArray,
 ) -> list[slice]:
-    """Return the pieces of about `BLOCK_S`, never across recordings or gaps."""
+    """Return the pieces of about `DRIFT_BLOCK_S`, never across recordings or gaps."""
     edges = np.flatnonzero((flags & FOLLOWS == 0) | np.append(True, np.diff(recording) != 0))
     pieces = []
     for a, b in zip(edges, np.append(edges[1:], len(flags)), strict=True):
         if b - a < 20:
             continue
         duration_s = float(step[a + 1 : b].sum())
-        count = max(round(duration_s / BLOCK_S), 1)
+        count = max(round(duration_s / settings.DRIFT_BLOCK_S), 1)
         cuts = np.linspace(a, b, count + 1).astype(int)
         pieces += [slice(int(c), int(d)) for c, d in pairwise(cuts) if d > c]
     return pieces

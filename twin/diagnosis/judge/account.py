@@ -36,14 +36,6 @@ from twin.estimation.prediction_floor import TOLERANCE
 from twin.settings import diagnosis as settings
 
 Verdict = Literal["causes-found", "partly-explained", "model-adequate", "unknown-cause", "unfinished"]
-# Upper limit by verdict: the share of names that were right.  With `causes-found` 133 of 135, with `partly-explained`
-# 8 of 12, and 6 of 21 candidates with `unknown-cause`.
-MAX_CONFIDENCE: dict[Verdict, float] = {
-    "causes-found": 0.98,
-    "partly-explained": 0.64,
-    "unknown-cause": 0.294,
-    "unfinished": 0.294,
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,4 +147,4 @@ def confidence_of(selection: Selection, cause: str, verdict: Verdict) -> float:
     """
     lead = selection.runner_up.get(cause, selection.gains.get(cause, 0.0))
     sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / settings.CONFIDENCE_LEAD)
-    return round(MAX_CONFIDENCE[verdict] * sure, 3)
+    return round(settings.MAX_CONFIDENCE[verdict] * sure, 3)

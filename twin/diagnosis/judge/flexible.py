@@ -18,9 +18,9 @@ from twin.estimation.record import FloatArray
 from twin.evidence.gather import Evidence
 
 PAST = 4  # readings of x and i_c, and inputs before them
-FEATURES = 600
-MAX_WINDOWS = 20_000
-_PENALTIES = tuple(10.0**power for power in range(-6, 3))
+FEATURES = 600  # random ones, of the regression
+MAX_WINDOWS = 20_000  # to train on: limits time and memory
+_PENALTIES = tuple(10.0**power for power in range(-6, 3))  # a fifth of the windows chooses one
 
 
 def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> FloatArray:

@@ -18,8 +18,6 @@ from twin.model.parameters import Model
 from twin.settings import diagnosis as settings
 
 _KNOWN = ("mass_kg", "travel_m", "x_max_m", "gravity_m_s2")
-_WORSE = 1.1  # times the error of the refitted model: the numbers are off
-_OFF = 0.01  # of a parameter: mentioned above this
 
 
 def check_plant(model: Model, plant: Plant) -> None:
@@ -68,10 +66,12 @@ def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain 
         gain: of the final model over the reference model.
         refitted: of the final model over `fitted`.
     """
-    if gain is None or refitted is None or gain.baseline_rmse_m < _WORSE * refitted.baseline_rmse_m:
+    if gain is None or refitted is None or gain.baseline_rmse_m < settings.REFERENCE_WORSE * refitted.baseline_rmse_m:
         return ""
     moves = {name: fitted.value(name) / max(getattr(model, name), 1e-300) - 1.0 for name in PARAMETERS if name != "b"}
-    listed = ", ".join(f"{name} {100.0 * change:+.1f} %" for name, change in moves.items() if abs(change) > _OFF)
+    listed = ", ".join(
+        f"{name} {100.0 * change:+.1f} %" for name, change in moves.items() if abs(change) > settings.REFERENCE_OFF
+    )
     return (
         f"the parameters of the reference model are wrong: its error of x {gain.horizon_s * 1e3:.0f} ms ahead is "
         f"{gain.baseline_rmse_m * 1e6:.3g} µm, that of the paper's model, fitted anew, "

@@ -19,9 +19,7 @@ from twin.model.causes.cause import Cause
 from twin.model.causes.curve import COEFFICIENTS
 from twin.settings import diagnosis as settings
 
-_OUTER = 0.001  # share of the samples that may lie beyond either end of a range
 _SLOPE_SAMPLES = 2  # on either side, for the speed
-_OVERSHOOT = 0.5  # of the linear step: where to begin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +59,7 @@ def visited(evidence: Evidence) -> dict[str, FloatArray]:
 def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
     """Return theta with a curve that is 0 over the range of these values."""
     # Quantiles, not extremes: a single reading far out would stretch the knots over a range without data.
-    ends = np.nanquantile(values, (_OUTER, 1.0 - _OUTER)).tolist()
+    ends = np.nanquantile(values, (settings.CURVE_OUTER, 1.0 - settings.CURVE_OUTER)).tolist()
     for parameter, end in zip(curve.parameters[:2], ends, strict=True):
         theta = theta.having(f"{curve.name}.{parameter.name}", float(end))
     for name in coefficients(curve):
@@ -96,7 +94,7 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         # The coefficients are integrated out: by the maximum alone a curve would always gain, as it has eight numbers.
         _, logarithm = np.linalg.slogdet(left * np.outer(widths, widths))
         start = with_range(at.theta, curve, values[_over(curve)])
-        for name, change in zip(coefficients(curve), (_OVERSHOOT * step).tolist(), strict=True):
+        for name, change in zip(coefficients(curve), (settings.CURVE_START * step).tolist(), strict=True):
             start = moved(start, name, change, criterion.plant)
         results.append(
             CurveScore(curve=curve, evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm), start=start)
@@ -155,4 +153,5 @@ def _over(curve: Cause) -> str:
 
 def _moves(values: FloatArray) -> bool:
     known = values[np.isfinite(values)]
-    return len(known) > 0 and float(np.ptp(np.quantile(known, (_OUTER, 1.0 - _OUTER)))) > 0.0
+    outer = settings.CURVE_OUTER
+    return len(known) > 0 and float(np.ptp(np.quantile(known, (outer, 1.0 - outer)))) > 0.0

@@ -50,8 +50,7 @@ from twin.model.causes.cause import Cause
 from twin.model.causes.curve import CURVES
 from twin.settings import diagnosis as settings
 
-POINTS = 41
-MAX_SUBSTITUTES = 2  # causes that are fitted
+POINTS = 41  # of a curve that is drawn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -371,7 +370,7 @@ def substitutes(
         if name in with_curve and score.gain > max(settings.MIN_GAIN, settings.LIKE_GAIN * gain)
     }
     selected = [without_curve[name] for name, share in absorbed.items() if share >= settings.LIKE_SHARE]
-    trials = fit_candidates(criterion, at, selected[:MAX_SUBSTITUTES]) if selected else []
+    trials = fit_candidates(criterion, at, selected[: settings.MAX_SUBSTITUTES]) if selected else []
     trials = [refine(criterion, trial) for trial in trials]
     return [
         Substitute(trial=trial, absorbed=absorbed[trial.cause])

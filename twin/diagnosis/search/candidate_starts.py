@@ -22,19 +22,16 @@ from twin.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, max_step, m
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.model.extended import position_of_reading, position_reading
-
-_MAX_REACH = 20.0  # probes: the signature changes beyond this
-_MIN_REACH = 0.05
-_PARTS = (1.0, 0.3, 0.1)  # of the linear step: the whole step overshoots if the likelihood is far from a parabola
-_GRID = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)  # of the probes
-_STEADY = 5  # samples of the same u_c
+from twin.settings import diagnosis as settings
 
 
 def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     """The best of the starts by the likelihood itself."""
     cause, theta = BY_NAME[score.cause], replace(theta, phases_s=score.phases_s or theta.phases_s)
     starts = [
-        _linear(criterion, theta, score, cause, part, names) for names in _coordinate_sets(score) for part in _PARTS
+        _linear(criterion, theta, score, cause, part, names)
+        for names in _coordinate_sets(score)
+        for part in settings.START_PARTS
     ]
     if cause.family == "amplifier":
         gains, times = {theta.K_A}, {theta.T_A}
@@ -82,7 +79,7 @@ def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounde
     maximum.  Two causes in the same unit, or in V and A, may be of equal size, so that size is tried, too.
     """
     strength = confounder.strength
-    at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
+    at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in settings.START_SIZES]
     if strength.low < strength.neutral < strength.high:
         at += [-coordinate for coordinate in at]
     sizes = [strength.value(coordinate) for coordinate in at]
@@ -99,13 +96,13 @@ def robust_gain(records: Sequence[Record]) -> float | None:
     """Return K_A as the median of i_c / u_c where u_c has stood still, A/V."""
     ratios = []
     for record in records:
-        if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * _STEADY:
+        if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * settings.STEADY_SAMPLES:
             continue
         u, i = record.u_c, record.i_c
         steady = np.ones(len(u), np.bool_)
-        for lag in range(1, _STEADY):
+        for lag in range(1, settings.STEADY_SAMPLES):
             steady[lag:] &= np.abs(u[lag:] - u[:-lag]) <= 0.02 * np.abs(u[lag:])
-        steady[:_STEADY] = False
+        steady[: settings.STEADY_SAMPLES] = False
         good = steady & (u > 0.2 * np.nanmax(u)) & np.isfinite(i)
         if good.sum() >= 20:
             ratios.append(i[good] / u[good])
@@ -154,13 +151,13 @@ def _coordinate_sets(score: Score) -> list[list[str]]:
 
 def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float, names: Sequence[str]) -> Theta:
     strength = cause.strength
-    max_reach = _MAX_REACH / min(score.fineness, 1.0)
+    max_reach = settings.START_MAX_REACH / min(score.fineness, 1.0)
     reach = min(max(score.step, -max_reach), max_reach)
-    reach = reach if abs(reach) > _MIN_REACH else 0.3
+    reach = reach if abs(reach) > settings.START_MIN_REACH else 0.3
     shorter = min(
         [1.0, *(max_step(name) / max(abs(move * reach), 1e-300) for name, move in score.moves if name in names)]
     )
-    reach *= max(shorter, _MIN_REACH / abs(reach)) * part
+    reach *= max(shorter, settings.START_MIN_REACH / abs(reach)) * part
     for name, move in score.moves:
         if name in names:
             max_move = max_step(name)  # a coordinate that the data do not determine would run away

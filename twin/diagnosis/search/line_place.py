@@ -34,9 +34,7 @@ from twin.settings import diagnosis as settings
 
 FORCE = periodic.CAUSE.name
 SENSOR = next(c.name for c in CATALOGUE if c.detector == "sensor-line" and c.strength.index == FIRST[1])
-_LINEAR = 1e-3  # share of a gain within which least squares decide nothing: a large line is not quite linear
-_CURRENT_A = 0.002
-_MIN_SAMPLES = 50  # of a recording, for two numbers
+_CURRENT_A = 0.002  # of a wave whose effect is linear; the comparison does not depend on its size
 
 
 def placed(criterion: Criterion, selected: Trial, trials: Sequence[Trial]) -> list[Trial]:
@@ -46,7 +44,8 @@ def placed(criterion: Criterion, selected: Trial, trials: Sequence[Trial]) -> li
         return list(trials)
     gains = place_gains(criterion, selected.fit.theta)
     lead = gains[other.cause] - gains[selected.cause]
-    moved = replace(other, gain=selected.gain + (lead if abs(lead) > _LINEAR * gains[selected.cause] else 0.0))
+    decided = abs(lead) > settings.PLACE_SHARE * gains[selected.cause]
+    moved = replace(other, gain=selected.gain + (lead if decided else 0.0))
     if moved.gain > selected.gain + settings.EQUIVALENT_GAIN:  # it will be the selected one
         moved = replace(refine(criterion, moved), gain=moved.gain)
     rest = [trial for trial in trials if trial is not other]
@@ -112,7 +111,7 @@ def _gain(criterion: Criterion, white: FloatArray, moves: Sequence[FloatArray]) 
         columns = np.column_stack([move[rows].ravel() for move in moves])
         residual = white[rows].ravel()
         good = np.isfinite(residual) & np.isfinite(columns).all(axis=1)
-        if np.count_nonzero(good) < _MIN_SAMPLES or not columns[good].any():
+        if np.count_nonzero(good) < settings.WAVE_READINGS or not columns[good].any():
             continue
         fitted = columns[good] @ np.linalg.lstsq(columns[good], residual[good], rcond=1e-6)[0]
         n = 0.5 * float(np.sum(columns[good] ** 2))

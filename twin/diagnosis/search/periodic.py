@@ -25,11 +25,8 @@ from twin.settings import diagnosis as settings
 
 CAUSE = cause_of_detector("spectral-line")
 AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
-_MAX_ROUNDS = 4  # of the phases, at most
 _STEP = 0.1  # rad, to take the slope of a phase by
-_FAR_STEPS = 4.0  # of these at once
-_HIGHEST = 0.4  # of the sampling frequency: beyond it a force hardly moves the ball
-_MIN_SAMPLES = 50  # for a phase: a recording without one would be shaken at a wrong time
+_FAR_STEPS = 4.0  # of these at once: farther away a parabola does not lead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +59,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     for number in np.unique(series.recording):
         in_recording = series.recording == number
         use = in_recording & good
-        if use.sum() < _MIN_SAMPLES:
+        if use.sum() < settings.WAVE_READINGS:  # without a phase it would be shaken at a wrong time
             continue
         design = columns[use]
         normal = design.T @ design
@@ -131,7 +128,7 @@ def refine_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     The phases of `fit_phases` are a linear estimate.  They are wrong on a ramp in which the force decides when the ball
     lifts off; a lag that was fitted with them came out 3 % short.
     """
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(settings.PHASE_ROUNDS):
         again = _with_phases(criterion, fit, _newton_phases(criterion, fit.theta), passes)
         gained, fit = again.loglik - fit.loglik, again
         if gained < settings.PHASE_GAIN:
@@ -180,6 +177,6 @@ def _strongest(criterion: Criterion, theta: Theta) -> float | None:
     _, white = criterion.white(theta)
     flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
     spectrum = spectrum_of(series, white[:, 1], flying, step_s)
-    low_hz, high_hz = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, _HIGHEST / step_s)
+    low_hz, high_hz = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, settings.FORCE_HIGHEST / step_s)
     at = None if spectrum is None else spectrum.line(low_hz, high_hz)
     return None if spectrum is None or at is None else float(spectrum.frequency_hz[at])

@@ -9,11 +9,7 @@ import numpy as np
 
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.model.causes.cause import Cause
-
-_RATE_SPAN_S = 4e-4  # for a rate of change: within one sample of a capture it is all noise
-# The positions of coil, stop and sensor differ in their effect by bends alone, which a wide probe would hide.
-_SMALL_PART = 0.02
-_ENOUGH = 20
+from twin.settings import diagnosis as settings
 
 
 def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
@@ -23,30 +19,30 @@ def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
         size = _SIZES[measured.of](series)
         at = tuple(size * factor for factor in measured.times) if size > 0.0 else ()
         return at if math.isinf(cause.strength.neutral) else (*usual, *(value for value in at if value > usual[0]))
-    return (*usual, _SMALL_PART * usual[0]) if "displaces" in cause.traits else usual
+    return (*usual, settings.SMALL_PROBE * usual[0]) if "displaces" in cause.traits else usual
 
 
 def largest_current(series: Series) -> float:
     """Return the current i_c under the largest inputs, A."""
     known = np.flatnonzero(np.isfinite(series.i) & (series.u > 0.0))
-    if len(known) < _ENOUGH:
+    if len(known) < settings.PROBE_SAMPLES:
         return 0.0
     top = np.sort(series.i[known])
-    return float(np.median(top[-max(len(top) // 200, _ENOUGH) :]))
+    return float(np.median(top[-max(len(top) // 200, settings.PROBE_SAMPLES) :]))
 
 
 def fastest_change(series: Series) -> float:
-    """The largest rate of i_c over `_RATE_SPAN_S`, or over one interval where that is longer, A/s."""
+    """The largest rate of i_c over `RATE_SPAN_S`, or over one interval where that is longer, A/s."""
     best = 0.0
     broken = np.cumsum(series.flags & FOLLOWS == 0)
     for interval in np.unique(series.step[series.step > 0.0]):
-        lag = max(round(_RATE_SPAN_S / float(interval)), 1)
+        lag = max(round(settings.RATE_SPAN_S / float(interval)), 1)
         if lag >= len(series.i):
             continue
         same = (broken[lag:] == broken[:-lag]) & (series.step[lag:] == interval)
-        if same.sum() >= _ENOUGH:
+        if same.sum() >= settings.PROBE_SAMPLES:
             rates = np.abs(series.i[lag:] - series.i[:-lag])[same] / (lag * float(interval))
-            best = max(best, float(np.sort(rates)[-_ENOUGH // 4]))
+            best = max(best, float(np.sort(rates)[-settings.PROBE_SAMPLES // 4]))
     return best
 
 

@@ -30,7 +30,6 @@ from twin.settings import diagnosis as settings
 
 # Column of the channel that has the line, 0 for i_c, 1 for x.
 CHANNELS = {cause.name: FIRST.index(cause.strength.index) for cause in CATALOGUE if cause.detector == "sensor-line"}
-_SIZES = (1.0, 2.0, 4.0, 8.0)  # of a line, over that in the innovations: the filter follows a part of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +94,7 @@ def _score(criterion: Criterion, current: Fit, cause: Cause, line: Line, size: f
         (f"{cause.name}.frequency_hz", line.frequency_hz),
         *((f"{cause.name}.harmonic_{k}", value) for k, value in enumerate(line.harmonics, 2)),
     )
-    sizes = [min(size * factor, 0.5 * strength.high) for factor in _SIZES]
+    sizes = [min(size * factor, 0.5 * strength.high) for factor in settings.LINE_SIZES]
     starts = [probed(current.theta, cause, value, other) for value in sizes]
     best = int(np.argmax(criterion.thinner.values(starts)))
     gain = max(criterion.value(starts[best]) - current.loglik, 0.0)

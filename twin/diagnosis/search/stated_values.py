@@ -30,8 +30,6 @@ from twin.model.causes.stated import CLOCK, STATED
 from twin.readers.host_clock import combined
 from twin.settings import diagnosis as settings
 
-_STEPS = 3  # the first finds the maximum of a parabola, the others correct what is not one
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Absorbed:
@@ -167,7 +165,7 @@ def _corrected(criterion: Criterion, information: _Information, start: Theta, fr
     change = information.change[[information.names.index(name) for name in free]]
     covariance = inverse(information.at(free, free))
     theta, best, loglik = start, start, -math.inf
-    for _ in range(_STEPS):
+    for _ in range(settings.STATED_STEPS):
         value, score, fisher = criterion.slopes(theta, free, criterion.outputs(theta), change)
         if not value > loglik:
             break

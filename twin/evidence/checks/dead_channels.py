@@ -14,11 +14,10 @@ import numpy as np
 from protocol.campaign import Plant
 from twin.estimation.prepare import flights, scatter
 from twin.estimation.record import FloatArray, Record
-from twin.evidence.starting.regression import force_rows
+from twin.evidence.starting.regression import OVERLAP, force_rows
 from twin.settings import identification as settings
 
 FLYING = ("prbs", "closed-loop", "free")
-_OVERLAP = 4  # windows begin a quarter of their length apart
 _ABSENT = float("nan")
 
 
@@ -84,7 +83,7 @@ def _without_unmoving(record: Record, plant: Plant) -> tuple[Record, list[str]]:
         return record, []
     answer = float(change @ (left - left.mean())) / power
     rest = left - left.mean() - answer * change
-    error = float(np.sqrt(_OVERLAP * np.mean(rest**2) / power))
+    error = float(np.sqrt(OVERLAP * np.mean(rest**2) / power))
     if answer > settings.ANSWER_SHARE * whole or whole - answer < settings.ANSWER_ERRORS * error:
         return record, []
     return replace(record, x=np.full(len(record.x), _ABSENT)), [

@@ -23,10 +23,8 @@ from twin.estimation.prepare import flights
 from twin.estimation.record import FloatArray, Record, intervals, runs
 from twin.settings import identification as settings
 
-_CONVOLVED = 50_000  # samples at a time
-_OVERLAP = 4  # windows begin a quarter of their length apart
-_SHORTEST, _LONGEST = 0.03, 100.0  # T_A in sampling intervals
-_MAX_SAMPLES = 5_000  # of one piece: enough for a starting value
+_CONVOLVED = 50_000  # samples at a time: limits the memory
+OVERLAP = 4  # windows begin a quarter of their length apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,14 +64,14 @@ def amplifier_start(records: list[Record]) -> AmplifierStart | None:
             edges = [run.start, *(run.start + int(n) for n in starts if n > 0), run.stop]
             for a, b in pairwise(edges):
                 if b - a >= 20:
-                    b = min(b, a + _MAX_SAMPLES)
+                    b = min(b, a + settings.START_SAMPLES)
                     pieces.append((record.interval_s, record.u_c[a:b], record.i_c[a:b]))
     pieces = [piece for piece in pieces if np.ptp(piece[1]) > 0.0]
     if not pieces:
         return None
     fastest = min(piece[0] for piece in pieces)
     slowest = max(piece[0] for piece in pieces)
-    grid = np.geomspace(_SHORTEST * fastest, _LONGEST * slowest, 40).tolist()
+    grid = np.geomspace(settings.SHORTEST_T_A * fastest, settings.LONGEST_T_A * slowest, 40).tolist()
     (K_A, square), T_A = min(((_simulate(pieces, T_A), T_A) for T_A in grid), key=lambda fit: fit[0][1])
     count = sum(len(piece[1]) for piece in pieces)
     spread = sum(float(np.sum((piece[2] - np.mean(piece[2])) ** 2)) for piece in pieces)
@@ -168,9 +166,9 @@ def _regress(table: FloatArray) -> BallStart:
     columns = np.column_stack((force, drag))
     scores = columns * residual[:, None]
     middle = scores.T @ scores
-    for lag in range(1, min(_OVERLAP * 2, len(scores) - 1) + 1):
+    for lag in range(1, min(OVERLAP * 2, len(scores) - 1) + 1):
         cross = scores[lag:].T @ scores[:-lag]
-        middle += (1.0 - lag / (_OVERLAP * 2 + 1)) * (cross + cross.T)
+        middle += (1.0 - lag / (OVERLAP * 2 + 1)) * (cross + cross.T)
     inverse = np.linalg.pinv(columns.T @ columns)
     spread = float(np.sqrt(np.mean(force**2))) * abs(float(solution[0]))
     return BallStart(
@@ -212,7 +210,7 @@ def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: 
     phi_middle = (1.0 - (0.5 * (s[:-1] + s[1:])) ** 2) ** 3
 
     def slide(values: FloatArray, window: FloatArray) -> FloatArray:
-        return np.asarray(fftconvolve(values, window[::-1], mode="valid")[:: max(width // _OVERLAP, 1)] * step)
+        return np.asarray(fftconvolve(values, window[::-1], mode="valid")[:: max(width // OVERLAP, 1)] * step)
 
     # Only differences of x matter; without its mean the sums over a window lose no digits.
     centred = x - np.mean(x)

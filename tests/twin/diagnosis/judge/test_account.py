@@ -15,7 +15,7 @@ import pytest
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
 from tests.harness.diagnose.simulated_rig import controller
-from twin.diagnosis.judge.account import MAX_CONFIDENCE, account_of, verdict_of
+from twin.diagnosis.judge.account import account_of, verdict_of
 from twin.diagnosis.judge.judgement import judge
 from twin.diagnosis.judge.prediction_gain import Gain, bootstrap
 from twin.diagnosis.report.page import to_html
@@ -174,7 +174,7 @@ def partly() -> Diagnosis:
     above_floor = replace(above_floor, ci95_ratio=(0.0, 1.0))
     gains = tuple(above_floor if one is found.gain else one for one in found.gains)
     (cause,) = found.causes
-    cause = replace(cause, confidence=MAX_CONFIDENCE["partly-explained"])
+    cause = replace(cause, confidence=settings.MAX_CONFIDENCE["partly-explained"])
     found = replace(
         found,
         verdict=verdict_of(named=True, is_adequate=True, leading=True, gain=above_floor),
