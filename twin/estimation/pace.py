@@ -52,13 +52,8 @@ class Pace:
         if reuse is Reuse.NONE:
             advances += len(states) + (3 if rubs else 0)
         # The current of a held ball alone needs no substeps.
-        held = (
-            2.0
-            if any(state in (FIELD, SECOND, CORE, I_SENSOR) for state in states)
-            else 0.0
-            if has_first_order_current(c)
-            else 0.25
-        )
+        lags = any(state in (FIELD, SECOND, CORE, I_SENSOR) for state in states)
+        held = 2.0 if lags else 0.0 if has_first_order_current(c) else 0.25
         held *= {Reuse.NONE: 1.0, Reuse.SLOPES: 0.5, Reuse.STEPS: 0.0}[reuse]
         pieces = 2 if delay_s(c) > 0.0 else 1
         substepped = 0 if short(base, c, self.step_s) else 1

@@ -256,7 +256,7 @@ def _current_after(f: Memory, i: float, inputs: Floats, n: int, T_s: float) -> f
 def _advance_held(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float) -> None:
     """Advance the state y of a held ball from n - 1 to n in place; arguments as `propagate`."""
     p, c = Base(*base_of(f)), f.c[:]
-    # Without another lagging current only the coil's own is integrated, at a quarter of the cost of the whole state.
+    # Without another lagging current, that of the coil has a closed form, at a tenth of the cost of the whole state.
     if _current_alone(f):
         i, w = y[I_C], y[WARMTH]
         y[I_C] = _current_after(f, i, inputs, n, T_s)
