@@ -1,4 +1,4 @@
-"""The cost of a run of the filter, in substeps of the extended model, which take nine tenths of a diagnosis.
+"""The cost of a run of the filter, in substeps of the extended model, which take three quarters of a diagnosis.
 
 A substep takes 40 to 60 ns, and 130 ns with `force-exponent`.
 """
