@@ -39,7 +39,7 @@ def see_delays(to: NDArray[np.float64], c: NDArray[np.float64], captured: bool) 
     to[sampling_delay.DELAY] = c[sampling_delay.DELAY] * (c[sampling_delay.IN_CAPTURES] if captured else 1.0)
 
 
-@kernel
+@inlined
 def propagate(
     base: Packed,
     c: NDArray[np.float64],
@@ -76,7 +76,7 @@ def propagate(
     over(base, c, y, u[max(n - 1 - whole, first)], t + part, T_s - part, stops)
 
 
-@kernel
+@inlined
 def current_held(
     base: Packed,
     c: NDArray[np.float64],

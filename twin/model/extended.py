@@ -104,22 +104,29 @@ def mid_current(p: Base) -> float:
 
 
 @inlined
-def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
-    """Return F_m of (3), N."""
-    i = core_saturation.field(c, residual_magnetism.field(c, field))
+def magnetic_force(p: Base, c: Vector, field: float, x: float, bent: bool = True) -> float:
+    """Return F_m of (3), N; `bent`: whether some cause of `is_bent` acts."""
+    i = residual_magnetism.field(c, field)
+    if bent:
+        i = core_saturation.field(c, i)
     gap = max(air_gap_offset.gap_m(c, p.x_max_m - x), GAP_MIN_SHARE * p.travel_m)
+    force = p.K_c * i * i / (gap * gap)
+    if not bent:
+        return force
     factor = force_exponent.factor(c, gap, p.x_max_m - 0.5 * p.travel_m)
-    factor *= (1.0 + curve.value(c, curve.PULL_OVER_X, x)) * (1.0 + curve.value(c, curve.PULL_OVER_I, field))
-    return p.K_c * i * i / (gap * gap) * factor
+    return (
+        force * factor * (1.0 + curve.value(c, curve.PULL_OVER_X, x)) * (1.0 + curve.value(c, curve.PULL_OVER_I, field))
+    )
 
 
 @inlined
-def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float) -> float:
-    """Return the acceleration x'' of (6) away from the stops and without dry friction, m/s^2."""
-    force = magnetic_force(p, c, field, x) - p.b * v - quadratic_drag.drag_n(c, v)
-    force += constant_force.force_n(c) + periodic_disturbance.force_n(c, t)
-    weights = curve.value(c, curve.FORCE_OVER_X, x) + curve.value(c, curve.FORCE_OVER_V, v) - 1.0
-    return force / p.mass_kg + p.gravity_m_s2 * weights
+def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float, bent: bool = True) -> float:
+    """Return x'' of (6) away from the stops and from a guide that rubs, m/s^2; `bent` as in `magnetic_force`."""
+    force, weights = magnetic_force(p, c, field, x, bent) - p.b * v + constant_force.force_n(c), -1.0
+    if bent:
+        force += periodic_disturbance.force_n(c, t) - quadratic_drag.drag_n(c, v)
+        weights += curve.value(c, curve.FORCE_OVER_X, x) + curve.value(c, curve.FORCE_OVER_V, v)
+    return force * (1.0 / p.mass_kg) + p.gravity_m_s2 * weights
 
 
 @inlined
@@ -193,12 +200,36 @@ def induced_lead(p: Base, c: Vector, v: float, gap: float) -> float:
 
 
 @inlined
+def relaxed(p: Base, c: Vector, i: float, target: float, u: float, T_A: float, h: float) -> float:
+    """The current after h s on its way from i to a constant target, with slew rate, diode and limit, A."""
+    for _ in range(3):
+        if h > 0.0:
+            aim, tau, end = freewheel_diode.piece(c, u, i, p.K_A, T_A, target)
+            after = slew_rate_limit.relaxed(c, i, aim, tau, h)
+            leaves = (after - end) * (aim - i) > 0.0  # the range of this response; at rest this is not a number
+            h = h - slew_rate_limit.time_to(c, i, end, aim, tau) if leaves else 0.0
+            i = end if leaves else after
+    return current_limit.limited(c, i)
+
+
+@inlined
 def _driven(
-    p: Base, c: Vector, i: float, target: float, T_A: float, v: float, a: float, gap: float, at: float, h: float
+    p: Base,
+    c: Vector,
+    i: float,
+    target: float,
+    u: float,
+    T_A: float,
+    v: float,
+    a: float,
+    gap: float,
+    at: float,
+    h: float,
 ) -> float:
     """The current after h s, starting from i; `at` is the time since the ball had v, a and `gap`, s."""
     if c[motional_emf.COUPLING] == 0.0 and c[position_dependent_inductance.VOLTAGE] == 0.0:
-        return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, h))
+        return relaxed(p, c, i, target, u, T_A, h)
+    target -= p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
     begin = induced_lead(p, c, v + at * a, gap - at * v)
     end = induced_lead(p, c, v + (at + h) * a, gap - (at + h) * v)
     change = T_A * (end - begin) / h if h > INSTANT_S else 0.0
@@ -208,6 +239,35 @@ def _driven(
     first = motional_emf.steady_lead(begin, change)
     i_next = target / last + (i - target / first) * math.exp(-0.5 * h * (begin + end) / T_A)
     return current_limit.limited(c, i_next)
+
+
+@inlined
+def is_bent(c: Vector) -> bool:
+    """Return whether a cause or a curve changes the shape of the force over current, height, speed or time."""
+    curves = (
+        c[curve.PULL_OVER_X + 1] > c[curve.PULL_OVER_X]
+        or c[curve.PULL_OVER_I + 1] > c[curve.PULL_OVER_I]
+        or c[curve.FORCE_OVER_X + 1] > c[curve.FORCE_OVER_X]
+        or c[curve.FORCE_OVER_V + 1] > c[curve.FORCE_OVER_V]
+    )
+    powers = c[force_exponent.N] != 2.0 or c[force_exponent.BEND] != 0.0 or c[force_exponent.CURL] != 0.0
+    motion = c[quadratic_drag.C] != 0.0 or c[periodic_disturbance.AMPLITUDE] != 0.0
+    return curves or powers or motion or not math.isinf(c[core_saturation.I_S])
+
+
+@inlined
+def is_slow(c: Vector) -> bool:
+    """Return whether a cause changes how current, force or sensors respond, or holds the ball."""
+    current = (
+        c[position_dependent_inductance.GROWTH] != 0.0
+        or c[motional_emf.COUPLING] != 0.0
+        or c[slew_rate_limit.RATE] < math.inf
+        or c[second_time_constant.SHARE] != 0.0
+        or c[freewheel_diode.DROP] != 0.0
+    )
+    force = c[eddy_current_lag.TAU] > 0.0 or c[magnetic_hysteresis.HALF_WIDTH] > 0.0
+    sensors = c[position_sensor_lag.TAU] > 0.0 or c[current_sensor_lag.TAU] > 0.0
+    return current or force or sensors or c[coulomb_friction.FORCE] != 0.0
 
 
 @kernel
@@ -225,79 +285,113 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
     """
     if duration < INSTANT_S:  # what a delay of whole intervals leaves of its first part
         return
+    # The constants make the compiler leave out what does not act: a step of the paper's model takes half the time.
+    if is_slow(c):
+        if is_bent(c):
+            _substeps(base, c, y, u, t, duration, stops, True, True)
+        else:
+            _substeps(base, c, y, u, t, duration, stops, False, True)
+    elif is_bent(c):
+        _substeps(base, c, y, u, t, duration, stops, True, False)
+    else:
+        _substeps(base, c, y, u, t, duration, stops, False, False)
+
+
+@inlined
+def _substeps(
+    base: Packed,
+    c: Vector,
+    y: NDArray[np.float64],
+    u: float,
+    t: float,
+    duration: float,
+    stops: bool,
+    bent: bool,
+    slow: bool,
+) -> None:
+    """Run `advance` with constants that say what acts: `is_bent`, `is_slow`; the other arguments are the same."""
     p = Base(*base)
     plane = air_gap_offset.gap_m(c, p.x_max_m)
     gap_mid = p.x_max_m - 0.5 * p.travel_m
-    shaped = (
+    shaped = slow and (
         c[position_dependent_inductance.GROWTH] != 0.0
         or c[motional_emf.COUPLING] != 0.0
         or c[slew_rate_limit.RATE] < math.inf
+        or c[freewheel_diode.DROP] != 0.0
     )
-    rubs = c[coulomb_friction.FORCE] != 0.0
-    shared = c[second_time_constant.SHARE] != 0.0
+    rubs = slow and c[coulomb_friction.FORCE] != 0.0
+    shared = slow and c[second_time_constant.SHARE] != 0.0
     coarse = short(p, c, duration)
+    first_decay = math.exp(-0.5 * duration * (1.0 if coarse else PARTS[0]) / p.T_A)  # of the current in half a substep
+    half_decay = first_decay
     for part in range(1 if coarse else len(PARTS)):
         h = duration if coarse else duration * PARTS[part]
         i, x, v, f, s, z, second, core = y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[LOOP], y[SECOND], y[CORE]
-        mixed = eddy_current_lag.mixed(c, f, core)
-        a1 = acceleration(p, c, magnetic_hysteresis.field(c, mixed, z), x, v, t)
+        mixed = eddy_current_lag.mixed(c, f, core) if slow else f
+        a1 = acceleration(p, c, magnetic_hysteresis.field(c, mixed, z) if slow else f, x, v, t, bent)
         free, brake, held = a1, 0.0, False
         if rubs:
             brake = coulomb_friction.brakes(c, p.mass_kg, v, free)
             held = brake == 0.0
             a1 = 0.0 if held else a1 - brake
         v2 = v + 0.5 * h * a1
-        target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
+        target = drive(p, c, u, y[WARMTH])
         gap, T_A = plane - x, p.T_A
-        half_decay, pressed = 0.0, False
+        pressed = False
         if shaped:
             gap = max(gap, GAP_MIN_SHARE * p.travel_m)
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
-            if c[freewheel_diode.DROP] == 0.0:
-                target = max(target, 0.0)
             if shared:  # i_2 is that of the middle: it changes little within a substep
                 end, middle = target, second_time_constant.settled(c, second, target, 0.5 * h)
                 target += second_time_constant.pull(c, middle, target, T_A)
                 second = second_time_constant.settled(c, second, end, h)
             pressed = stops and v == 0.0 and (a1 < 0.0 if x <= 0.0 else x >= p.travel_m)
-            i_half = _driven(p, c, i, target, T_A, v, 0.0 if pressed else a1, gap, 0.0, 0.5 * h)
+            i_half = _driven(p, c, i, target, u, T_A, v, 0.0 if pressed else a1, gap, 0.0, 0.5 * h)
         elif shared:
             i_half, second = second_time_constant.driven(c, i, second, target, T_A, 0.5 * h)
         else:
-            half_decay = math.exp(-0.5 * h / p.T_A)
+            # By products: the parts are 1, 3, 4 and 8 sixteenths, and an exponential costs a fifth of a substep.
+            if part == 1:
+                half_decay *= first_decay * first_decay
+            elif part > 1:
+                half_decay *= first_decay if part == 2 else half_decay
             i_half = target + (i - target) * half_decay
-        w = eddy_current_lag.weight(c, plane - x, gap_mid)
-        w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
-        f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
-        core = eddy_current_lag.slow(c, core, i, i_half, 0.5 * h)
-        mixed_half = eddy_current_lag.mixed(c, f_half, core)
-        z_half = magnetic_hysteresis.turned(c, z, mixed, mixed_half)
-        felt_half = magnetic_hysteresis.field(c, mixed_half, z_half)
-        a2 = 0.0 if held else acceleration(p, c, felt_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
+        f_half, w_half, mixed_half, felt_half = i_half, 1.0, i_half, i_half
+        if slow:
+            w = eddy_current_lag.weight(c, plane - x, gap_mid)
+            w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
+            f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
+            core = eddy_current_lag.slow(c, core, i, i_half, 0.5 * h)
+            mixed_half = eddy_current_lag.mixed(c, f_half, core)
+            z = magnetic_hysteresis.turned(c, z, mixed, mixed_half)
+            felt_half = magnetic_hysteresis.field(c, mixed_half, z)
+        a2 = 0.0 if held else acceleration(p, c, felt_half, x + 0.5 * h * v, v2, t + 0.5 * h, bent) - brake
         if shaped:
-            i_next = _driven(p, c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, 0.5 * h, 0.5 * h)
+            i_next = _driven(p, c, i_half, target, u, T_A, v, 0.0 if pressed else a2, gap, 0.5 * h, 0.5 * h)
         elif shared:
             i_next, second = second_time_constant.driven(c, i_half, second, target, T_A, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
-        w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
-        f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
-        core = eddy_current_lag.slow(c, core, i_half, i_next, 0.5 * h)
-        mixed_next = eddy_current_lag.mixed(c, f_next, core)
-        z_next = magnetic_hysteresis.turned(c, z_half, mixed_half, mixed_next)
-        felt_next = magnetic_hysteresis.field(c, mixed_next, z_next)
+        f_next, felt_next = i_next, i_next
+        if slow:
+            w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
+            f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
+            core = eddy_current_lag.slow(c, core, i_half, i_next, 0.5 * h)
+            mixed_next = eddy_current_lag.mixed(c, f_next, core)
+            z = magnetic_hysteresis.turned(c, z, mixed_half, mixed_next)
+            felt_next = magnetic_hysteresis.field(c, mixed_next, z)
         v3 = v + 0.5 * h * a2
-        a3 = acceleration(p, c, felt_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
+        a3 = acceleration(p, c, felt_half, x + 0.5 * h * v2, v3, t + 0.5 * h, bent) - brake
         v4 = v + h * a3
-        a4 = acceleration(p, c, felt_next, x + h * v3, v4, t + h) - brake
+        a4 = acceleration(p, c, felt_next, x + h * v3, v4, t + h, bent) - brake
         x_next = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v_next = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         if held:
-            after = acceleration(p, c, felt_next, x, 0.0, t + h)
+            after = acceleration(p, c, felt_next, x, 0.0, t + h, bent)
             v_next, path = coulomb_friction.let_go(coulomb_friction.static_friction(c, p.mass_kg), free, after, h)
             x_next = x + path
         elif brake * v_next < 0.0:
-            after = acceleration(p, c, felt_next, x, 0.0, t + h)
+            after = acceleration(p, c, felt_next, x, 0.0, t + h, bent)
             v_next, path = coulomb_friction.turned(abs(brake), v, v_next, x_next - x, free, after, h)
             x_next = x + path
         if stops and max(x + 0.5 * h * v2, x + h * v3) > p.travel_m:
@@ -307,14 +401,17 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             x_next, v_next = 0.0, max(v_next, 0.0)
         elif stops and x_next >= p.travel_m:
             x_next, v_next = p.travel_m, min(v_next, 0.0)
-        y[SENSOR], y[RATE] = position_sensor_lag.lagged(
-            c, s, y[RATE], position_reading(p, c, x, i), position_reading(p, c, x_next, i_next), h
-        )
+        if slow:
+            y[SENSOR], y[RATE] = position_sensor_lag.lagged(
+                c, s, y[RATE], position_reading(p, c, x, i), position_reading(p, c, x_next, i_next), h
+            )
+            y[SECOND], y[CORE] = second, core
+            y[I_SENSOR] = current_sensor_lag.lagged(c, y[I_SENSOR], i, i_half, i_next, h)
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
-        y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z_next
-        y[SECOND], y[CORE] = second, core
-        y[I_SENSOR] = current_sensor_lag.lagged(c, y[I_SENSOR], i, i_half, i_next, h)
+        y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z
         t += h
+    if not slow:
+        y[SENSOR], y[RATE], y[I_SENSOR] = position_reading(p, c, y[X], y[I_C]), 0.0, y[I_C]
 
 
 @inlined
@@ -343,26 +440,16 @@ def held_current(p: Base, c: Vector, i: float, w: float, x: float, u: float, dur
         u: input after all delays, V.
         duration: s.
     """
+    target = drive(p, c, u, w)
     if has_first_order_current(c):
-        target = drive(p, c, u, w)
         return target + (i - target) * math.exp(-duration / p.T_A)
     plane = air_gap_offset.gap_m(c, p.x_max_m)
     gap = max(plane - x, GAP_MIN_SHARE * p.travel_m)
     T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, p.x_max_m - 0.5 * p.travel_m)
-    steps = max(math.ceil(duration / LONGEST_STEP_S - 0.01), 1)
-    coarse = short(p, c, duration / steps)
-    for _ in range(steps):
-        for part in range(1 if coarse else len(PARTS)):
-            h = duration / steps if coarse else duration / steps * PARTS[part]
-            target = drive(p, c, u, w) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
-            if c[freewheel_diode.DROP] == 0.0:
-                target = max(target, 0.0)
-            for _ in range(2):
-                i = current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, 0.5 * h))
-    return i
+    return relaxed(p, c, i, target, u, T_A, duration)
 
 
-@kernel
+@inlined
 def over(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
     """Run `advance` for any duration, in steps of at most LONGEST_STEP_S; the arguments are the same."""
     if duration <= 1.01 * LONGEST_STEP_S:

@@ -68,7 +68,7 @@ def rates(p: Base, c: Vector, i: float, x: float, v: float, u: float) -> tuple[f
         resisted = i * induced_lead(p, c, v, gap)
     rate = (target - resisted) / T_A
     fastest = c[slew_rate_limit.RATE]
-    return max(min(rate, fastest), -fastest), v, acceleration(p, c, i, x, v, 0.0)
+    return max(min(rate, fastest), -fastest), v, acceleration(p, c, i, x, v, 0.0, True)
 
 
 def readings(p: Base, c: Vector, i: float, x: float) -> tuple[float, float]:

@@ -294,7 +294,21 @@ def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
 
     P has shape (m, m); h and K have (m,).  If the ball is held, only the current and the lasting states are corrected.
     """
-    P, K, m = f.P, f.K, f.m
+    if f.m == 3:  # as in `predict.carry`
+        s = _gain(f.P, f.K, h, r, 3)
+    elif f.m == 4:
+        s = _gain(f.P, f.K, h, r, 4)
+    else:
+        s = _gain(f.P, f.K, h, r, f.m)
+    for a in range(f.m):
+        if a == 0 or f.in_flight or a >= f.lasting:
+            f.y[f.places[a]] += f.K[a] * innovation
+    return s
+
+
+@inlined
+def _gain(P: Floats, K: Floats, h: Floats, r: float, m: int) -> float:
+    """Set K and P of `correct` in the first m rows and columns; returns s."""
     s = r
     for a in range(m):
         K[a] = 0.0
@@ -304,9 +318,6 @@ def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
         s += h[a] * K[a]
     for a in range(m):
         K[a] /= s
-    for a in range(m):
-        if a == 0 or f.in_flight or a >= f.lasting:
-            f.y[f.places[a]] += K[a] * innovation
     for a in range(m):
         for b in range(a, m):
             # P - K s K' for one reading is symmetric by construction.  Joseph's form would cost three products of

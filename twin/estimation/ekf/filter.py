@@ -142,7 +142,10 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 doubt_input(f, inputs, lost, n, t[n - 1], T_s)
             add_process_noise(f, T_s)
         elif follows:
-            predict_held(f, inputs, n, t[n - 1], step[n], y_x[n - 1])
+            predict_held(f, inputs, n, t[n - 1], step[n], y_x[n - 1], known)
+            if written.slopes.shape[0] > 0:
+                copy_square(written.slopes[n], f.F, f.m)
+                copy(written.before[n], f.y[:])
         if not follows:
             f.first = n
             see_delays(f.c[:], f.usual[:], flags[n] & CAPTURED != 0)

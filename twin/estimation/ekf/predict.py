@@ -8,9 +8,10 @@ import numpy as np
 
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_state
-from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
+from twin.estimation.ekf.memory import Floats, Memory, base_of, copy_square, wandered
 from twin.estimation.ekf.transition import moments, transit
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
+from twin.estimation.structures import Steps
 from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
@@ -139,6 +140,17 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
 @inlined
 def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
     """Set P = F P F' in the first m rows and columns; G is a working array."""
+    # With a constant the compiler unrolls the loops.
+    if m == 3:
+        _carry(F, P, G, 3)
+    elif m == 4:
+        _carry(F, P, G, 4)
+    else:
+        _carry(F, P, G, m)
+
+
+@inlined
+def _carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
     for row in range(m):
         for column in range(m):
             total = 0.0
@@ -200,55 +212,96 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
 
 
 @kernel
-def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float) -> None:
-    """Predict current, warmth and loop with the ball held at its last `reading`, m; other arguments as `propagate`."""
+def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float, known: Steps) -> None:
+    """Predict current, warmth and loop with the ball held at its last `reading`, m.
+
+    The other arguments are those of `propagate`; `known` as in `filter.filtered`.
+    """
     wandered(f, f.y)
-    base, c, y, F, moved = base_of(f), f.c[:], f.y[:], f.F, f.moved[:]
-    p = Base(*base)
-    held = min(max(reading, 0.0), p.travel_m)
-    i_before, loop_before = y[I_C], y[LOOP]
+    y, held = f.y[:], min(max(reading, 0.0), f.base[-1])
     y[X], y[V] = held, 0.0
     copy(f.previous, y)
+    if known.after.shape[0] > 0:
+        step_linearised(f, known.slopes[n], known.before[n], known.after[n - 1], T_s)
+        y[X], y[V] = held, 0.0
+    else:
+        _advance_held(f, y, inputs, n, t, T_s)
+        fade(f, y, T_s)
+    if known.slopes.shape[0] > 0:
+        copy_square(f.F, known.slopes[n], f.m)
+    else:
+        _differences_held(f, inputs, n, t, T_s)
+    slopes_of_colour(f, T_s)
+    carry(f.F, f.P, f.G, f.m)
+    f.P[0, 0] += f.q_i * T_s
+    wander_on(f, T_s)
+
+
+@inlined
+def _current_alone(f: Memory) -> bool:
+    """Return whether no other current lags behind that of a held ball's coil."""
+    return f.field < 0 and f.second < 0 and f.i_sensor < 0
+
+
+@inlined
+def _current_after(f: Memory, i: float, inputs: Floats, n: int, T_s: float) -> float:
+    """The current at n of a held ball, A, from i at n - 1; the other arguments as `propagate`."""
+    if f.closed_form:
+        target = f.base[0] * inputs[n - 1]
+        return float(target + (i - target) * math.exp(-T_s / f.base[1]))
+    return float(current_held(base_of(f), f.c[:], i, inputs, n, f.first, T_s, f.previous[WARMTH], f.previous[X]))
+
+
+@inlined
+def _advance_held(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float) -> None:
+    """Advance the state y of a held ball from n - 1 to n in place; arguments as `propagate`."""
+    p, c = Base(*base_of(f)), f.c[:]
+    # Without another lagging current, that of the coil has a closed form, at a tenth of the cost of the whole state.
+    if _current_alone(f):
+        i, w = y[I_C], y[WARMTH]
+        y[I_C] = _current_after(f, i, inputs, n, T_s)
+        if f.warmth >= 0:
+            rates = amplifier_gain_drift.warmth_rate(c, i, w) + amplifier_gain_drift.warmth_rate(c, y[I_C], w)
+            y[WARMTH] += 0.5 * T_s * rates
+        if f.loop >= 0:
+            y[LOOP] = magnetic_hysteresis.turned(c, y[LOOP], i, y[I_C])
+        return
+    # A huge mass without gravity keeps the ball in place within the interval.
+    held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
+    rubs = c[coulomb_friction.FORCE]
+    c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
+    propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
+    c[coulomb_friction.FORCE] = rubs
+
+
+@inlined
+def _differences_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
+    """Fill F with the Jacobian of `_advance_held`; arguments as there."""
+    c, y, F, moved, base = f.c[:], f.y[:], f.F, f.moved[:], f.base
     for row in range(f.m):
         for column in range(f.m):
             F[row, column] = 1.0 if row == column else 0.0
-    if f.closed_form:
-        F[0, 0] = math.exp(-T_s / p.T_A)
-        y[I_C] = p.K_A * inputs[n - 1] + (y[I_C] - p.K_A * inputs[n - 1]) * F[0, 0]
-    # Without a lag or warmth the current alone is integrated, at a quarter of the cost of the whole state.
-    elif f.wandering == 3:
-        i = y[I_C]
-        y[I_C] = current_held(base, c, i, inputs, n, f.first, T_s, y[WARMTH], held)
+    if _current_alone(f):
         if has_first_order_current(c):
-            F[0, 0] = math.exp(-T_s / p.T_A)
+            F[0, 0] = math.exp(-T_s / base[1])
         else:
-            moved_i = current_held(base, c, i + _DELTA[I_C], inputs, n, f.first, T_s, y[WARMTH], held)
-            F[0, 0] = (moved_i - y[I_C]) / _DELTA[I_C]
+            i = f.previous[I_C]
+            F[0, 0] = (_current_after(f, i + _DELTA[I_C], inputs, n, T_s) - y[I_C]) / _DELTA[I_C]
     else:
-        # A huge mass without gravity keeps the ball in place within the interval.
-        held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
-        rubs = c[coulomb_friction.FORCE]
-        c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
-        propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
-        for column in (0, f.second, f.core, f.i_sensor):
-            if column < 0:
-                continue
-            a = f.places[column]
-            copy(moved, f.previous[:])
-            moved[a] += _DELTA[a]
-            propagate(held_base, c, moved, inputs, n, f.first, t, T_s, False)
-            for row in (0, f.second, f.core, f.i_sensor):
-                if row >= 0:
-                    F[row, column] = (moved[f.places[row]] - y[f.places[row]]) / _DELTA[a]
-        c[coulomb_friction.FORCE] = rubs
+        lagging = (0, f.second, f.core, f.i_sensor)
+        for column in lagging:
+            if column >= 0:
+                a = f.places[column]
+                copy(moved, f.previous[:])
+                moved[a] += _DELTA[a]
+                _advance_held(f, moved, inputs, n, t, T_s)
+                for row in lagging:
+                    if row >= 0:
+                        F[row, column] = (moved[f.places[row]] - y[f.places[row]]) / _DELTA[a]
     if f.warmth >= 0:
         F[f.warmth, f.warmth] = math.exp(-T_s / c[amplifier_gain_drift.TAU])
-        F[0, f.warmth] = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - F[0, 0])
+        F[0, f.warmth] = -base[0] * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - F[0, 0])
     if f.loop >= 0:
-        moved_loop = magnetic_hysteresis.turned(c, loop_before + _DELTA[LOOP], i_before, y[I_C])
-        F[f.loop, f.loop] = (moved_loop - magnetic_hysteresis.turned(c, loop_before, i_before, y[I_C])) / _DELTA[LOOP]
-    slopes_of_colour(f, T_s)
-    carry(F, f.P, f.G, f.m)
-    f.P[0, 0] += f.q_i * T_s
-    fade(f, y, T_s)
-    wander_on(f, T_s)
+        i, z = f.previous[I_C], f.previous[LOOP]
+        moved_loop = magnetic_hysteresis.turned(c, z + _DELTA[LOOP], i, y[I_C])
+        F[f.loop, f.loop] = (moved_loop - magnetic_hysteresis.turned(c, z, i, y[I_C])) / _DELTA[LOOP]

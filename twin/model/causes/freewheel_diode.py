@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from twin.compiled import inlined
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
@@ -36,3 +38,31 @@ def lost_v(c: Vector, u: float, i: float, K_A: float) -> float:
     if drop <= 0.0 or u >= drop or above <= 0.0:
         return 0.0
     return (drop - u) * min(1.0, above / (_FADES * K_A * drop))
+
+
+@inlined
+def piece(c: Vector, u: float, i: float, K_A: float, T_A: float, target: float) -> tuple[float, float, float]:
+    """Return (where the current tends to, A; its time constant, s; the current at which this ceases to hold, A).
+
+    The voltage that the diode takes off is a piecewise linear function of the current, so the response is exponential
+    within each of three ranges: below the current of rest, where the diode fades, and above.
+
+    Args:
+        c: the causes' parameters.
+        u: u_c, V.
+        i: current, A.
+        K_A: A/V.
+        T_A: s.
+        target: where the current tends to without the diode, A.
+    """
+    drop, u = c[DROP], max(u, 0.0)
+    if drop <= 0.0 or u >= drop:
+        return target, T_A, math.inf if target >= i else -math.inf
+    rest, lost = K_A * u, K_A * (drop - u)
+    whole, steeper = rest + _FADES * K_A * drop, 1.0 + (drop - u) / (_FADES * drop)
+    rises = target - K_A * lost_v(c, u, i, K_A) > i
+    if i > whole or (rises and i == whole):
+        return target - lost, T_A, math.inf if rises else whole
+    if i > rest or (rises and i == rest):
+        return (target + (steeper - 1.0) * rest) / steeper, T_A / steeper, whole if rises else rest
+    return target, T_A, rest if rises else -math.inf

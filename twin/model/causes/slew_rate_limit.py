@@ -52,3 +52,13 @@ def relaxed(c: Vector, i: float, target: float, T_A: float, h: float) -> float:
         i += math.copysign(fast, away)
         h -= ramp
     return target + (i - target) * math.exp(-h / T_A)
+
+
+@inlined
+def time_to(c: Vector, i: float, end: float, target: float, T_A: float) -> float:
+    """The time in which `relaxed` takes the current from i to `end`, which lies between i and its target, s."""
+    slow = c[RATE] * T_A  # nearer to the target than this, the exponential is slower than the rate
+    ramp = min(max(abs(target - i) - slow, 0.0), abs(end - i))
+    t = ramp / c[RATE]
+    away = abs(target - i) - ramp
+    return t + T_A * math.log(away / abs(target - end)) if away > abs(target - end) else t
