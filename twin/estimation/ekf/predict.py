@@ -238,8 +238,8 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
 
 
 @inlined
-def _current_alone(f: Memory) -> bool:
-    """Return whether no other current lags behind that of a held ball's coil."""
+def _has_single_current(f: Memory) -> bool:
+    """Return whether no other current lags behind that of the coil."""
     return f.field < 0 and f.second < 0 and f.i_sensor < 0
 
 
@@ -257,7 +257,7 @@ def _advance_held(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: f
     """Advance the state y of a held ball from n - 1 to n in place; arguments as `propagate`."""
     p, c = Base(*base_of(f)), f.c[:]
     # Without another lagging current, that of the coil has a closed form, at a tenth of the cost of the whole state.
-    if _current_alone(f):
+    if _has_single_current(f):
         i, w = y[I_C], y[WARMTH]
         y[I_C] = _current_after(f, i, inputs, n, T_s)
         if f.warmth >= 0:
@@ -281,7 +281,7 @@ def _differences_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -
     for row in range(f.m):
         for column in range(f.m):
             F[row, column] = 1.0 if row == column else 0.0
-    if _current_alone(f):
+    if _has_single_current(f):
         if has_first_order_current(c):
             F[0, 0] = math.exp(-T_s / base[1])
         else:
