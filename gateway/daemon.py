@@ -263,7 +263,8 @@ def _recorder(log: LogConfig) -> Recorder:
 def _recording(recorder: Recorder, drivers: Sequence[BoardDriver]) -> Iterator[None]:
     recorder.on_event = partial(_publish_all, drivers)
     try:
-        recorder.directory.mkdir(parents=True, exist_ok=True)
+        if not recorder.directory.exists():  # what is there and no directory, `start` names
+            recorder.directory.mkdir(parents=True, exist_ok=True)
         recorder.start()
     except (OSError, LogError) as error:
         reason = error.strerror if isinstance(error, OSError) else error.reason

@@ -440,6 +440,7 @@ def test_a_taken_endpoint_is_an_error() -> None:
         (["--board", "a=nonsense://x"], "nonsense"),
         (["--board", "a=/dev/null", "--listen", "127.0.0.1:7447"], "is not a zenoh endpoint"),
         (["--board", "a=/dev/null", "--log-dir", "/proc/nowhere"], "/proc/nowhere: No such file or directory. Give"),
+        (["--board", "a=/dev/null", "--log-dir", "/dev/null"], "/dev/null: not a directory. Give"),
         (["--board", "a=/dev/null", "--log-dir", "/proc/self"], "/proc/self: no such directory. Give"),
         (["--config", "absent.toml"], "cannot be read"),
     ],
