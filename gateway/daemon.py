@@ -66,7 +66,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
     check(config)
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus(config))
-        recorder = stack.enter_context(_recording(config.log)) if config.log.enabled else None
+        recorder = _recorder(config.log) if config.log.enabled else None
         publishers = _publishers(config.zenoh.queue)
         replies = Publisher("publish-replies", MESSAGES_QUEUE)
         clock = HostClock()
@@ -75,15 +75,15 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             for board in config.boards
         ]
         drivers = [BoardDriver(board, sink, clock) for board, sink in zip(config.boards, sinks, strict=True)]
+        if recorder is not None:
+            stack.enter_context(_recording(recorder, drivers))
+            twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
+            stack.callback(twin.undeclare)
         cards = [BoardCard(driver, folder_of(config)) for driver in drivers]
         link = LinkThread(drivers, publishers.samples.wake)
         guarded = bool(config.security.directory)
         authorizer = Authorizer(time.time_ns(), partial(_publish_flood, drivers), guarded=guarded)
         queryables = [CommandService(bus, config.site, driver, link, replies, authorizer) for driver in drivers]
-        if recorder is not None:
-            recorder.on_event = partial(_publish_all, drivers)
-            twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
-            stack.callback(twin.undeclare)
         for publisher in (*publishers, replies):
             publisher.start()
             stack.callback(publisher.stop)
@@ -254,22 +254,26 @@ def gateway_identity(config: GatewayConfig) -> Identity:
     return identity
 
 
+def _recorder(log: LogConfig) -> Recorder:
+    options = {option.name: getattr(log, option.name) for option in fields(RecorderOptions)}
+    return Recorder(Path(log.directory), RecorderOptions(**options))
+
+
 @contextmanager
-def _recording(log: LogConfig) -> Iterator[Recorder]:
-    directory = Path(log.directory)
+def _recording(recorder: Recorder, drivers: Sequence[BoardDriver]) -> Iterator[None]:
+    recorder.on_event = partial(_publish_all, drivers)
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        options = {option.name: getattr(log, option.name) for option in fields(RecorderOptions)}
-        recorder = Recorder(directory, RecorderOptions(**options))
+        if not recorder.directory.exists():  # what is there and no directory, `start` names
+            recorder.directory.mkdir(parents=True, exist_ok=True)
         recorder.start()
     except (OSError, LogError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
+        reason = error.strerror if isinstance(error, OSError) else error.reason
         raise ConfigError(
-            f"The log cannot be written to {directory}: {reason}",
+            f"The log cannot be written to {recorder.directory}: {reason}",
             remedy="Give a writable directory with --log-dir, or run without a log with --no-log",
         ) from None
     try:
-        yield recorder
+        yield
     finally:
         recorder.close()
 

@@ -8,6 +8,7 @@ Rule 4: a file without a size is empty.  What the kernel shows under such a name
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -92,10 +93,10 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as failed:
-        raise UsageError(
-            f"{path} cannot be written: {failed.strerror or failed}",
-            remedy="Give a path in a folder that exists and that you may write to",
-        ) from None
+        remedy = "Give a path in a folder that exists and that you may write to"
+        if failed.errno in (errno.ENOSPC, errno.EDQUOT):
+            remedy = "Free space there, or give a path on another file system"
+        raise UsageError(f"{path} cannot be written: {failed.strerror or failed}", remedy=remedy) from None
 
 
 def replace_text(path: Path, text: str) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Self
@@ -32,7 +31,6 @@ class Recording(AbstractContextManager["Recording"]):
         prefix: first part of the file names.
         rotate_bytes: size at which a new file is begun, bytes.
         rotate_s: age at which a new file is begun, s.
-        on_event: is called with (name, severity, text) of events of the log.
 
     Raises:
         UsageError: the directory cannot be created, or the prefix is not a valid name.
@@ -47,7 +45,6 @@ class Recording(AbstractContextManager["Recording"]):
         prefix: str = "bus",
         rotate_bytes: int = 500_000_000,
         rotate_s: float = 3600.0,
-        on_event: Callable[[str, str, str], None] | None = None,
     ) -> None:
         topics.check_name(prefix, what="prefix")
         self._board, self._keys = board, f"{board}/**"
@@ -56,19 +53,21 @@ class Recording(AbstractContextManager["Recording"]):
             Path(directory),
             RecorderOptions(prefix=prefix, rotate_bytes=rotate_bytes, rotate_s=rotate_s),
             metadata={"record": {"connect": connect, "keys": self._keys}},
-            on_event=on_event,
         )
         self._newest_ns: dict[str, int] = {}
         self._closed = threading.Event()
         self._subscription: Subscription | None = None
 
-    def start(self) -> Self:
+    def start(self, *, needs_room: bool = False) -> Self:
         """Open the first file and subscribe.
 
+        Args:
+            needs_room: whether a full disk is an error; else the first file begins when there is room.
+
         Raises:
-            LogError: the directory is read-only or full.
+            LogError: the directory cannot be written to.
         """
-        self._recorder.start()
+        self._recorder.start(needs_room=needs_room)
         try:
             self._subscription = Subscription(self._board.session, [self._keys], self._arrived)
         except BaseException:

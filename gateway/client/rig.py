@@ -137,7 +137,7 @@ class BoardReader(BoardConnection):
         from gateway.client.recording import Recording  # with the writer of logs, which no command needs
 
         recording = Recording(self._bus_board, directory, connect=self.connect, prefix=prefix)
-        self._closing.callback(recording.start().close)
+        self._closing.callback(recording.start(needs_room=True).close)
         return recording
 
 

@@ -145,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
     on_end_signal(server.stop)
     for n, line in enumerate(lines):
         facts = {"board_id": args.board_id + n, "url": line.port.url}
-        print(json.dumps(facts) if args.json else f"board {facts['board_id']}: {facts['url']}")
+        _print(json.dumps(facts) if args.json else f"board {facts['board_id']}: {facts['url']}")
     if args.pty is None and not is_loopback(_address(args)[0]):
         print(
             f"board51 emulate: --tcp {args.tcp} is open to the network WITHOUT PROTECTION: whoever reaches it may "
@@ -153,8 +153,9 @@ def run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     if commitment is not None:
-        print(json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}")
-    _flush()
+        _print(
+            json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}"
+        )
 
     try:
         server.run(args.duration)
@@ -164,11 +165,10 @@ def run(args: argparse.Namespace) -> int:
     for n, line in enumerate(lines):
         counts = asdict(line.counts) | {"late_ticks": server.overdue_ticks, "worst_lateness_s": server.worst_lateness_s}
         if args.json:
-            print(json.dumps({"board_id": args.board_id + n, "counts": counts}))
+            _print(json.dumps({"board_id": args.board_id + n, "counts": counts}))
         else:
             summary = ", ".join(f"{name} {value:.6g}" for name, value in counts.items())
             print(f"board {args.board_id + n}: {summary}", file=sys.stderr)
-    _flush()
     return 0
 
 
@@ -182,11 +182,11 @@ def _firmware(args: argparse.Namespace) -> Callable[..., Board]:
     return Firmware if args.firmware == "python" else NativeFirmware
 
 
-def _flush() -> None:
+def _print(line: str) -> None:
+    """Print a line; if the reader of the addresses has ended, or its disk is full, the boards go on."""
     try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader of the addresses has ended; the boards go on.  Python would fail again when it exits.
+        print(line, flush=True)
+    except OSError:  # Python would fail again when it exits
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

@@ -6,6 +6,7 @@ Rule 2: every part stands alone: it is closed with an index, and begins with the
 Rule 3: at most `flush_s` plus one drain of data is in memory only: that is what `kill -9` costs.
 Rule 4: a full disk or a failing one stops the log, not the caller.  It is reported once, the queue keeps the newest
         messages, and a new part begins when the disk is back; the part that was cut off is finished then, too.
+        A disk that is full at the start delays the first part in the same way.
 Rule 5: the next drain notices a part that was deleted or moved while it was written.  A new part begins, and the loss
         is reported.  The content of a deleted part is lost; a moved part is completed at its new place.
 """
@@ -111,8 +112,8 @@ class Recorder:
         directory: Must exist.
         options: Of the parts.
         metadata: MCAP metadata of every part.
-        on_event: Called as (name, severity, text) in the recorder's thread: log-disk-full, log-failed, log-resumed,
-            log-rotated, log-dropping, log-removed, log-deleted.
+        on_event: Called as (name, severity, text) in the recorder's thread, or by `start`: log-disk-full, log-failed,
+            log-resumed, log-rotated, log-dropping, log-removed, log-deleted.
     """
 
     def __init__(
@@ -135,7 +136,7 @@ class Recorder:
         self._thread: threading.Thread | None = None
         self._run = ""
         self._part = 0
-        self._cleared_part = 0  # the last one at whose begin old logs were deleted
+        self._cleared_part = -1  # the last one at whose begin old logs were deleted
         self._writer: LogWriter | None = None
         self._cut_off: LogWriter | None = None  # a part whose end did not fit on the disk
         self._parameters: dict[str, Entry] = {}
@@ -144,15 +145,22 @@ class Recorder:
         self._written = 0
         self._state = "off"
 
-    def start(self) -> None:
+    def start(self, *, needs_room: bool = False) -> None:
         """Open the first part and start the thread.
 
         Raises:
-            LogError: the directory is absent, read-only or full.
+            LogError: the directory is absent or cannot be written to, or the disk is full and the caller `needs_room`.
         """
         self._run = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-        self._open_part()
-        self._state = "writing"
+        try:
+            if needs_room:
+                self._check_free_space()
+            self._open_part()
+            self._state = "writing"
+        except LogError as error:
+            if needs_room or not error.is_disk_full:
+                raise
+            self._pause(error)
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
@@ -195,11 +203,6 @@ class Recorder:
     def _step(self) -> None:
         """Drain the queue once; afterwards the state is `writing`, or gives the reason why not."""
         try:
-            if self._writer is None:
-                self._resume()
-            elif (whereabouts := self._writer.whereabouts()) != "here":
-                self._replace(self._writer, file_missing=whereabouts == "gone")
-            self._check_free_space()
             if self._cleared_part < self._part:
                 self._cleared_part, o = self._part, self._options
                 for severity, text in delete_expired(
@@ -210,6 +213,11 @@ class Recorder:
                     keep_unarchived=o.keep_unarchived,
                 ):
                     self._publish_event("log-deleted", severity, text)
+            if self._writer is None:
+                self._resume()
+            elif (whereabouts := self._writer.whereabouts()) != "here":
+                self._replace(self._writer, file_missing=whereabouts == "gone")
+            self._check_free_space()
             self._drain()
             now_s = time.monotonic()
             if now_s - self._flushed_s >= self._options.flush_s:
@@ -269,8 +277,7 @@ class Recorder:
     def _open_part(self) -> None:
         while True:
             name = f"{self._options.prefix}-{self._run}-{self._part:03d}.mcap"
-            self._part += 1
-            part = {"prefix": self._options.prefix, "run": self._run, "number": str(self._part - 1)}
+            part = {"prefix": self._options.prefix, "run": self._run, "number": str(self._part)}
             metadata = {**self._metadata, "part": part}
             try:
                 writer = LogWriter(self.directory / name, metadata=metadata, compression=self._options.compression)
@@ -278,6 +285,8 @@ class Recorder:
             except LogError as error:
                 if error.reason != "exists already":
                     raise
+                self._part += 1
+        self._part += 1
         self.files.append(writer.path)
         for entry in self._parameters.values():
             writer.write(*entry)
@@ -324,11 +333,10 @@ class Recorder:
                 writer.close()
             except LogError:
                 self._cut_off = writer
-        full = isinstance(error, LogError) and error.is_disk_full
-        state = "disk-full" if full else f"failed: {error}"
+        state, name, text = _describe(error, self._options.min_free_bytes)
         if state != self._state:
             self._state = state
-            self._publish_event("log-disk-full" if full else "log-failed", "fault", str(error))
+            self._publish_event(name, "fault", text)
 
     def _finish(self) -> None:
         for writer in (self._cut_off, self._writer):
@@ -351,3 +359,13 @@ class Recorder:
                 self.on_event(name, severity, text)
             except Exception:  # an error in the caller's callback must not end the log
                 _logger.exception("on_event")
+
+
+def _describe(error: Exception, min_free_bytes: int) -> tuple[str, str, str]:
+    """Return the state of a log that an error stops, and name and text of the event."""
+    if not isinstance(error, LogError) or not error.is_disk_full:
+        return f"failed: {error}", "log-failed", str(error)
+    needed_mb = RESUME_FACTOR * min_free_bytes / 1e6
+    needed = f" until {needed_mb:.0f} MB are free" if needed_mb else ""
+    text = f"{error.problem}. {error.remedy}{needed}; logging then continues by itself."
+    return "disk-full", "log-disk-full", text

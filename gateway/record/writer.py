@@ -35,8 +35,8 @@ HELD_BYTES = 4 << 20  # without `flush` (an import), data is written to disk in 
 
 _COMPRESSION = {"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "none": None}
 _REASONS: dict[int, tuple[str, str]] = {
-    errno.ENOSPC: ("disk full", "Free space on that file system; logging then continues by itself"),
-    errno.EDQUOT: ("disk full", "Free space within the quota; logging then continues by itself"),
+    errno.ENOSPC: ("disk full", "Free space on that file system"),
+    errno.EDQUOT: ("disk full", "Free space within the quota"),
     errno.EROFS: ("read-only", "Choose a log directory on a writable file system"),
     errno.EACCES: ("no permission", "Give this user write permission, or choose another log directory"),
     errno.EPERM: ("no permission", "Give this user write permission, or choose another log directory"),
@@ -142,7 +142,12 @@ class LogWriter:
         for name, values in (metadata or {}).items():
             self._mcap.write_metadata(name, dict(values))
         self._mcap.flush()
-        self._to_disk()
+        try:
+            self._to_disk()
+        except LogError:  # leave no empty file
+            self.abandon()
+            path.unlink(missing_ok=True)
+            raise
         self._chunk_at = self._memory.end  # where the current chunk begins
 
     @property

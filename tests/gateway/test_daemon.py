@@ -37,6 +37,7 @@ from tests.harness.gateway.gateway_peers import (
     with_log,
 )
 from tests.harness.ports import free_port
+from tests.harness.soak.stage import Disk
 from tests.patience import HANG_S
 
 
@@ -380,6 +381,34 @@ def test_a_full_disk_stops_the_log_and_not_the_samples(tmp_path: Path) -> None:
     assert gapless(states)
 
 
+def test_a_gateway_that_starts_on_a_full_disk_serves_and_logs_when_there_is_room(tmp_path: Path) -> None:
+    disk = Disk(tmp_path / "disk")
+    if not disk.mounted:
+        pytest.skip("no right to mount a small disk")
+    (disk.folder / "ballast").write_bytes(bytes(4096))
+    disk.fill(leave=0)
+    try:
+        with Emulator() as emulator, gateway_and_client(gateway_config(*emulator.urls, log=disk.folder)) as bus:
+            status = wait_for(lambda: next(iter(bus.messages["rig/status"]), None), "status")
+            alarms = wait_for(lambda: next((a.active for a in bus.messages["rig/alarms"] if a.active), None), "alarms")
+            states = bus.await_states(100)
+            disk.free()
+            resumed = bus.await_event("log-resumed")
+            bus.await_states(100)
+        (log,) = disk.folder.glob("*.mcap")
+        logged, samples = logged_messages(log, "event"), logged_messages(log, "state")
+    finally:
+        disk.close()
+
+    assert status.log_state == "disk-full"
+    assert "log-failing" in [alarm.name for alarm in alarms]
+    assert "-000.mcap" in resumed.text
+    full = next(event for event in logged if event.name == "log-disk-full")
+    assert full.text.endswith("Free space on that file system; logging then continues by itself.")
+    assert gapless(samples)
+    assert {state.tick for state in states} <= {state.tick for state in samples}  # the queue held them
+
+
 def test_what_the_twin_says_is_in_the_log(tmp_path: Path) -> None:
     with Emulator() as emulator, gateway_and_client(gateway_config(*emulator.urls, log=tmp_path)) as bus:
         alarm = pb.Alarm(name="divergence-x", active=True, tick=7)
@@ -410,7 +439,9 @@ def test_a_taken_endpoint_is_an_error() -> None:
         (["--board", "a=x", "--board", "a=y"], "twice"),
         (["--board", "a=nonsense://x"], "nonsense"),
         (["--board", "a=/dev/null", "--listen", "127.0.0.1:7447"], "is not a zenoh endpoint"),
-        (["--board", "a=/dev/null", "--log-dir", "/proc/nowhere"], "--no-log"),
+        (["--board", "a=/dev/null", "--log-dir", "/proc/nowhere"], "/proc/nowhere: No such file or directory. Give"),
+        (["--board", "a=/dev/null", "--log-dir", "/dev/null"], "/dev/null: not a directory. Give"),
+        (["--board", "a=/dev/null", "--log-dir", "/proc/self"], "/proc/self: no such directory. Give"),
         (["--config", "absent.toml"], "cannot be read"),
     ],
 )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import tracemalloc
 from pathlib import Path
 
 import pytest
 
-from protocol.errors import ConfigError, DataError, single_line
-from protocol.files import LARGEST_SMALL, open_regular, parse_json, parse_toml, read_small
+from protocol.errors import ConfigError, DataError, UsageError, single_line
+from protocol.files import LARGEST_SMALL, open_regular, parse_json, parse_toml, read_small, writing
 from protocol.table_file import LONGEST_LINE, read_csv_bytes, read_header
 
 
@@ -21,6 +22,12 @@ def test_a_small_file_is_read_up_to_its_bound(tmp_path: Path) -> None:
     file.write_bytes(b"x" * (LARGEST_SMALL + 1))
     with pytest.raises(DataError, match=f"more than {LARGEST_SMALL} bytes"):
         read_small(file, remedy="-")
+
+
+@pytest.mark.parametrize(("number", "says"), [(errno.ENOSPC, "Free space there"), (errno.EACCES, "you may write to")])
+def test_what_cannot_be_written_is_said_with_a_remedy(number: int, says: str) -> None:
+    with pytest.raises(UsageError, match=f"^folder cannot be written: .*{says}"), writing(Path("folder")):
+        raise OSError(number, "-")
 
 
 def test_integers_are_those_of_64_bits() -> None:

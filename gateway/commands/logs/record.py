@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import sys
 import threading
 from dataclasses import asdict
@@ -47,14 +48,18 @@ def run(args: argparse.Namespace) -> int:
     make_folder(args.out)
     stop = threading.Event()
     on_end_signal(stop.set)
+    logging.basicConfig(level=logging.INFO, format="%(message)s")  # the events of the log
     with open_bus(args.connect, find_identity(args.identity)) as session:
         recording = Recording(
             BusBoard(session, args.site, args.board), args.out, connect=args.connect, prefix=args.prefix,
             rotate_bytes=round(args.rotate_mb * 1e6), rotate_s=args.rotate_s,
-            on_event=lambda name, severity, text: print(f"{severity}: {name}: {text}", file=sys.stderr, flush=True),
         )  # fmt: skip
         with recording.start():
-            print(f"recording {args.site}/{args.board}/** into {recording.stats.file}", file=sys.stderr, flush=True)
+            print(
+                f"recording {args.site}/{args.board}/** into {recording.stats.file or args.out}",
+                file=sys.stderr,
+                flush=True,
+            )
             wait_for_end(stop, args.seconds)
         note_end()
     stats = recording.stats

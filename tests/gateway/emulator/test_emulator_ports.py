@@ -367,6 +367,16 @@ def test_the_command_serves_until_a_signal_and_cleans_up(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_command_serves_although_nobody_can_take_its_output(tmp_path: Path) -> None:
+    words = ["emulate", "--pty", str(tmp_path / "rig"), "--duration", "0.1"]
+    with open("/dev/full", "w") as full:  # as a file on a disk that has no room
+        done = subprocess.run(
+            [sys.executable, "-m", "board51", *words], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.usefixtures("_same_signals")
 def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     secret = ["--secret", "7", "--sealed", str(tmp_path / "sealed.json")]

@@ -403,6 +403,38 @@ def test_a_full_disk_is_told_and_logging_resumes_without_loss(small_disk: Path, 
     assert [found for file in files for found in ticks(read(file))] == list(range(tick + 100))
 
 
+@pytest.mark.parametrize("full", ["of-bytes", "of-files"])
+def test_a_disk_that_is_full_at_the_start_delays_the_log(small_disk: Path, full: str) -> None:
+    events: list[tuple[str, str, str]] = []
+    log = recorder(small_disk, on_event=lambda *event: events.append(event))
+    ballast = small_disk / "ballast"
+    if full == "of-bytes":
+        with pytest.raises(OSError, match="No space left"):
+            ballast.write_bytes(bytes(1 << 20))
+    else:
+        ballast.touch()
+        subprocess.run(["mount", "-o", "remount,nr_inodes=2", str(small_disk)], check=True)  # the folder, the ballast
+    handles = os.listdir("/proc/self/fd")
+    with pytest.raises(LogError, match="disk full"):
+        log.start(needs_room=True)
+    left = os.listdir(small_disk), os.listdir("/proc/self/fd")
+
+    log.start()
+    put_states(log.put, range(100))
+    state = log.stats().state
+    ballast.unlink()
+    until(lambda: log.stats().state == "writing")
+    log.close()
+
+    assert left == (["ballast"], handles)
+    assert state == "disk-full"
+    (file,) = small_disk.iterdir()
+    assert ticks(read(file)) == list(range(100))
+    assert file.name.endswith("-000.mcap")
+    assert [name for name, _, _ in events] == ["log-disk-full", "log-resumed"]
+    assert events[0][2].endswith("disk full. Free space on that file system; logging then continues by itself.")
+
+
 _KILLED = """
 import sys, time
 from pathlib import Path

@@ -23,6 +23,7 @@ from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
 from protocol.log.reader import LogReader, RawLogRecord
+from tests.harness.soak.stage import Disk
 from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[3]
@@ -209,6 +210,43 @@ def test_record_logs_what_a_replay_sends(log: Path, endpoint: str, tmp_path: Pat
     assert [(r.key, r.data) for r in recorded.raw()] == logged(log, "parameters", "state", "twin/state")
     times = {r.time_ns for r in recorded.raw(topics_=["state"])}
     assert times == {START_NS + tick * 2_000_000 for tick in range(1000)}  # the gateway's time, not this host's
+
+
+def test_record_begins_on_a_full_disk_and_writes_when_there_is_room(log: Path, endpoint: str, tmp_path: Path) -> None:
+    disk = Disk(tmp_path / "disk")
+    if not disk.mounted:
+        pytest.skip("no right to mount a small disk")
+    (disk.folder / "ballast").write_bytes(bytes(4096))
+    disk.fill(leave=0)
+    process = None
+    try:
+        with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))):
+            process = subprocess.Popen(
+                [sys.executable, "board51.py", "record", "-o", str(disk.folder), "--connect", endpoint],
+                cwd=REPO, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            )  # fmt: skip
+            assert process.stderr is not None
+            said = [process.stderr.readline(), process.stderr.readline()]
+            options = ["--speed", "0", "--topic", "state"]
+            assert board51.main(["replay", str(log), "--connect", endpoint, *options]) == 0
+            disk.free()
+            said.append(process.stderr.readline())
+            (part,) = disk.folder.glob("*.mcap")
+            until(lambda: _size(part) > 3000)
+            until(_quiet(disk.folder))
+            process.send_signal(signal.SIGTERM)
+            output, rest = process.communicate(timeout=HANG_S)
+        ticks = [pb.State.FromString(record.data).tick for record in LogReader(part).raw(topics_=["state"])]
+    finally:
+        if process is not None:
+            process.kill()
+        disk.close()
+
+    assert "disk full. Free space on that file system until 60 MB are free; logging then continues" in said[0]
+    assert said[1] == f"recording board51/*/** into {disk.folder}\n"
+    assert said[2] == f"log-resumed: Logging into {part.name}\n"
+    assert (output, rest) == ("1000 messages in 1 part(s), 0 dropped\n", "")
+    assert ticks == list(range(1000))
 
 
 def _size(file: Path) -> int:

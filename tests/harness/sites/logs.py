@@ -46,6 +46,7 @@ def flight(
             add("twin/model", pb.TwinModel(session=session, name="of no time of its own"), now_ns)
         if draw.random() < 1e-3:
             add("event", pb.Event(host_time_ns=now_ns, name="limit-hit", text=str(draw.random())), now_ns)
+            add("twin/alarm", pb.Alarm(host_time_ns=now_ns, tick=tick, session=session, name="divergence-x"), now_ns)
     return records
 
 

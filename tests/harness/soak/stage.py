@@ -54,10 +54,10 @@ class Disk:
         words = ["mount", "-t", "tmpfs", "-o", f"size={_ROOM}", "tmpfs", str(folder)]
         self.mounted = subprocess.run(words, capture_output=True, check=False).returncode == 0
 
-    def fill(self) -> None:
-        """Leave no room but for one or two chunks."""
+    def fill(self, *, leave: int = 65536) -> None:
+        """Leave no room but for one or two chunks, or for less."""
         used = sum(file.stat().st_size for file in self.folder.iterdir())
-        self._resize(used + 65536)
+        self._resize(used + leave)
 
     def free(self) -> None:
         """Give the room back."""
