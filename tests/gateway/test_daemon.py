@@ -491,7 +491,9 @@ sys.exit(board51.main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("service", ["gateway", "hmi", "opcua"])
+@pytest.mark.parametrize(
+    "service", ["gateway", *(pytest.param(view, marks=pytest.mark.slow) for view in ("hmi", "opcua"))]
+)
 def test_a_panic_while_zenoh_closes_is_no_failure(service: str, tmp_path: Path) -> None:
     """zenoh panics in some of its ends; `systemctl stop` must not leave "failed" behind by luck."""
     with Emulator(tcp=False) as emulator, running(config := gateway_config(*emulator.urls)):

@@ -59,6 +59,7 @@ def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch
     assert not listening(port)()
 
 
+@pytest.mark.slow
 def test_a_view_that_hangs_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.1)
     monkeypatch.setattr(supervisor, "HUNG_S", 5.0)

@@ -181,6 +181,7 @@ def test_where_there_is_no_number_nothing_is_said() -> None:
     assert in_numbers("out-of-step", "9:00", lost) == ""
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path: Path) -> None:
     campaign(tmp_path / "data" / "campaigns")
     campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")
