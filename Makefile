@@ -87,7 +87,7 @@ docs: install
 
 # The pictures of README and docs, flown anew by the emulated rig; needs chromium-headless-shell or chromium, 4 minutes.
 pictures: setup
-	$(ALONE) $(BIN)/python .ci/pictures.py
+	$(ALONE) PYTHONPATH=$(CURDIR) $(BIN)/python .ci/pictures.py
 
 # Of the last commit, the same to the byte each time; CONTRIBUTING.md says what comes before and after.
 release: install
