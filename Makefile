@@ -42,8 +42,8 @@ $(INSTALLED): requirements.lock pyproject.toml
 demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
-# What guards a change, eight minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
-# test-slow, the rest, twenty minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
+# What guards a change, about five minutes on two cores.  Four processes: some of these tests wait for a board or a bus.
+# test-slow, the rest, 25 minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
 # browsers.  WHICH="not sample" runs both, the slow ones first, so that no process waits for another at the end.
 WHICH ?= not slow and not sample
 test-slow: WHICH = slow and not sample
@@ -91,9 +91,9 @@ check: install
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-# The pictures of README and docs, flown anew by the emulated rig; needs chromium, 4 minutes.
+# The pictures of README and docs, flown anew by the emulated rig; needs chromium-headless-shell or chromium, 4 minutes.
 pictures: setup
-	$(ALONE) $(BIN)/python .ci/pictures.py
+	$(ALONE) PYTHONPATH=$(CURDIR) $(BIN)/python .ci/pictures.py
 
 # Of the last commit, the same to the byte each time; CONTRIBUTING.md says what comes before and after.
 release: install

@@ -1,12 +1,12 @@
 """Make the pictures of README and docs anew: control room, story, demo.  `make pictures`; docs/assets/ receives them.
 
-They show an emulated rig, flown by the commands and buttons of a user.  Needs Debian's chromium; takes about 4 minutes.
+They show an emulated rig, flown by the commands and buttons of a user.  Needs Debian's
+chromium-headless-shell or chromium; takes about 4 minutes.
 """
 
 from __future__ import annotations
 
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +20,9 @@ from io import BytesIO
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Page, expect
+
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
 
 ASSETS = Path(__file__).resolve().parents[1] / "docs" / "assets"
 PAGE, BUS = "127.0.0.1:8751", "tcp/127.0.0.1:8747"
@@ -113,17 +115,14 @@ def story(page: Page) -> list[Image.Image]:
 
 def main() -> int:
     """Write the three pictures; returns the exit code."""
-    browser_path = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser_path is None:
-        print("pictures: chromium is missing. Install it: apt-get install chromium", file=sys.stderr)
+    if CHROMIUM is None:
+        print(f"pictures: {ABSENT}. Install it: apt-get install chromium-headless-shell", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with rig(folder), sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=browser_path, args=["--headless=new", "--no-sandbox"])
+        with rig(folder), chromium() as browser:
             page = browser.new_page(viewport=SIZE, color_scheme="light")
             frames = story(page)
-            browser.close()
         height = round(STORY_WIDTH * SIZE["height"] / SIZE["width"])
         small = [frame.resize((STORY_WIDTH, height), Image.Resampling.LANCZOS).quantize(COLOURS) for frame in frames]
         small[0].save(

@@ -3,8 +3,8 @@
 It ends when its standard input closes, which happens when its parent ends for any reason.  What the parent writes
 there reaches the command's own standard input (`replay --control`).  It runs at a lower priority than its parent,
 unless the first word is SAME_PRIORITY, and never in real time, as a gateway may.  NICER is the difference; where
-other programs fill the machine, a job would starve, and NICE_VARIABLE sets a smaller one.  It is a new interpreter
-and not a fork of a multi-threaded parent.
+other programs fill the machine, a job would starve, and NICE_VARIABLE sets a smaller one, from 0 to MAX_NICE.  It is a
+new interpreter and not a fork of a multi-threaded parent.
 
 Its main thread writes a byte every BEAT_S to the descriptor in the environment (BEAT_VARIABLE).  It does so
 in a signal handler, which Python runs there and nowhere else.  A process that is stopped, or whose main thread hangs
@@ -23,6 +23,7 @@ from types import FrameType
 from protocol.ending import order_end
 
 NICER = 5
+MAX_NICE = 19
 NICE_VARIABLE = "BOARD51_CHILD_NICE"
 SAME_PRIORITY = "--same-priority"
 BEAT_S = 1.0
@@ -43,6 +44,19 @@ def _hand_on_input() -> None:
     os.dup2(read, number)
     os.close(read)
     threading.Thread(target=_end_with_parent, args=(source, write), daemon=True).start()
+
+
+def _nicer() -> int:
+    """Return by how much this process gives way.  A wrong value must not take the web page and its STOP away."""
+    stated = os.environ.get(NICE_VARIABLE, "").strip()
+    if stated.isdecimal() and int(stated) <= MAX_NICE:
+        return int(stated)
+    if stated:
+        print(  # noqa: T201  # the command is not known yet
+            f"{NICE_VARIABLE}: {stated!r} is not a whole number from 0 to {MAX_NICE}; {NICER} is taken",
+            file=sys.stderr, flush=True,
+        )  # fmt: skip
+    return NICER
 
 
 def _beat() -> None:
@@ -71,8 +85,7 @@ def main() -> int:
         if hasattr(os, "sched_setscheduler"):  # Linux
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         if hasattr(os, "nice"):  # not on Windows, where `command.start` gives the priority
-            own = os.environ.get(NICE_VARIABLE, "")
-            os.nice(int(own) if own.isdecimal() else NICER)
+            os.nice(_nicer())
     _hand_on_input()
     _beat()
     try:

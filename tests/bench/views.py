@@ -26,7 +26,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import read
 from tests.bench.gateway import TAIL_S, WINDOW_S, Result, result
 from tests.bench.line import processes as line
-from tests.bench.line.browsers import CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.ports import free_port
 
 BOARDS = 8
@@ -74,7 +74,7 @@ def run() -> list[Row]:
         longest = f"longest interval {counts['longest_ms']:.0f} ms; number changes {counts['values_per_s']:.0f}/s"
         rows.append(_row(f"browser {n + 1}", counts["per_s"], "frames/s", longest))
     if not loaded.frames:
-        rows.append({"name": "browsers", "value": None, "unit": "", "note": "NOT MEASURED: chromium is not installed"})
+        rows.append({"name": "browsers", "value": None, "unit": "", "note": f"NOT MEASURED: {ABSENT}"})
     for name, cores in loaded.cores.items():
         rows.append(_row(f"CPU: {name}", cores, "cores", "", alone.cores.get(name)))
     return rows

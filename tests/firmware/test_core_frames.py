@@ -36,7 +36,7 @@ def test_a_bad_frame_is_refused_where_the_page_says(core: Core, golden: Golden) 
     between = golden.hex("wire").strip(b"\x00")
 
     if golden.title == "BAD oversize":
-        assert len(between) > MAX_ENCODED  # the receiver drops it: test_firmware_rules.py
+        assert len(between) > MAX_ENCODED  # the receiver drops it: test_firmware_frames.py
     elif golden.title in ("BAD cobs", "BAD crc"):
         assert core.decode(between) is None
     else:

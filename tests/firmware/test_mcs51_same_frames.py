@@ -54,6 +54,7 @@ def compared(here: Sent, there: Sent) -> dict[str, tuple[int, int]]:
     return counts
 
 
+@pytest.mark.slow
 def test_six_seconds_of_anything_give_the_same_frames(library: Path) -> None:
     here, there, board = both(1, TICKS, library)
 

@@ -74,6 +74,7 @@ def test_another_emulated_rig_has_its_plant_card_and_its_limits(tmp_path: Path) 
     assert board.x_ref_max_m == pytest.approx(board.gateway_x_ref_max_m, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_start_that_is_killed_leaves_nothing_in_the_temporary_folder(tmp_path: Path) -> None:
     words = ["--emulated", "--page", f"127.0.0.1:{free_port()}", "--listen", f"tcp/127.0.0.1:{free_port()}"]
     process = subprocess.Popen(

@@ -73,6 +73,7 @@ def test_two_builds_are_equal_to_the_byte(builds: list[dict[str, Path]], kind: s
     assert first.stat().st_size < MAX_BYTES[kind]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("sdcc") or not shutil.which("avr-gcc"), reason="needs avr-gcc and sdcc")
 def test_two_builds_have_the_same_images(builds: list[dict[str, Path]]) -> None:
     first, second = (
@@ -83,6 +84,7 @@ def test_two_builds_have_the_same_images(builds: list[dict[str, Path]]) -> None:
     assert first == second
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_every_file_of_the_packages_and_no_other(builds: list[dict[str, Path]]) -> None:
     tracked = set(git("ls-files", "--", *PACKAGES).splitlines())
     with zipfile.ZipFile(builds[0]["wheel"]) as wheel:
@@ -92,6 +94,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_no_other(builds: list[di
     assert held == tracked - LEFT_OUT
 
 
+@pytest.mark.slow
 def test_the_sdist_holds_the_same_and_what_builds_it(builds: list[dict[str, Path]]) -> None:
     with tarfile.open(builds[0]["sdist"]) as sdist:
         held = {name.partition("/")[2] for name in sdist.getnames()}
@@ -101,6 +104,7 @@ def test_the_sdist_holds_the_same_and_what_builds_it(builds: list[dict[str, Path
     assert held >= set(git("ls-files", "--", *PACKAGES).splitlines()) - LEFT_OUT
 
 
+@pytest.mark.slow
 def test_no_file_names_a_folder_of_who_built_it(builds: list[dict[str, Path]]) -> None:
     folder = builds[0]["wheel"].parents[1]
     with zipfile.ZipFile(builds[0]["wheel"]) as wheel, tarfile.open(builds[0]["sdist"]) as sdist:

@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 import twin.compiled
 from twin.compiled import sources_hash
 
@@ -31,6 +33,7 @@ def outer(folder: Path) -> float:
     return float(done.stdout)
 
 
+@pytest.mark.slow
 def test_a_kernel_follows_a_change_in_a_file_that_it_calls(tmp_path: Path) -> None:
     package = tmp_path / "twin"
     package.mkdir()

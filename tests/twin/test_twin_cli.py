@@ -176,6 +176,7 @@ def test_a_model_file_is_used(right_log: Path, tmp_path: Path, capsys: pytest.Ca
     assert board["nis_mean"] > 10.0
 
 
+@pytest.mark.slow
 def test_a_picture_is_drawn_from_a_log_with_and_without_twin_topics(
     right_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -215,6 +216,7 @@ def test_a_log_of_two_boards_asks_which(tmp_path: Path, capsys: pytest.CaptureFi
     assert board51.main(["plot", str(path), "--out", str(tmp_path / "x.png"), "--board", "two"]) == 0
 
 
+@pytest.mark.slow
 def test_the_live_command_ends_cleanly_on_sigterm() -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "board51", "twin", "--connect", "tcp/127.0.0.1:1"], stderr=subprocess.PIPE, text=True

@@ -11,7 +11,6 @@ import asyncio
 import ctypes
 import json
 import os
-import shutil
 import signal
 import sys
 import time
@@ -19,7 +18,8 @@ from pathlib import Path
 
 from playwright.async_api import async_playwright
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+from tests.harness.gateway.chromium import CHROMIUM
+
 LIVE_MS = 300_000.0  # for a page to come up where everything else goes first
 # Counted in the page: to hand each frame out to this process would cost more than the page itself.
 COUNT = """
@@ -62,7 +62,7 @@ async def main(folder: Path, port: int, count: int, boards: int) -> None:
     asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, stop.set)
     async with async_playwright() as playwright:
         chromium = await playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--headless=new", "--no-sandbox", "--disable-gpu"], handle_sigterm=False
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"], handle_sigterm=False
         )
         pages = []
         for n in range(count):

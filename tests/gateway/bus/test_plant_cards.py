@@ -161,6 +161,7 @@ def test_a_card_that_cannot_be_written_counts_until_the_restart_and_is_told(tmp_
     assert "A restart forgets it" in event.text
 
 
+@pytest.mark.slow
 def test_an_emulated_ce_152_states_its_plant_until_somebody_else_does(tmp_path: Path) -> None:
     with Emulator(tcp=False) as emulator, served(gateway_config(*emulator.urls, log=tmp_path)) as bus:
         emulated = card(bus, who=EMULATED)

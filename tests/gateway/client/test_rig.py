@@ -385,6 +385,7 @@ rig.read(0.2)
     assert len(read_log(next(tmp_path.glob("logs/*.mcap")))) >= 100
 
 
+@pytest.mark.slow
 def test_a_test_run_that_leaves_a_rig_open_ends(endpoint: str, tmp_path: Path) -> None:
     (tmp_path / "test_users.py").write_text(
         f"from gateway.client import Rig\n\n\ndef test_it():\n    rig = Rig('rig', connect={endpoint!r}).open()\n"

@@ -347,6 +347,7 @@ def _same_signals() -> Iterator[None]:
         signal.signal(number, handler)
 
 
+@pytest.mark.slow
 def test_the_command_serves_until_a_signal_and_cleans_up(tmp_path: Path) -> None:
     call = [sys.executable, "-m", "board51", "emulate", "--pty", str(tmp_path / "rig"), "--boards", "2"]
     process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -11,23 +12,16 @@ from gateway.emulator.firmware_model.flash import BOOT_TICKS, CE152_BOARD, CURRE
 from gateway.emulator.firmware_model.output import OutputFault
 from protocol.wire.messages import COUNTS_MAX, ROW_OF_NAME, EventCode, Flag, Mode, Reason
 from tests.harness.firmware.random_host import random_settings
-from tests.harness.gateway.board_host import Bench, Host, refusal
+from tests.harness.gateway.board_host import QUIET, Bench, Host, refusal
+from tests.harness.gateway.board_host import open_loop as open_loop_at
 
 pytestmark = pytest.mark.usefixtures("each_firmware")
 
-QUIET = {"amplitude": 0, "period": 1, "period_end": 1, "seed": 1, "duration": 0}
 CODE = 1759
 UNCONFIRMED_TICKS = 5
 UNCOMMANDED_TICKS = 100
 ONE_A = 1.0
-
-
-def open_loop(bench: Bench | None = None) -> Host:
-    """A host with the coil on in open loop."""
-    host = Host(bench)
-    host.ask("SET_MODE", mode=1)
-    host.ask("EXCITE", shape=0, target=0, offset=CODE, **QUIET)
-    return host
+open_loop = partial(open_loop_at, CODE)
 
 
 def settings(**changes: int) -> Settings:

@@ -87,6 +87,7 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     assert json.loads((folder / "investigation.json").read_text())["ended"] == table["ended"]
 
 
+@pytest.mark.slow
 def test_a_stop_during_a_diagnosis_ends_the_investigation(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         rig = ("--board", "rig", "--connect", line.endpoint, "--plant", str(line.plant), "--quick")

@@ -466,6 +466,7 @@ def test_the_commands_of_the_property_are_all_that_there_are() -> None:
     assert set(KINDS) == {field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields}
 
 
+@pytest.mark.slow
 @settings(max_examples=800, suppress_health_check=[HealthCheck.too_slow])
 @given(command=COMMANDS, flags=st.sampled_from([0, 1, 2, 0x82]))
 def test_whatever_a_command_says_it_is_answered_with_its_id_and_recorded(command: pb.Command, flags: int) -> None:

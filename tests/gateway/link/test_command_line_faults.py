@@ -64,7 +64,8 @@ def ping_after(board: ScriptedBoard) -> None:
 # -- a line that stops
 
 
-@pytest.mark.parametrize("kind", [ScriptedBoard, pytest.param(SocketBoard, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [ScriptedBoard, SocketBoard])
 def test_what_was_given_up_while_the_board_did_not_read_never_reaches_it(kind: type[ScriptedBoard]) -> None:
     """The pipe in between (a pty, the buffers of a serial server) takes all the gateway writes, and gives it later."""
     with kind() as board, gateway_and_client(gateway_config(board.url, **QUICK)) as bus:

@@ -14,7 +14,7 @@ STALL = 1e-3  # per tick: every 2 s on average the line stands, for up to 1.5 s,
 @pytest.mark.parametrize(
     ("firmware", "count", "stall"),
     [
-        ("python", 2_000, STALL),
+        pytest.param("python", 2_000, STALL, marks=pytest.mark.slow),
         ("c", 2_000, STALL),
         pytest.param("python", 100_000, 0.0, marks=pytest.mark.sample),  # 75 minutes of the board's time
         pytest.param("c", 20_000, STALL, marks=pytest.mark.slow),

@@ -65,10 +65,12 @@ def expect(found: dict[str, Any]) -> None:
     assert found["done"] is True
 
 
+@pytest.mark.slow
 def test_an_independent_reader_decodes_a_log(checker: Path, tmp_path: Path) -> None:
     expect(check(checker, write(tmp_path)))
 
 
+@pytest.mark.slow
 def test_an_independent_reader_decodes_a_recovered_log(checker: Path, tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     log = write(tmp_path / "logs")

@@ -149,6 +149,7 @@ def test_one_damaged_spot_costs_the_chunks_it_touches(recording: bytes, tmp_path
         assert not lost or lost[-1] - lost[0] == len(lost) - 1
 
 
+@pytest.mark.slow
 def test_every_kind_of_record_may_be_cut(tmp_path: Path) -> None:
     log = tmp_path / "intact.mcap"
     written = write_log(log)

@@ -36,6 +36,7 @@ def test_the_example_project_tests_its_own_code(name: str, passes: int, tmp_path
     assert done.returncode == 0
 
 
+@pytest.mark.slow
 def test_a_failing_test_fails_and_leaves_nothing_running(tmp_path: Path) -> None:
     (tmp_path / "test_wrong.py").write_text(
         "import os\n"

@@ -1,4 +1,4 @@
-"""What is slow to make and serves many tests of views: an OPC UA server takes 2 s of processor time to start."""
+"""What is slow to make and serves many tests of views: a server takes 2 s of processor time to start."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway
 from tests.harness.gateway.chromium import chromium
+from tests.harness.gateway.hmi_server import Server, hmi_with_logins
 from tests.harness.gateway.opcua_peers import Served
 
 
@@ -20,6 +21,12 @@ def browser() -> Iterator[Browser]:
     # Not for all modules: while it is open, no other test of the process can run an event loop.
     with chromium() as browser:
         yield browser
+
+
+@pytest.fixture(scope="package")
+def hmi_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    with hmi_with_logins(tmp_path_factory.mktemp("hmi")) as server:
+        yield server
 
 
 @pytest.fixture(scope="package")

@@ -25,7 +25,7 @@ from tests.harness.gateway.hmi_peers import drain
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.patience import HANG_S
 
-pytestmark = pytest.mark.xdist_group("hmi-api-rig")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("hmi-api-rig")]
 CLIENTS = Path(__file__).parents[3] / "docs" / "clients"
 X_M = 3.2e-3
 
@@ -244,7 +244,6 @@ def test_the_client_in_python_flies_the_ball(rig: Rig) -> None:
     wait_for(lambda: program.json("/rigs/rig/state")["mode"] == "idle", "the coil off")
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no octave is installed: apt-get install octave")
 def test_the_client_in_octave_flies_the_ball(rig: Rig) -> None:
     program = Program(rig.port)

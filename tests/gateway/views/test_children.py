@@ -59,6 +59,7 @@ def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch
     assert not listening(port)()
 
 
+@pytest.mark.slow
 def test_a_view_that_hangs_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.1)
     monkeypatch.setattr(supervisor, "HUNG_S", 5.0)
@@ -101,6 +102,23 @@ def test_a_view_of_a_gateway_in_real_time_runs_as_any_process_and_gives_way(
 
     assert policies == {os.SCHED_OTHER}
     assert nice == os.getpriority(os.PRIO_PROCESS, 0) + nicer
+
+
+@pytest.mark.parametrize("stated", ["low", "-5", "20"])
+def test_a_priority_that_cannot_be_is_named_and_the_usual_one_taken(
+    stated: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(NICE_VARIABLE, stated)
+    port = free_port()
+    words = [sys.executable, "-m", "gateway.processes.child", "router", "--listen", f"tcp/127.0.0.1:{port}"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as view:
+        wait_for(listening(port), "view")
+        nice = os.getpriority(os.PRIO_PROCESS, view.pid)
+        view.kill()
+        said = view.communicate()[1]
+
+    assert f"BOARD51_CHILD_NICE: '{stated}' is not a whole number from 0 to 19; 5 is taken" in said
+    assert nice == min(os.getpriority(os.PRIO_PROCESS, 0) + NICER, 19)
 
 
 def view_at(port: int) -> int:

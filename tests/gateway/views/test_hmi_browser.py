@@ -118,6 +118,7 @@ def test_an_operator_flies_the_ball_and_sees_it(page: Page, bus: Bus) -> None:
     assert page.evaluate(INK_OF_A_PLOT) > 1000, "the plot is not empty"
 
 
+@pytest.mark.slow
 def test_values_move_thirty_times_a_second(page: Page) -> None:
     def changes_in_a_second() -> int:
         page.evaluate(NOTE_CHANGES)
@@ -149,6 +150,7 @@ def test_stop_takes_the_current_off_the_coil_at_once(page: Page, bus: Bus, how: 
     page.evaluate("window.scrollTo(0, 0)")
 
 
+@pytest.mark.slow
 def test_a_refusal_says_who_refused_and_why(page: Page, bus: Bus) -> None:
     page.get_by_text("input u_c", exact=True).click()
     page.get_by_text("Start excitation").click()
@@ -180,6 +182,7 @@ def test_gains_are_shown_before_they_are_sent(page: Page, bus: Bus) -> None:
     expect(page.locator(".preview")).to_contain_text("neither JSON nor TOML")
 
 
+@pytest.mark.slow
 def test_a_mark_is_in_the_log(page: Page, bus: Bus) -> None:
     page.get_by_label("remark").fill("ball changed")
     page.get_by_text("Mark now").click()
@@ -237,6 +240,7 @@ def test_a_campaign_shows_its_progress_parks_the_ball_when_interrupted_and_goes_
     expect(page.locator(".file", has=page.locator(f"a[href$='{made}']"))).to_contain_text("continued the campaign")
 
 
+@pytest.mark.slow
 def test_a_plot_can_be_held_zoomed_and_read(page: Page, bus: Bus) -> None:
     def stays() -> bool:
         held, tick = page.evaluate(PICTURE), bus.states()[-1].tick
@@ -264,6 +268,7 @@ def test_a_plot_can_be_held_zoomed_and_read(page: Page, bus: Bus) -> None:
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_lost_board_is_shown_and_comes_back(page: Page, rig: Rig, bus: Bus) -> None:
     page.evaluate(NOTE_THE_LOSS)
 
@@ -309,6 +314,7 @@ def test_the_page_says_that_its_server_is_gone_and_recovers(page: Page, rig: Rig
     expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
 
 
+@pytest.mark.slow
 def test_on_a_phone_stop_is_under_the_thumb_and_nothing_sticks_out(browser: Browser, rig: Rig) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     page = context.new_page()

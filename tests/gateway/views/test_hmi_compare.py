@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.harness.gateway.hmi_peers import Page, served
 
 CAMPAIGN = "rig-20260102-030405"
@@ -37,6 +39,7 @@ def campaign(data: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_comparison_is_seen_by_all_made_by_an_engineer_and_refused_in_words(tmp_path: Path) -> None:
     folder = campaign(tmp_path / "data")
     request = {"kind": "compare", "act": "start", "campaign": CAMPAIGN, "first": FIRST, "second": SECOND}

@@ -28,6 +28,7 @@ def state_parameters(gateway: PlayedGateway, page: Page, gains: list[float]) -> 
     wait_for(lambda: f"<td>{gains[1]:g}</td><td>1761</td>" in page.open("/model/rig"), "the gains on the page")
 
 
+@pytest.mark.slow
 def test_margins_before_and_after_are_seen_by_all_and_loaded_by_an_engineer(tmp_path: Path) -> None:
     folder = campaign(tmp_path / "data")
     designed(folder)
@@ -116,6 +117,7 @@ def engineer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, P
         yield page, folder
 
 
+@pytest.mark.slow
 def test_without_the_right_or_what_the_board_states_nothing_is_written(tmp_path: Path) -> None:
     folder = campaign(tmp_path / "data")
     with served(tmp_path, MODEL | {"causes": ["another"]}) as (_, port):

@@ -131,6 +131,7 @@ def test_from_a_campaign_to_a_better_model_by_an_engineer_s_buttons(browser: Bro
     assert {(r.command.who, r.command.role, r.reply.accepted) for r in excitations} == {("ana", "engineer", True)}
 
 
+@pytest.mark.slow
 def test_a_person_s_command_reaches_the_board_under_that_person_s_name_and_role(tmp_path: Path) -> None:
     folder = made_folder(tmp_path / "keys")
     with (
@@ -160,6 +161,7 @@ def test_a_person_s_command_reaches_the_board_under_that_person_s_name_and_role(
             httpx.get(f"https://127.0.0.1:{port}/login")
 
 
+@pytest.mark.slow
 def test_a_program_s_command_reaches_the_board_under_its_user_s_name_and_the_token_s_role(tmp_path: Path) -> None:
     folder = made_folder(tmp_path / "keys")
     token = set_token(folder.users, "matlab", User(name="ana", role=Role.OPERATOR))

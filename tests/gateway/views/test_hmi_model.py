@@ -181,6 +181,7 @@ def test_where_there_is_no_number_nothing_is_said() -> None:
     assert in_numbers("out-of-step", "9:00", lost) == ""
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path: Path) -> None:
     campaign(tmp_path / "data" / "campaigns")
     campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")
@@ -227,6 +228,24 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
     assert unknown["reason"] == "no-model"
 
 
+@pytest.mark.slow
+def test_without_a_campaign_the_last_flight_can_be_diagnosed_and_nothing_beside_it_asks_for_one(tmp_path: Path) -> None:
+    with served(tmp_path, MODEL) as (_, port):
+        engineer = Page(port)
+        engineer.log_in("ana")
+        page = engineer.open("/model/rig")
+
+    step = page.partition('data-part="diagnose-buttons"')[2].partition('data-running="diagnose"')[0]
+    of_campaign, live = step.split('<div class="row-of">')[1:]
+    assert of_campaign.count("disabled") == 2
+    assert "There is no campaign yet" in of_campaign
+    assert "Diagnose the last 2 minutes of flight" in live
+    assert "disabled" not in live
+    assert "There is no campaign yet" not in live
+    assert "The last minutes of flight need no campaign" in page
+
+
+@pytest.mark.slow
 def test_a_campaign_is_renamed_and_deleted_by_an_engineer_alone(tmp_path: Path) -> None:
     made = campaign(tmp_path / "data" / "campaigns")
     beside = campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")

@@ -111,6 +111,7 @@ def test_no_spike_is_lost_between_500_hz_and_a_screen() -> None:
     assert traces.since(cursor) == ([], cursor)
 
 
+@pytest.mark.slow
 def test_a_reader_that_was_away_gets_what_the_ring_holds_and_no_more() -> None:
     with played_gateway() as gateway, feed_of(gateway) as feed:
         gateway.state()
@@ -197,6 +198,7 @@ def test_a_library_shows_its_own_files_newest_first_and_nothing_else(tmp_path: P
     assert found.path == inside / "deep" / "b.mcap"
 
 
+@pytest.mark.slow
 def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> None:
     jobs = Jobs()
     words = ["emulate", "--tcp", "127.0.0.1:0"]
@@ -213,6 +215,7 @@ def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> N
     assert not jobs.stop("record", "rig")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="holds a process by SIGSTOP")
 @pytest.mark.parametrize(("kind", "killed"), [("replay", True), ("campaign", False), ("record", False)])
 def test_a_job_that_does_not_end_is_killed_but_not_one_that_parks_the_ball_or_writes(
@@ -235,6 +238,7 @@ def test_a_job_that_does_not_end_is_killed_but_not_one_that_parks_the_ball_or_wr
         jobs.close()
 
 
+@pytest.mark.slow
 def test_a_job_that_cannot_go_on_says_its_error_and_one_that_counts_steps_its_progress(tmp_path: Path) -> None:
     jobs = Jobs()
     try:

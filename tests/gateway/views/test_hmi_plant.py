@@ -83,6 +83,7 @@ def send_card(gateway: PlayedGateway, viewer: Page, words: str, card: pb.PlantCa
     return wait_for(look, words)
 
 
+@pytest.mark.slow
 def test_everybody_sees_the_card_and_an_engineer_states_it(tmp_path: Path) -> None:
     with served(tmp_path, {}) as (gateway, port):
         viewer, engineer = Page(port), Page(port)

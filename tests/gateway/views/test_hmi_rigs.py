@@ -19,7 +19,7 @@ from tests.harness.gateway.hmi_peers import Process, frame
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.patience import HANG_MS
 
-pytestmark = pytest.mark.xdist_group("hmi-browser")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("hmi-browser")]
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)
 START_NS = 1_700_000_000_000_000_000
 SECONDS = 600  # longer than any test
@@ -118,7 +118,6 @@ def test_a_page_of_a_recording_has_no_act_of_the_live_rig(page: Page, rig: Rig, 
     assert "record" not in text.replace("REPLAY of a recording", "")
 
 
-@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("end", ["highest", "lowest"])
 def test_the_ends_of_the_range_on_the_page_are_within_the_limits(page: Page, rig: Rig, bus: Bus, end: str) -> None:

@@ -78,6 +78,7 @@ async def walk(client: Peer) -> dict[ua.NodeId, Seen]:
     return seen
 
 
+@pytest.mark.slow
 def test_every_node_is_as_the_standard_asks() -> None:
     async def ask(server: Served) -> None:
         async with peer(server.port) as client:

@@ -38,11 +38,9 @@ SWAPS = {
     "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "+": "-", "-": "+", "&&": "||", "||": "&&",
     "++": "--", "--": "++", "+=": "-=", "-=": "+=", "|=": "&=", "!": "", "true": "false", "false": "true",
 }  # fmt: skip
+_PARTS = "session commands faults capture frames law output excitation overload calibration"
 RULES = [
-    *(
-        f"tests/gateway/emulator/test_firmware_{part}.py"
-        for part in ("rules", "law", "output", "excitation", "overload", "calibration")
-    ),
+    *(f"tests/gateway/emulator/test_firmware_{part}.py" for part in _PARTS.split()),
     "tests/firmware/test_modes.py",
 ]
 _SKIPPED = re.compile(r'/\*.*?\*/|"[^"]*"|#include[^\n]*|B51_STATIC_ASSERT\([^;]*;|#if[^\n]*', re.S)

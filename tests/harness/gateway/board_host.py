@@ -15,6 +15,8 @@ from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Message, Value
 from tests.harness.protocol.port import take_output
 
+SECOND = 500  # ticks
+QUIET = {"amplitude": 0, "period": 1, "period_end": 1, "seed": 1, "duration": 0}
 FIRMWARES: dict[str, type[Firmware] | type[NativeFirmware]] = {"python": Firmware, "c": NativeFirmware}
 
 
@@ -127,3 +129,11 @@ def refusal(answer: Message) -> tuple[int, int]:
     """(reason, detail) of a NACK."""
     assert answer.name == "NACK", answer
     return answer.int("reason"), answer.int("detail")
+
+
+def open_loop(u: int, bench: Bench | None = None) -> Host:
+    """A host with the board in open loop at a constant input."""
+    host = Host(bench)
+    host.ask("SET_MODE", mode=1)
+    host.ask("EXCITE", shape=0, target=0, offset=u, **QUIET)
+    return host

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import select
@@ -23,6 +24,7 @@ from gateway.config import BoardConfig, GatewayConfig, LogConfig, ZenohConfig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
+from protocol.log.reader import read
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.framing import encode_frame
@@ -273,3 +275,21 @@ def gateway_and_client(config: GatewayConfig) -> Iterator[Bus]:
 
 def with_log(config: GatewayConfig, **log: Any) -> GatewayConfig:
     return replace(config, log=replace(config.log, **log))
+
+
+def gapless(states: list[pb.State]) -> bool:
+    return all(b.tick == a.tick + 1 and b.lost_before == 0 for a, b in itertools.pairwise(states))
+
+
+def consistent(states: list[pb.State]) -> bool:
+    """Within a session every missing tick is counted."""
+    pairs = itertools.pairwise(states)
+    return all(b.session != a.session or b.tick == a.tick + 1 + b.lost_before for a, b in pairs)
+
+
+def closed_loop(bus: Bus, board: str = "rig") -> None:
+    assert bus.command("mode", board, set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)).accepted
+
+
+def logged_messages(log: Path, topic: str) -> list[Any]:
+    return [record.message for record in read(log, topics=[topic])]

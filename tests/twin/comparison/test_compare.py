@@ -64,12 +64,14 @@ def test_the_model_that_knows_the_effect_predicts_better(high_coil: Record) -> N
     assert found.answer().startswith("emulated + air-gap-offset predicts better. ")
 
 
+@pytest.mark.slow
 def test_equal_models_do_not_differ(high_coil: Record) -> None:
     found = compare_models((true_model(), true_model()), [high_coil])
     assert not found.differs
     assert found.names == ("emulated (no. 1)", "emulated (no. 2)")
 
 
+@pytest.mark.slow
 def test_a_rig_that_changed_between_two_flights_is_seen() -> None:
     unlike = compare_flights(true_model(), [fly({}, 1), fly({"air-gap-offset": 4e-4}, 2)])
     assert unlike.differs
@@ -135,6 +137,7 @@ def test_flights_at_two_sampling_times_are_refused(high_coil: Record) -> None:
         compare_flights(true_model(), [high_coil, slow])
 
 
+@pytest.mark.slow
 def test_a_page_and_its_numbers(tmp_path: Path, high_coil: Record, capsys: pytest.CaptureFixture[str]) -> None:
     for name, effects in (("a", {}), ("b", {"air-gap-offset": 4e-4})):
         with_name = replace(true_model(effects=effects), provenance={"name": f"model <{name}>"})

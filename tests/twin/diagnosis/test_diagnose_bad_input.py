@@ -266,6 +266,7 @@ def test_an_empty_file_is_named(folder: Path, capsys: pytest.CaptureFixture[str]
     assert "closed_loop_2.csv.gz" in refused(capsys, folder)
 
 
+@pytest.mark.slow
 def test_useless_recordings_give_no_false_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     only(folder, "rest", "step_1", "step_3", "step_5", "ramp", *(f"closed_loop_{n}" for n in (1, 2, 3, 4, 6, 7)))
     rewrite(folder / "closed_loop_2.csv.gz", lambda names, rows: (names, rows[:2]))
@@ -306,6 +307,7 @@ def test_wild_readings_give_no_false_name(folder: Path, capsys: pytest.CaptureFi
     assert answered(capsys, folder)["causes"] == []
 
 
+@pytest.mark.slow
 def test_samples_at_varying_times_are_taken_as_they_are(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Samples are left out where u_c stands still: what was in force in between is known."""
     rng = np.random.default_rng(6)

@@ -98,6 +98,7 @@ def test_the_truth_is_named_and_within_its_interval(
     assert found.gain.removed > 0.9
 
 
+@pytest.mark.slow
 def test_where_nothing_is_hidden_the_model_is_adequate(hide: Hide) -> None:
     found = diagnosed(hide(*NOTHING))
 
@@ -202,6 +203,7 @@ def supplied(model: Model, **change: float) -> Model:
     return replace(model, parameters=parameters)
 
 
+@pytest.mark.slow
 def test_a_reference_model_is_the_baseline_as_it_is(hide: Hide) -> None:
     folder = hide(*NOTHING)
     right = diagnosed(folder)

@@ -64,6 +64,7 @@ def test_the_folder_does_not_tell_effect_or_seed(none: Path, drag: Path, plant: 
         assert not any(word in text for word in ("drag", str(SEED), "effect", plant))
 
 
+@pytest.mark.slow
 def test_the_seed_gives_the_bytes(drag: Path, tmp_path: Path, plant: PlantName) -> None:
     for name, seed in (("again", SEED), ("other", 6)):
         make_campaign(tmp_path / name, effects=DRAG, seed=seed, plant=plant, quick=True)
@@ -76,6 +77,7 @@ def test_the_seed_gives_the_bytes(drag: Path, tmp_path: Path, plant: PlantName) 
     assert all(first[name] != other[name] for name in first)
 
 
+@pytest.mark.slow
 def test_without_an_effect_the_truth_comes_back(none: Path, plant: PlantName) -> None:
     rig = draw_rig(SEED, plant)
 

@@ -93,6 +93,7 @@ def test_both_plants_do_the_same(name: str | None, without: dict[str, FloatArray
         assert any(distance(other[r], without[r]) > 1.5 * tolerance[r] for r in TOLERANCE), "no trace"
 
 
+@pytest.mark.slow
 def test_the_textbook_rig_without_a_form_does_the_same(without: dict[str, FloatArray]) -> None:
     other = records("textbook", {})
 

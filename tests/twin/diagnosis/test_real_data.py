@@ -72,6 +72,7 @@ def values(evidence: Evidence, coordinate: str, sizes: tuple[float, ...], theta:
         criterion.close()
 
 
+@pytest.mark.slow
 @needs_ce152
 def test_four_equilibria_of_a_ce152(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = main(

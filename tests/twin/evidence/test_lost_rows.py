@@ -56,7 +56,8 @@ def drawn(record: Record, share: float, seed: int) -> BoolArray:
     return np.asarray(gone)
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_lost_samples_are_no_reason_to_name_a_cause(seed: int) -> None:
     """Forgetting at each gap made six standard errors of constant force and of negative lags."""
     records = [flight(NOISY, seed=10 * seed + k) for k in range(2)]

@@ -43,6 +43,7 @@ def run(path: Path, *words: str) -> int:
     return board51.main(["bode", str(path / "model.json"), str(path), *words])
 
 
+@pytest.mark.slow
 def test_a_right_model_gives_a_page_with_the_answer_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(folder(tmp_path, Loop()), "--out", str(tmp_path / "report")) == 0
 

@@ -113,6 +113,7 @@ def test_a_right_model_is_refused_as_often_as_stated(reference: str, name: Name)
     assert as_stated(int((p < 0.3).sum()), len(p), 0.3)
 
 
+@pytest.mark.slow
 def test_uncertain_parameters_are_no_contradiction_and_certain_ones_are() -> None:
     """Rigs drawn from what the model file says of K_A and K_c."""
     rng = np.random.default_rng(3)

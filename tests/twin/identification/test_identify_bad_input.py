@@ -177,6 +177,7 @@ def test_a_second_pair_of_channels_mixed_up_is_recognised(records: list[Record],
             identify_records(campaign, [record])
 
 
+@pytest.mark.slow
 def test_a_constant_channel_does_not_move_the_others(records: list[Record], campaign: Campaign) -> None:
     n = len(records[2].t)
     whole = identify_records(campaign, records[:2] + records[3:])

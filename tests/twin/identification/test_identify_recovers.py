@@ -162,6 +162,7 @@ def test_a_response_that_is_not_first_order_is_said_and_k_a_stays_right() -> Non
     assert K_A.value == pytest.approx(rig.amplifier_gain_a_v, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_what_the_model_lacks_is_said_and_drag_is_not_called_identified() -> None:
     rig = random_rig(np.random.default_rng(14))
     records = run_campaign(rig, seed=14, flight_s=8.0, effects={"motional-emf": 0.5})
@@ -187,6 +188,7 @@ def test_levels_off_a_line_widen_the_gain_and_are_said() -> None:
     assert K_A.ci95[0] < rig.amplifier_gain_a_v < K_A.ci95[1]
 
 
+@pytest.mark.slow
 def test_an_amplifier_too_fast_to_be_seen_is_no_obstacle() -> None:
     rig = replace(random_rig(np.random.default_rng(7)), amplifier_time_constant_s=2e-5)
 

@@ -24,6 +24,7 @@ def test_beside_a_delay_b_has_no_interval_but_its_value_with_the_delay(seed: int
     assert "board51 diagnose" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plant", "seed"), [("emulator", 5), ("independent", 6)])
 def test_without_one_the_interval_stays(plant: PlantName, seed: int, tmp_path: Path) -> None:
     make_campaign(tmp_path, effects={}, seed=seed, plant=plant, quick=True)

@@ -117,6 +117,7 @@ class Exact(Criterion):
         return self.several(thetas)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [strong("motional-emf", 0.3), strong("coulomb-friction", 1e-3)])
 def test_the_screen_with_the_slopes_at_hand_ranks_as_the_filter_itself(hidden: Theta) -> None:
     """Within a fifth: a likelihood that is no parabola is farther off."""

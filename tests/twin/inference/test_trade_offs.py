@@ -113,6 +113,7 @@ def test_relative_changes_of_a_value_that_may_be_zero_are_not_spoken_of(criterio
         assert not any("relative changes" in sentence for sentence in trade_off_sentences(first))
 
 
+@pytest.mark.slow
 def test_a_climb_without_hope_of_its_goal_ends_early_and_one_with_hope_as_without_a_goal(
     criterion: Criterion, fit: Fit
 ) -> None:

@@ -173,6 +173,7 @@ print(json.dumps(out))
 """
 
 
+@pytest.mark.slow
 def test_compiled_and_plain_python_give_the_same_flight() -> None:
     """The same file without numba is the oracle; exp and the order of operations may differ in the last digits."""
     flights = [

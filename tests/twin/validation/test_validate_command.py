@@ -81,6 +81,7 @@ def run(*arguments: str) -> int:
     return board51.main(["validate", *arguments])
 
 
+@pytest.mark.slow
 def test_a_log_gives_a_report_that_needs_nothing_else(
     tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,6 +114,7 @@ def test_a_log_gives_a_report_that_needs_nothing_else(
     }
 
 
+@pytest.mark.slow
 def test_json_on_stdout_and_exit_1_for_a_wrong_model(
     tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,6 +214,7 @@ def test_constant_channels_test_nothing_and_are_said(
     assert output.err.count("throughout") == 3
 
 
+@pytest.mark.slow
 def test_a_rig_whose_law_is_unknown_is_shown_alone(
     tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,6 +88,7 @@ def heavy_handed(records: list[Record]) -> Validation:
     return judged(records, model_of(BALL, K_c=3.0))
 
 
+@pytest.mark.slow
 def test_a_plant_that_nobody_stated_and_an_error_at_one_horizon_in_the_report(records: list[Record]) -> None:
     model = model_of(BALL)
     result = judged(records, replace(model, plant=replace(model.plant, assumed=True)))
@@ -209,6 +210,7 @@ def test_the_answer_names_the_largest_measurable_difference_first(heavy_handed: 
     assert "more below" in said
 
 
+@pytest.mark.slow
 def test_nothing_settles_before_it_has_risen() -> None:
     """Steps of all sizes, down to some that noise drowns: those have no settling time, and the band is said."""
     ball = replace(BALL, sigma_x=2.0 * BALL.sigma_x)
@@ -240,6 +242,7 @@ def test_a_ball_that_is_pulled_too_hard_is_stopped_by_the_stop(heavy_handed: Val
     assert heavy_handed.windows.rmse_m < BALL.travel
 
 
+@pytest.mark.slow
 def test_a_model_that_is_worse_than_x_stays_is_not_called_good(records: list[Record]) -> None:
     """Its file states so much noise of the sensor that its own floor is above its errors at the shorter horizons."""
     wrong = model_of(BALL, K_c=1.3)

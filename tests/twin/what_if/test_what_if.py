@@ -191,6 +191,7 @@ def run(folder: Path, *arguments: str) -> int:
     return board51.main(["what-if", *paths, *arguments])
 
 
+@pytest.mark.slow
 def test_a_page_its_numbers_and_its_traces(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ("--gains", str(folder / "controller.json"), "--out", str(folder / "out"))
     assert run(folder, *arguments) == 0
@@ -202,6 +203,7 @@ def test_a_page_its_numbers_and_its_traces(folder: Path, capsys: pytest.CaptureF
     assert np.all(traces["x_low"] <= traces["x_high"])
 
 
+@pytest.mark.slow
 def test_the_flight_that_followed_has_a_column(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ("--gains", str(folder / "controller.json"), "--then", str(folder / "flight.csv"))
     assert run(folder, *arguments, "--out", str(folder / "out")) == 0

@@ -99,6 +99,7 @@ def test_noise_alone_seldom_names_a_cause() -> None:
     assert named <= 3  # of 12 at 5 %: more has a chance of 0.2 %
 
 
+@pytest.mark.slow
 def test_a_coil_plane_too_high_is_within_its_interval() -> None:
     inside = 0
     for seed in range(12):
@@ -155,6 +156,7 @@ def test_the_extended_model_runs_and_says_what_was_not_measured(shifted: tuple[i
     assert "data:image/svg+xml;base64," in page
 
 
+@pytest.mark.slow
 def test_a_bent_balance_is_no_shifted_coil(tmp_path: Path) -> None:
     """The current follows gap^0.75 (force exponent 1.5): a straight line does not."""
     x = heights(9)
@@ -183,6 +185,7 @@ def test_three_points_name_nothing_but_say_what_is_near(tmp_path: Path) -> None:
     assert "too few" in found["sentence"]
 
 
+@pytest.mark.slow
 def test_a_current_computed_from_the_input_blames_the_amplifier_too(tmp_path: Path) -> None:
     x = heights(6)
     u = [round(balance(at, d_m=2e-3) / 0.3, 3) for at in x]

@@ -186,6 +186,7 @@ def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it
         assert "oscilloscope" in pair.measurement
 
 
+@pytest.mark.slow
 def test_with_several_confounders_the_hopeless_pair_does_not_hide_what_the_others_need(
     late: tuple[Criterion, Fit, Trial],
 ) -> None:
@@ -221,6 +222,7 @@ def test_a_loop_that_drops_the_ball_is_not_proposed(
     assert not any(ITEMS[one.name].closed_loop for one in proposals)
 
 
+@pytest.mark.slow
 def test_a_coil_that_heats_is_asked_to_get_warm() -> None:
     truth = strong("amplifier-gain-drift", 0.03)
     criterion = criterion_of(narrow(truth, seconds=1.5))

@@ -132,6 +132,7 @@ def diagnosis_json(folder: Path) -> dict[str, Any]:
     return data
 
 
+@pytest.mark.slow
 def test_causes_of_other_flights_are_no_model_for_these(harmed: Path) -> None:
     data = diagnosis_json(harmed)
 
@@ -145,6 +146,7 @@ def test_causes_of_other_flights_are_no_model_for_these(harmed: Path) -> None:
     assert not data["extended_model"]["offered"]
 
 
+@pytest.mark.slow
 def test_one_file_agrees_with_itself_where_a_model_was_refused(harmed: Path) -> None:
     data = diagnosis_json(harmed)
 
@@ -154,6 +156,7 @@ def test_one_file_agrees_with_itself_where_a_model_was_refused(harmed: Path) -> 
     assert "extended_model.json is the reference itself" in data["sentence"]
 
 
+@pytest.mark.slow
 def test_an_assumed_plant_is_said_in_model_answer_and_report(harmed: Path) -> None:
     data, page = diagnosis_json(harmed), (harmed / "report.html").read_text(encoding="utf-8")
     model = Model.load(harmed / "extended_model.json")

@@ -113,6 +113,7 @@ def of_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path,
         yield folder, criterion, fit
 
 
+@pytest.mark.slow
 def test_nothing_hidden_has_no_curve(of_nothing: tuple[Path, Criterion, Fit]) -> None:
     folder, criterion, fit = of_nothing
 
@@ -125,6 +126,7 @@ def test_nothing_hidden_has_no_curve(of_nothing: tuple[Path, Criterion, Fit]) ->
     assert found.improvement.extended_rmse_m == found.improvement.causes_rmse_m
 
 
+@pytest.mark.slow
 def test_what_the_budget_does_not_pay_is_not_begun(
     of_nothing: tuple[Path, Criterion, Fit], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,6 +149,7 @@ def test_the_page_s_splines_are_the_kernel_s() -> None:
     np.testing.assert_allclose(basis(at / 2.0) @ k, own, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_regression_has_a_window_for_flights_alone(of_nothing: tuple[Path, Criterion, Fit]) -> None:
     campaign = load(of_nothing[0])
     fit, judge = (gather(read_campaign(campaign, use=use), campaign.plant) for use in ("fit", "judge"))

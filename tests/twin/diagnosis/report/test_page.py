@@ -62,6 +62,7 @@ def text_of(html: str) -> str:
     return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"(?s)<style>.*?</style>|src=\"[^\"]*\"", "", html)).split())
 
 
+@pytest.mark.slow
 def test_the_sentence_comes_first_then_pictures_of_before_and_after() -> None:
     html = gap_page()
 

@@ -107,6 +107,7 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
     assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_cause_that_only_led_another_to_a_higher_maximum_is_removed() -> None:
     rig = strong("coulomb-friction", 4e-3)
     criterion = criterion_of(narrow(rig, seconds=3.0))

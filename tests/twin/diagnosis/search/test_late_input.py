@@ -63,6 +63,7 @@ def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(late: li
     criterion.close()
 
 
+@pytest.mark.slow
 def test_what_does_the_same_is_fitted_once_and_named_twice(late: list[Record]) -> None:
     criterion = criterion_of(late)
     base = fitted(criterion, THETA)

@@ -18,6 +18,7 @@ from twin.settings import diagnosis as settings
 FIRST, LATER = "motional-emf", "actuation-delay"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("strength", "retained"), [(0.15, False), (1.0, True)])
 def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: float, retained: bool) -> None:
     rig = probed(strong(LATER, 6e-4), BY_NAME[FIRST], strength)

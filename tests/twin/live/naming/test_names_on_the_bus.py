@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+import pytest
 import zenoh
 
 from protocol.bus import board51_pb2 as pb
@@ -34,6 +35,7 @@ def has_taken(service: TwinService, count: int) -> bool:
     return service.boards["rig"].samples >= count
 
 
+@pytest.mark.slow
 def test_a_name_is_published_repeated_and_ended_by_another_model() -> None:
     rig = NamedFlight()
     rig.run(8.0)
