@@ -205,13 +205,8 @@ class Recorder:
         try:
             if self._cleared_part < self._part:
                 self._cleared_part, o = self._part, self._options
-                for severity, text in delete_expired(
-                    self.directory,
-                    o.prefix,
-                    keep_days=o.keep_days,
-                    keep_gb=o.keep_gb,
-                    keep_unarchived=o.keep_unarchived,
-                ):
+                limits = (o.keep_days, o.keep_gb, o.keep_unarchived)
+                for severity, text in delete_expired(self.directory, o.prefix, *limits):
                     self._publish_event("log-deleted", severity, text)
             if self._writer is None:
                 self._resume()

@@ -28,7 +28,7 @@ class Log(NamedTuple):
 
 
 def delete_expired(
-    folder: Path, prefix: str, *, keep_days: float, keep_gb: float, keep_unarchived: bool = False
+    folder: Path, prefix: str, keep_days: float, keep_gb: float, keep_unarchived: bool = False
 ) -> Iterator[tuple[str, str]]:
     """Delete what `expired` names; yield severity and text of an event for each log."""
     if not (keep_days or keep_gb):
