@@ -68,7 +68,7 @@ class Sample:
             what = f"mode {state.mode}" if mode is None else f"tick {state.tick}"
             raise DataError(
                 f"A sample of session {state.session} has the {what}, which this version does not know",
-                remedy="Install the version of board51 that the gateway has",
+                remedy="Install the same version as that of the gateway",
             )
         return cls(
             tick=state.tick,

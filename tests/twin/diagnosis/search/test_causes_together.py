@@ -129,7 +129,8 @@ def test_a_cause_that_only_led_another_to_a_higher_maximum_is_removed() -> None:
         criterion.close()
 
     assert found.causes == ("coulomb-friction",)
-    assert both.loglik - settings.MIN_GAIN < found.fit.loglik <= both.loglik
+    # The likelihood of dry friction has kinks, at which the climb with both may end below that with one.
+    assert found.fit.loglik > both.loglik - settings.MIN_GAIN
     assert both.loglik - stuck.loglik > 10.0 * settings.MIN_GAIN
 
 
