@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Iterable
@@ -97,3 +98,6 @@ def argument(parse: Callable[[str], T], is_good: Callable[[T], bool], problem: s
         return value
 
     return checked
+
+
+interval = argument(number, lambda seconds: 0.0 < seconds < math.inf, "is no interval; give seconds above 0")

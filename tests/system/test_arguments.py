@@ -88,7 +88,17 @@ def test_help_can_be_asked_for_as_a_command(capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize(
-    "words", [["bogus"], ["send", "rig1", "mode", "none"], ["send"], ["watch", "--every", "x"], ["start"]], ids=" ".join
+    "words",
+    [
+        ["bogus"],
+        ["send", "rig1", "mode", "none"],
+        ["send"],
+        ["watch", "--every", "x"],
+        ["start"],
+        *(["fill", ".", f"--every={text}"] for text in ("0", "-1", "nan", "inf")),
+        ["logs", "archive", ".", "--to", "s3://a", "--every=nan"],
+    ],
+    ids=" ".join,
 )
 def test_a_wrong_word_is_one_line_that_names_the_help(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:

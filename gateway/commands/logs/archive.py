@@ -12,6 +12,7 @@ from typing import Any
 
 from gateway.record.archive.bucket import Bucket
 from gateway.record.archive.copies import Archiver, Tally, fetch
+from protocol.arguments import interval
 from protocol.ending import end_at_once
 from protocol.errors import Board51Error, UsageError
 from protocol.files import make_folder
@@ -46,7 +47,7 @@ def configure(work: argparse._SubParsersAction[Any]) -> None:
     archiving.set_defaults(run=_archive)
     archiving.add_argument("folder", type=Path, metavar="FOLDER", help="of the logs, with its sub-folders")
     archiving.add_argument("--to", required=True, metavar="ADDRESS", help="s3://BUCKET/PREFIX, one for each FOLDER")
-    archiving.add_argument("--every", type=float, metavar="S", help="repeat every S seconds")
+    archiving.add_argument("--every", type=interval, metavar="S", help="repeat every S seconds")
     example = f"board51 logs fetch s3://plant/hall-3/board51-20260501T120000Z-000.mcap {server}"
     fetching = add("fetch", "logs back from there", _FETCH, example)
     fetching.set_defaults(run=_fetch)
@@ -56,8 +57,6 @@ def configure(work: argparse._SubParsersAction[Any]) -> None:
 
 def _archive(args: argparse.Namespace) -> int:
     """Archive once, or until it is ended."""
-    if args.every is not None and args.every <= 0:
-        raise UsageError("--every is not positive", remedy="Correct it")
     end_at_once()
     with suppress(AttributeError, OSError):  # Windows has no such priority
         os.nice(_NICE)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.sites.filler import Filler, Tally
+from protocol.arguments import interval
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
 from protocol.ending import on_end_signal
@@ -28,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="of the recording: the --out of `board51 record`")
     add_bus_arguments(parser)
     parser.add_argument("--board", help="only this board")
-    parser.add_argument("--every", type=float, metavar="S", help="repeat every S seconds")
+    parser.add_argument("--every", type=interval, metavar="S", help="repeat every S seconds")
     parser.add_argument(
         "--settle", type=float, default=60.0, metavar="S",
         help="leave out younger records, which may still arrive by themselves (default 60)",
@@ -41,8 +42,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fill once, or until SIGTERM or SIGINT."""
-    if args.settle < 0 or args.days <= 0 or (args.every is not None and args.every <= 0):
-        raise UsageError("--every, --settle and --days are positive", remedy="Correct them")
+    if not (args.settle >= 0.0 and args.days > 0.0):
+        raise UsageError("--settle and --days are positive", remedy="Correct them")
     topics.check_name(args.site, what="--site")
     if not args.folder.is_dir():
         raise UsageError(f"{args.folder} is not a folder", remedy="Give the folder of the recording")
