@@ -187,17 +187,20 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
         fit_all: whether candidates are fitted whatever their score.
     """
     criterion, cause = search.criterion, BY_NAME[selected.cause]
-    # A single cause was chosen from the model without it, so the trials of that round are already this comparison.
-    known = selection.rounds[0].trials if len(selection.causes) == 1 else ()
     remaining = [entry for entry in search.candidates if entry.name not in selection.causes]
     # A cause with the same effect on the samples is an equal without a fit.
     same = same_as(cause.name) & {entry.name for entry in remaining}
-    scores = screen(criterion, current.theta, current.free, [*remaining, cause])
-    if "line" in cause.detector:
-        scores += line_scores(criterion, current, remaining)
-        asks_force = any(entry.name == periodic.CAUSE.name for entry in remaining)
-        if asks_force and (force := periodic.score(criterion, current.theta)) is not None:
-            scores.append(force)
+    known: tuple[Trial, ...] = ()
+    if len(selection.causes) == 1:
+        # The first round began at the model without this cause, so its scores and trials are already this comparison.
+        scores, known = [*selection.rounds[0].scores], selection.rounds[0].trials
+    else:
+        scores = screen(criterion, current.theta, current.free, [*remaining, cause])
+        if "line" in cause.detector:
+            scores += line_scores(criterion, current, remaining)
+            asks_force = any(entry.name == periodic.CAUSE.name for entry in remaining)
+            if asks_force and (force := periodic.score(criterion, current.theta)) is not None:
+                scores.append(force)
     gain = next((score.gain for score in scores if score.cause == cause.name), 0.0)
     similar = {score.cause for score in scores if score.gain > settings.SIMILAR_SCORE * gain}
     # Causes of one family are similar by their physics, whatever their scores at this fit are.

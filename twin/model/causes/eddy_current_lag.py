@@ -67,9 +67,21 @@ CAUSE = Cause(
 
 
 @inlined
+def power(x: float, exponent: float) -> float:
+    """Return x^exponent, x >= 0, without logarithms for the exponents that the forms begin with."""
+    if exponent == 1.0:
+        return x
+    if exponent == 2.0:
+        return x * x
+    return math.sqrt(x) if exponent == 0.5 else x**exponent
+
+
+@inlined
 def weight(c: Vector, gap: float, gap_mid: float) -> float:
     """Return the quantity that lags, per current at this gap; 1 in the middle of the travel."""
-    return 1.0 if c[FLUX] == 0.0 or c[TAU] <= 0.0 else (gap_mid / max(gap, MIN_GAP_SHARE * gap_mid)) ** c[FLUX]
+    if c[FLUX] == 0.0 or c[TAU] <= 0.0:
+        return 1.0
+    return power(gap_mid / max(gap, MIN_GAP_SHARE * gap_mid), c[FLUX])
 
 
 @inlined
@@ -85,10 +97,10 @@ def lagged(c: Vector, f: float, i: float, i_next: float, w: float, w_next: float
         return i_next
     before, begin, end, a, tau = f * w, i * w, i_next * w_next, c[ORDER], quick(c)
     if a != 1.0:
-        before, begin, end = max(before, 0.0) ** a, max(begin, 0.0) ** a, max(end, 0.0) ** a
+        before, begin, end = power(max(before, 0.0), a), power(max(begin, 0.0), a), power(max(end, 0.0), a)
     slope = (end - begin) / h
     after = end - slope * tau + (before - begin + slope * tau) * math.exp(-h / tau)
-    return (after if a == 1.0 else max(after, 0.0) ** (1.0 / a)) / w_next
+    return (after if a == 1.0 else power(max(after, 0.0), 1.0 / a)) / w_next
 
 
 @inlined
