@@ -63,6 +63,21 @@ def test_what_a_recording_has_missed_is_filled_in_once_and_in_order(sites: tuple
         assert [state.tick for state in states] == list(range(1000, 1000 + ticks))
 
 
+def test_what_an_older_twin_sent_without_a_time_is_left_out_and_stays(sites: tuple[Path, Path]) -> None:
+    lab, plant = sites
+    records = flight(3_000)
+    timeless = [r for r in records if r[0].endswith("/twin/model") and not pb.TwinModel.FromString(r[1]).host_time_ns]
+    write(lab / "a-000.mcap", records)
+    write(plant / "bus-000.mcap", timeless[:2])
+
+    with served(lab) as endpoint:
+        tally, again = fill(endpoint, plant), fill(endpoint, plant)
+
+    assert (tally.records, tally.refused, again.records) == (len(records) - len(timeless), 0, 0)
+    models = [r.data for path in plant.glob("*.mcap") for r in LogReader(path).raw(topics_=["twin/model"])]
+    assert sorted(models) == sorted(r[1] for r in records if r[0].endswith("/twin/model") and r not in timeless[2:])
+
+
 def test_the_part_that_is_being_written_is_served_and_filled(sites: tuple[Path, Path]) -> None:
     lab, plant = sites
     records = flight(6_000)
