@@ -228,6 +228,26 @@ def test_without_a_server_the_error_says_what_to_start(tmp_path: Path, capsys: p
     assert "No log server of board51 answers. Start `board51 serve-log`" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--settle -1", "-1 is no age; give seconds, 0 or more"),
+        ("--settle inf", "inf is no age"),
+        ("--days 0", "0 is no number of days; give one above 0"),
+        ("--board Rig9", "--board 'Rig9' is not a name"),
+    ],
+)
+def test_a_bad_option_is_named_with_what_to_give(
+    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = board51.main(["fill", str(tmp_path), *words.split()])
+    except SystemExit as ended:  # of the parser
+        code = int(ended.code or 0)
+    assert code == 2
+    assert said in capsys.readouterr().err
+
+
 def test_a_folder_is_filled_by_one_process_at_a_time(
     sites: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
