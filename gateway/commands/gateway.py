@@ -60,7 +60,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="be the router here (default tcp/127.0.0.1:7447)",
     )
     parser.add_argument(
-        "--connect", action="append", default=[], metavar="ENDPOINT", help="be a client of the router there instead"
+        "--connect",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="be a client of the router there instead; with --listen: be a router that joins it",
     )
     log = parser.add_mutually_exclusive_group()
     log.add_argument("--log-dir", metavar="DIR", help="where the MCAP log goes (default logs)")

@@ -2,9 +2,9 @@
 
 Rule 1: a record has an id within its block: its tick, where its topic has one message for each tick; else a digest of
         it.  Equal records have equal ids at every site, and the records of a block are a set.
-Rule 2: what bears neither tick nor time of its own (twin/model, twin/alarms; both are repeated every 5 s) belongs to no
-        block: repetitions are equal, and each site's log has its own time for them.  Neither do the raw bytes of the
-        line, which do not travel.
+Rule 2: what bears neither tick nor time of its own belongs to no block: repetitions are equal, and each site's log has
+        its own time for them.  So it is with twin/model and twin/alarms of older versions.  Neither do the raw bytes of
+        the line, which do not travel.
 """
 
 from __future__ import annotations

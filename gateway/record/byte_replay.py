@@ -81,7 +81,10 @@ class RecordedBoard:
             if not chunk.to_board:
                 rest = self._take(chunk.host_time_ns, rest + chunk.data)
         if not self.pieces:
-            raise DataError("The log holds no bytes of the board", remedy="Replay it without --bytes")
+            raise DataError(
+                "The log holds no bytes of the board",
+                remedy="Give a gateway's own log, written without --lean, or replay without --bytes",
+            )
         if not self._known["IDENTITY"].messages:
             raise DataError(
                 "The log holds no IDENTITY: the board's scalings are unknown",

@@ -144,6 +144,7 @@ def summarise(paths: Path | Sequence[Path]) -> LogSummary:
                 board.parameters = parameters
                 board.gaps.divider = max(parameters.stream_divider, 1)
             case pb.TwinModel() as model:
+                model.ClearField("host_time_ns")  # what repetitions differ in
                 if not board.models or board.models[-1] != model:
                     board.models.append(model)
             case pb.Event() as event:

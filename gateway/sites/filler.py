@@ -113,7 +113,8 @@ class Filler:
                 next_byte, complete = self._fill_part(key, part.name, from_byte, tally)
             finally:
                 if tally.records > filled:
-                    self._report(f"{part.name}: {tally.records - filled} records filled in")
+                    # With the server: logs of two sites that began in the same second have the same name.
+                    self._report(f"{tally.records - filled} record(s) filled in from {part.name} of {key}")
             self._progress[key, part.name] = (part.bytes if complete else 0, next_byte)
             if not complete:
                 tally.settling += 1

@@ -591,10 +591,12 @@ class Alarms(_message.Message):
     def __init__(self, host_time_ns: _Optional[int] = ..., active: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[Acknowledgement, _Mapping]]] = ...) -> None: ...
 
 class TwinAlarms(_message.Message):
-    __slots__ = ("active",)
+    __slots__ = ("active", "host_time_ns")
     ACTIVE_FIELD_NUMBER: _ClassVar[int]
+    HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     active: _containers.RepeatedCompositeFieldContainer[Alarm]
-    def __init__(self, active: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ...) -> None: ...
+    host_time_ns: int
+    def __init__(self, active: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ..., host_time_ns: _Optional[int] = ...) -> None: ...
 
 class UseModel(_message.Message):
     __slots__ = ("model_json",)
@@ -613,7 +615,7 @@ class TwinCommand(_message.Message):
     def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., use_model: _Optional[_Union[UseModel, _Mapping]] = ...) -> None: ...
 
 class TwinModel(_message.Message):
-    __slots__ = ("session", "since_tick", "name", "model_json", "sha256", "who", "command_id")
+    __slots__ = ("session", "since_tick", "name", "model_json", "sha256", "who", "command_id", "host_time_ns")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     SINCE_TICK_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -621,6 +623,7 @@ class TwinModel(_message.Message):
     SHA256_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
     COMMAND_ID_FIELD_NUMBER: _ClassVar[int]
+    HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     session: int
     since_tick: int
     name: str
@@ -628,7 +631,8 @@ class TwinModel(_message.Message):
     sha256: str
     who: str
     command_id: str
-    def __init__(self, session: _Optional[int] = ..., since_tick: _Optional[int] = ..., name: _Optional[str] = ..., model_json: _Optional[str] = ..., sha256: _Optional[str] = ..., who: _Optional[str] = ..., command_id: _Optional[str] = ...) -> None: ...
+    host_time_ns: int
+    def __init__(self, session: _Optional[int] = ..., since_tick: _Optional[int] = ..., name: _Optional[str] = ..., model_json: _Optional[str] = ..., sha256: _Optional[str] = ..., who: _Optional[str] = ..., command_id: _Optional[str] = ..., host_time_ns: _Optional[int] = ...) -> None: ...
 
 class TwinDiagnosis(_message.Message):
     __slots__ = ("host_time_ns", "session", "tick", "cause", "value", "unit", "probability", "others", "since_ns", "for_s", "sentence")

@@ -72,8 +72,8 @@ def parse(message: type[M], data: bytes) -> M | None:
 
 def stamp_ns(message: Message) -> int | None:
     """Return the time that a message bears, the gateway's clock; None for those that bear none (twin/state, ...)."""
-    stamp: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
-    return stamp
+    stamp: int = getattr(message, "host_time_ns", getattr(message, "received_ns", 0))
+    return stamp or None  # 0: a sender that knew no time, or an older one
 
 
 def state_batch(states: Iterable[bytes]) -> bytes:

@@ -27,8 +27,10 @@ DOWN = pb.Alarm(name="link-down", active=True, text="x", host_time_ns=START_NS)
 USUAL: list[Message] = [
     *(one for topic, one in usual_messages() if topic != "raw"),
     pb.Alarms(host_time_ns=START_NS, active=[DOWN], acknowledged=[SEEN]),
-    pb.TwinAlarms(active=[pb.Alarm(name="divergence-x", active=True, host_time_ns=START_NS)]),
-    pb.TwinModel(session=1, name="n", model_json='{"plant": {"travel_m": 5e-3}}', sha256="ab", who="w"),
+    pb.TwinAlarms(host_time_ns=START_NS, active=[pb.Alarm(name="divergence-x", active=True, host_time_ns=START_NS)]),
+    pb.TwinModel(
+        host_time_ns=START_NS, session=1, name="n", model_json='{"plant": {"travel_m": 5e-3}}', sha256="ab", who="w"
+    ),
     pb.TwinDiagnosis(host_time_ns=START_NS, cause="c", value=1.0, unit="m", others=["d"], for_s=3.0, sentence="s"),
     pb.PlantCard(host_time_ns=START_NS, plant=pb.Plant(mass_kg=8e-3, travel_m=5e-3, x_max_m=8e-3), who="a", board="7"),
     *(

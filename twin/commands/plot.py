@@ -113,9 +113,10 @@ def run(args: argparse.Namespace) -> int:
 def _draw(args: argparse.Namespace, board: str, trace: Traces, title: str, model: Model, settings: Settings) -> None:
     from twin.mirror.plots.traces import draw
 
+    remedy = _times_of(trace)
     trace.crop(args.from_s, args.to_s)
     if not trace.rows:
-        raise DataError(f"{args.log}: no samples between --from and --to", remedy="Look at `board51 info`")
+        raise DataError(f"{args.log}: no samples between --from and --to", remedy=remedy)
     nis_on, error_on = _thresholds(args.log, board, trace, model, settings)
     draw(trace, args.out, nis_on=nis_on, error_on=error_on, title=title)
 
@@ -127,12 +128,18 @@ def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str,
     for begin, end, label in args.span:
         part = trace.part(begin, end)
         if len(part.rows) < 2:
-            raise DataError(f"{args.log}: no samples in --span {begin:g}:{end:g}", remedy="Look at `board51 info`")
+            raise DataError(f"{args.log}: no samples in --span {begin:g}:{end:g}", remedy=_times_of(trace))
         if not label:
             ran = supplied or _model_at(args.log, board, end)
             label = f"twin of {ran}" if ran else f"from {begin:g} s"
         columns.append(Column(traces=part, label=label))
     draw_spans(columns, args.out, title=title)
+
+
+def _times_of(trace: Traces) -> str:
+    """Return the advice which times there are."""
+    times_s = [row[0] for row in trace.rows]
+    return f"Choose from {min(times_s):.1f} to {max(times_s):.1f} s, by the clock of {trace.board}"
 
 
 def _model_at(path: Path, board: str, t_s: float) -> str:

@@ -46,7 +46,8 @@ class BoardRun:
     models_logged: list[pb.TwinModel] = field(default_factory=list)  # what a live twin ran on, one entry per change
 
     def add_model(self, message: pb.TwinModel) -> None:
-        """Take a live twin's message about its model; repetitions have no effect."""
+        """Take a live twin's message about its model; repetitions, which differ in their time, have no effect."""
+        message.ClearField("host_time_ns")
         if not self.models_logged or self.models_logged[-1] != message:
             self.models_logged.append(message)
 
@@ -148,7 +149,7 @@ def run_log(
             else:
                 state = parse(pb.State, entry, path)
                 if not run.samples:
-                    used = belief.message(session=state.session, since_tick=state.tick)
+                    used = belief.message(session=state.session, since_tick=state.tick, host_time_ns=state.host_time_ns)
                     _write(log, entry, "twin/model", used, pb.TwinModel)
                 output = run.add(state)
                 _write(log, entry, "state", entry.data, pb.State)

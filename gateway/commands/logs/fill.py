@@ -8,6 +8,7 @@ has records that are younger than --settle.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import threading
@@ -17,11 +18,14 @@ from pathlib import Path
 
 from gateway.client.connection import BusBoard, add_bus_arguments, open_bus
 from gateway.sites.filler import Filler, Tally
-from protocol.arguments import interval
+from protocol.arguments import argument, interval, number
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
 from protocol.ending import on_end_signal
 from protocol.errors import Board51Error, UsageError
+
+_SETTLE = argument(number, lambda seconds: 0.0 <= seconds < math.inf, "is no age; give seconds, 0 or more")
+_DAYS = argument(number, lambda days: 0.0 < days < math.inf, "is no number of days; give one above 0")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,20 +35,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--board", help="only this board")
     parser.add_argument("--every", type=interval, metavar="S", help="repeat every S seconds")
     parser.add_argument(
-        "--settle", type=float, default=60.0, metavar="S",
+        "--settle", type=_SETTLE, default=60.0, metavar="S",
         help="leave out younger records, which may still arrive by themselves (default 60)",
     )  # fmt: skip
     parser.add_argument(
-        "--days", type=float, default=7.0, help="look at parts that were written to in the last DAYS (default 7)"
+        "--days", type=_DAYS, default=7.0, help="look at parts that were written to in the last DAYS (default 7)"
     )
     parser.epilog = "example:\n  board51 fill recording --connect tcp/127.0.0.1:7447 --every 60"
 
 
 def run(args: argparse.Namespace) -> int:
     """Fill once, or until SIGTERM or SIGINT."""
-    if not (args.settle >= 0.0 and args.days > 0.0):
-        raise UsageError("--settle and --days are positive", remedy="Correct them")
     topics.check_name(args.site, what="--site")
+    if args.board is not None:
+        topics.check_name(args.board, what="--board")
     if not args.folder.is_dir():
         raise UsageError(f"{args.folder} is not a folder", remedy="Give the folder of the recording")
     stop = threading.Event()
@@ -72,11 +76,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _as_text(tally: Tally) -> str:
-    text = f"{tally.records} records filled in ({tally.bytes / 1e6:.1f} MB), {tally.compared} blocks compared"
+    text = (
+        f"{tally.records} record(s) filled in ({tally.bytes / 1e6:.1f} MB),"
+        f" {tally.compared} block(s) compared with {tally.servers} log server(s)"
+    )
     if tally.refused:
-        text += f", {tally.refused} records refused: not what was asked for"
+        text += f", {tally.refused} record(s) refused: not what was asked for"
     if tally.settling:
-        text += f"; {tally.settling} parts have younger records: fill again later"
+        text += f"; {tally.settling} part(s) also have records younger than --settle: fill again later"
     return text
 
 

@@ -55,11 +55,8 @@ def run(args: argparse.Namespace) -> int:
             rotate_bytes=round(args.rotate_mb * 1e6), rotate_s=args.rotate_s,
         )  # fmt: skip
         with recording.start():
-            print(
-                f"recording {args.site}/{args.board}/** into {recording.stats.file or args.out}",
-                file=sys.stderr,
-                flush=True,
-            )
+            part = args.out / recording.stats.file
+            print(f"recording {args.site}/{args.board}/** into {part}", file=sys.stderr, flush=True)
             wait_for_end(stop, args.seconds)
         note_end()
     stats = recording.stats

@@ -23,7 +23,7 @@ from gateway.client.connection import Subscription
 from gateway.views.foxglove.derived import Derived
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
+from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name, stamp_ns
 from protocol.ending import wait_for_end
 from protocol.errors import ServiceError
 
@@ -89,10 +89,10 @@ class FoxgloveView:
         site, board, _ = address
         with self._lock:
             # What bears no time of its own (twin/*) gets that of its board's newest message, as in `board51 record`.
-            stamp_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
-            if stamp_ns is not None:
-                self._newest_ns[board] = max(stamp_ns, self._newest_ns.get(board, 0))
-            time_ns = stamp_ns or self._newest_ns.get(board, time.time_ns())
+            stamp = stamp_ns(message)
+            if stamp is not None:
+                self._newest_ns[board] = max(stamp, self._newest_ns.get(board, 0))
+            time_ns = stamp or self._newest_ns.get(board, time.time_ns())
             self._log(key, data, time_ns, lambda: self._schema(type(message)))
             for name, panel in self._derived.take(site, board, message, time_ns):
                 self._log(name, panel.encode(), time_ns, panel.get_schema)

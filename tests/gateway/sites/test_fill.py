@@ -63,6 +63,21 @@ def test_what_a_recording_has_missed_is_filled_in_once_and_in_order(sites: tuple
         assert [state.tick for state in states] == list(range(1000, 1000 + ticks))
 
 
+def test_what_an_older_twin_sent_without_a_time_is_left_out_and_stays(sites: tuple[Path, Path]) -> None:
+    lab, plant = sites
+    records = flight(3_000)
+    timeless = [r for r in records if r[0].endswith("/twin/model") and not pb.TwinModel.FromString(r[1]).host_time_ns]
+    write(lab / "a-000.mcap", records)
+    write(plant / "bus-000.mcap", timeless[:2])
+
+    with served(lab) as endpoint:
+        tally, again = fill(endpoint, plant), fill(endpoint, plant)
+
+    assert (tally.records, tally.refused, again.records) == (len(records) - len(timeless), 0, 0)
+    models = [r.data for path in plant.glob("*.mcap") for r in LogReader(path).raw(topics_=["twin/model"])]
+    assert sorted(models) == sorted(r[1] for r in records if r[0].endswith("/twin/model") and r not in timeless[2:])
+
+
 def test_the_part_that_is_being_written_is_served_and_filled(sites: tuple[Path, Path]) -> None:
     lab, plant = sites
     records = flight(6_000)
@@ -211,6 +226,26 @@ def test_without_a_server_the_error_says_what_to_start(tmp_path: Path, capsys: p
         code = board51.main(["fill", str(tmp_path / "plant"), "--connect", endpoint])
     assert code == 1
     assert "No log server of board51 answers. Start `board51 serve-log`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--settle -1", "-1 is no age; give seconds, 0 or more"),
+        ("--settle inf", "inf is no age"),
+        ("--days 0", "0 is no number of days; give one above 0"),
+        ("--board Rig9", "--board 'Rig9' is not a name"),
+    ],
+)
+def test_a_bad_option_is_named_with_what_to_give(
+    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = board51.main(["fill", str(tmp_path), *words.split()])
+    except SystemExit as ended:  # of the parser
+        code = int(ended.code or 0)
+    assert code == 2
+    assert said in capsys.readouterr().err
 
 
 def test_a_folder_is_filled_by_one_process_at_a_time(

@@ -12,7 +12,7 @@ from threading import Event, Thread
 import zenoh
 from google.protobuf.message import Message
 
-from gateway.record.blocks import LOGGED
+from gateway.record.blocks import LOGGED, locate
 from gateway.record.writer import LogWriter
 from gateway.sites.server import LogServer
 from protocol.bus import board51_pb2 as pb
@@ -30,7 +30,7 @@ Records = list[tuple[str, bytes, int]]
 def flight(
     count: int, *, board: str = "rig1", session: int = 7, first: int = 1000, seed: int = 1, began_ns: int = BEGAN_NS
 ) -> Records:
-    """What a gateway logs of `count` ticks: states, a twin, each second a status, now and then an event."""
+    """What a gateway logs of `count` ticks: states, a twin, each second a status and a model, now and then an event."""
     draw, records = random.Random(seed), Records()
 
     def add(topic: str, message: Message, now_ns: int) -> None:
@@ -43,7 +43,9 @@ def flight(
         add("twin/state", pb.TwinState(tick=tick, session=session), now_ns + 300_000)
         if tick % TICKS_A_SECOND == 0:
             add("status", pb.Status(host_time_ns=now_ns, samples=tick), now_ns)
-            add("twin/model", pb.TwinModel(session=session, name="of no time of its own"), now_ns)
+            add("twin/model", pb.TwinModel(session=session, name="ce152", host_time_ns=now_ns), now_ns)
+            add("twin/model", pb.TwinModel(session=session, name="of an older twin"), now_ns)
+            add("twin/alarms", pb.TwinAlarms(host_time_ns=now_ns), now_ns)
         if draw.random() < 1e-3:
             add("event", pb.Event(host_time_ns=now_ns, name="limit-hit", text=str(draw.random())), now_ns)
             add("twin/alarm", pb.Alarm(host_time_ns=now_ns, tick=tick, session=session, name="divergence-x"), now_ns)
@@ -76,8 +78,8 @@ def held(folder: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> Co
     for path in folder.glob(parts):
         if path.stat().st_size:
             records = LogReader(path).raw(topics_=LOGGED)
-            counts.update((r.key, r.data) for r in records if r.time_ns < before_ns)
-    return Counter({key: n for key, n in counts.items() if not key[0].endswith("twin/model")})
+            counts.update((r.key, r.data) for r in records if r.time_ns < before_ns and locate(r) is not None)
+    return counts
 
 
 def missing(lab: Path, plant: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> int:

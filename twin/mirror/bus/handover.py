@@ -40,8 +40,8 @@ class Belief:
         """Return a title for a person: name and first digits of the hash."""
         return f"{self.model.name} ({self.sha256[:SHORT]})"
 
-    def message(self, *, session: int, since_tick: int) -> pb.TwinModel:
-        """Return the message that publishes this model."""
+    def message(self, *, session: int, since_tick: int, host_time_ns: int) -> pb.TwinModel:
+        """Return the message that publishes this model at this time of the gateway's clock."""
         return pb.TwinModel(
             session=session,
             since_tick=since_tick,
@@ -50,6 +50,7 @@ class Belief:
             sha256=self.sha256,
             who=self.who,
             command_id=self.command_id,
+            host_time_ns=host_time_ns,
         )
 
 

@@ -1,6 +1,8 @@
 """A board on the bus with its twin: publishes the mirror's output, its model and the active alarms.
 
-Rule: used by the service's worker thread alone.
+Rule 1: used by the service's worker thread alone.
+Rule 2: what is repeated bears the time at which it is sent.  So repetitions differ, and `board51 fill` sees which is
+        missing.  It is the gateway's time: that of the newest sample, and what has passed since by this host's clock.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from twin.settings.naming import FORGOTTEN_S
 
 REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
 _TOPICS = ("twin/state", "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")
+_LAST_NS = (1 << 64) - 1  # the largest number that a message can hold: a sample may bear any time
 log = logging.getLogger(__name__)
 
 
@@ -91,6 +94,7 @@ class Watched:
             + " --out diagnosis",
         )
         self._newest: pb.State | None = None
+        self._now_ns = 0  # of the gateway's clock; 0 before the first sample
         self._since: tuple[int, int] | None = None  # session and tick of the first sample under the belief
         self._sampled_s = 0.0  # both monotonic
         self._repeated_s = -math.inf
@@ -98,7 +102,7 @@ class Watched:
     def take(self, state: pb.State, now_s: float) -> Output | None:
         """Answer one sample."""
         self.samples += 1
-        self._sampled_s, self.silent, self._newest = now_s, False, state
+        self._sampled_s, self.silent, self._newest, self._now_ns = now_s, False, state, state.host_time_ns
         if self._since is None:
             self._since = (state.session, state.tick)
             self._repeat(now_s)
@@ -149,6 +153,9 @@ class Watched:
 
     def look_at_the_clock(self, now_s: float) -> None:
         """Notice silence; repeat what late subscribers need."""
+        if self._newest is not None and self._newest.host_time_ns:
+            passed_ns = round((now_s - self._sampled_s) * 1e9)
+            self._now_ns = min(self._newest.host_time_ns + passed_ns, _LAST_NS)
         if self.samples and not self.silent and now_s - self._sampled_s > SILENT_S:
             self.silent = True
             for alarm in self.mirror.silence(f"no sample for {SILENT_S:g} s"):
@@ -163,21 +170,23 @@ class Watched:
     def _repeat(self, now_s: float) -> None:
         self._repeated_s = now_s
         self._publish_model()
-        self._publish("twin/alarms", pb.TwinAlarms(active=self.alarms.values()))
+        self._publish("twin/alarms", pb.TwinAlarms(active=self.alarms.values(), host_time_ns=self._now_ns))
         if self._namer is not None:
+            self.diagnosis.host_time_ns = self._now_ns
             self._publish("twin/diagnosis", self.diagnosis)
 
     def _publish_model(self) -> None:
         assert self._since is not None
         session, tick = self._since
-        self._publish("twin/model", self.belief.message(session=session, since_tick=tick))
+        message = self.belief.message(session=session, since_tick=tick, host_time_ns=self._now_ns)
+        self._publish("twin/model", message)
 
     def _diagnose(self, diagnosis: pb.TwinDiagnosis) -> None:
         if diagnosis.cause != self.diagnosis.cause:
             log.warning("board %s: %s", self.board, diagnosis.sentence or "no cause is named any longer")
         newest = self._newest
         if newest is not None and not diagnosis.host_time_ns:
-            diagnosis.host_time_ns = newest.host_time_ns
+            diagnosis.host_time_ns = self._now_ns
             diagnosis.session, diagnosis.tick = newest.session, newest.tick
         self.diagnosis = diagnosis
         self._publish("twin/diagnosis", diagnosis)

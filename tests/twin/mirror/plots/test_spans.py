@@ -64,7 +64,7 @@ def test_a_span_more_is_a_column_more(flown: Path, tmp_path: Path) -> None:
         (["--span", "2:1"], "is not FROM:TO"),
         (["--span", "x"], "is not FROM:TO"),
         (["--span", "nan:3"], "is not FROM:TO"),
-        (["--span", "10:20"], "no samples in --span 10:20"),
+        (["--span", "10:20"], "no samples in --span 10:20. Choose from 0.0 to 3.0 s, by the clock of rig"),
         (["--span", "1:2", "--from", "0"], "exclude each other"),
     ],
 )
