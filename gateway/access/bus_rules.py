@@ -34,13 +34,7 @@ _SERVED = ("query", "declare_subscriber", "declare_queryable")  # messages that 
 
 
 def access_control(site: str, people: Mapping[str, Role], *, upper: bool = False) -> dict[str, Any]:
-    """The `access_control` section of a router's configuration for one site.
-
-    Args:
-        site: first chunk of the keys.
-        people: role of each user, by name.
-        upper: whether this router connects to another one.
-    """
+    """The `access_control` section of a router for one site; `upper`: it connects to another router."""
     published = {
         who: [topics.key(site, "*", t.name) for t in topics.TOPICS if t.bus and t.source == who]
         for who in ("gateway", "twin")

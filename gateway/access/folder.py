@@ -86,12 +86,7 @@ class SecurityFolder:
     # -- making
 
     def init(self, *, site: str = DEFAULT_SITE, hosts: Sequence[str] = (), now: datetime | None = None) -> None:
-        """Make the authority, the servers' certificates and the services' identities.
-
-        Args:
-            site: first chunk of the keys.
-            hosts: further names and addresses of the servers.
-            now: time of issue; None: now.
+        """Make the authority, the servers' certificates for further hosts, and the services' identities.
 
         Raises:
             UsageError: the folder is not empty or cannot be written.
@@ -195,14 +190,7 @@ class SecurityFolder:
     def router(
         self, listen: Sequence[str], connect: Sequence[str] = (), *, name: str = "gateway", wait_for_router: bool = True
     ) -> str:
-        """Configuration of a router that admits only the accounts of this folder, for `zenoh.Config.from_json5`.
-
-        Args:
-            listen: endpoints to listen on.
-            connect: endpoints of another router to join.
-            name: identity for that router.
-            wait_for_router: see `zenoh_config`.
-        """
+        """Configuration of a router for the accounts of this folder alone, for `zenoh.Config.from_json5`."""
         certificate, key = self.server("bus")
         config = json.loads(
             zenoh_config(

@@ -26,13 +26,7 @@ class TooMany:
 
 
 class Logins:
-    """The logins of one server.
-
-    Args:
-        users: the users.
-        clock: monotonic time, s.
-        sleep: as `asyncio.sleep`.
-    """
+    """The logins of one server."""
 
     def __init__(
         self,

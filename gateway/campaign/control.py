@@ -82,14 +82,7 @@ def _lost(what: str, address: str) -> ServiceError:
 
 
 class RigControl:
-    """The control of one board through its gateway.
-
-    Args:
-        rig: sends the commands.
-        subscriber: of the same board.
-        stop: is set when the user ends the run.
-        travel_m: travel of the ball, m; NaN: it is set later, before the ball moves.
-    """
+    """The control of one board through its gateway, until `stop` is set."""
 
     def __init__(
         self, rig: Rig, subscriber: BoardSubscriber, stop: threading.Event, *, travel_m: float = float("nan")

@@ -42,16 +42,7 @@ OVERHEAD_S = {True: 2.0, False: 0.8}  # of a recording in closed and in open loo
 
 
 class Runner:
-    """Runs the experiments of `wishes` on `rig` into `folder`.
-
-    Args:
-        rig: commands to the board.
-        subscriber: of the same board.
-        folder: receives the recordings.
-        board: its name.
-        wishes: options of the user.
-        write_line: is called with lines of progress.
-    """
+    """Runs the experiments of `wishes` on `rig` into `folder`."""
 
     def __init__(
         self,

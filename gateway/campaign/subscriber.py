@@ -48,12 +48,7 @@ def is_foreign(record: pb.CommandRecord) -> bool:
 
 
 class BoardSubscriber:
-    """Receives the messages of one board until the rig is closed.
-
-    Args:
-        rig: of the board.
-        ordered_ns: when the run was ordered, Unix time.  A later STOP ends it.
-    """
+    """Receives the messages of one board until the rig is closed; a STOP after `ordered_ns` (Unix time) ends it."""
 
     def __init__(self, rig: Rig, ordered_ns: int) -> None:
         self._ordered_ns = ordered_ns

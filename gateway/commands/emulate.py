@@ -122,7 +122,8 @@ def _add_deviations(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM, SIGINT or the end of --duration."""
     from gateway.emulator.plant import effects, secret
-    from gateway.emulator.serve import Server, build_lines, pty_ports, tcp_ports
+    from gateway.emulator.ports import pty_ports, tcp_ports
+    from gateway.emulator.serve import Server, build_lines
 
     _check(args)
     strengths = dict(effects.parse(text) for text in args.effect)

@@ -76,16 +76,7 @@ class LineCounts:
 
 
 class BoardLine:
-    """An emulated board with its line and port.
-
-    Args:
-        firmware: The board.
-        port: Where hosts connect; opened here.
-        baud: Of the line, both ways, bits per second.
-        faults: Of link and board.
-        seed: Of the faults.
-        wiring: Between the board and its plant, for the faults there; None: they do nothing.
-    """
+    """An emulated board with its line of `baud` bits per second and its port, which is opened here."""
 
     def __init__(
         self,

@@ -18,7 +18,6 @@ Rule 4: in lockstep time passes only in `advance`.  Bytes that the host wrote be
 from __future__ import annotations
 
 import contextlib
-import os
 import selectors
 import socket
 import tempfile
@@ -39,7 +38,7 @@ from gateway.emulator.line import Board, BoardLine, LineCounts
 from gateway.emulator.own_rig import load_rig
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
-from gateway.emulator.ports import EmulatedPort, TcpPort
+from gateway.emulator.ports import EmulatedPort, pty_ports, tcp_ports
 from gateway.emulator.wiring import FaultyWiring
 from protocol.errors import ServiceError, UsageError
 
@@ -302,26 +301,6 @@ class Emulator:
             raise ServiceError("The emulator's thread does not answer", remedy="Use it inside its `with` block")
         if failures:
             raise failures[0]
-
-
-def pty_ports(link: Path, boards: int) -> list[EmulatedPort]:
-    """Return the ptys: PATH for one board, PATH-1, PATH-2, ... for several.
-
-    Raises:
-        UsageError: this system has no ptys.
-    """
-    if os.name != "posix":
-        raise UsageError("A pty needs Linux or macOS", remedy="Give --tcp HOST:PORT instead")
-    from gateway.emulator.pty_port import PtyPort
-
-    if boards == 1:
-        return [PtyPort(link)]
-    return [PtyPort(link.with_name(f"{link.name}-{n}")) for n in range(1, boards + 1)]
-
-
-def tcp_ports(host: str, port: int, boards: int) -> list[EmulatedPort]:
-    """Return consecutive TCP ports from `port` on, or free ones if it is 0."""
-    return [TcpPort(host, port + n if port else 0) for n in range(boards)]
 
 
 def rig_of(name: str) -> tuple[Callable[..., EmulatedPlant], BoardProfile]:

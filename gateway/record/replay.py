@@ -72,11 +72,7 @@ def pace(
 class BusReplay:
     """Publishes records on a zenoh session.  Use it as a context manager; the boards are alive on the bus within it.
 
-    Args:
-        session: An open session.
-        boards: (site, board) pairs to publish.
-        rename: Publish the only board under this name instead.
-        site: Publish under this site instead of the recorded one.
+    `rename` publishes the only board under another name, `site` all boards under another site.
     """
 
     def __init__(

@@ -70,11 +70,7 @@ def logs_in(folder: Path, prefix: str) -> list[Log]:
 def expired(logs: Sequence[Log], now_s: float, *, keep_days: float, keep_gb: float) -> list[tuple[Path, str]]:
     """Return the logs to delete, oldest first, each with the reason.
 
-    Args:
-        logs: of the folder.
-        now_s: Unix time.
-        keep_days: greatest age; 0: no bound.
-        keep_gb: greatest size of all logs together, in 10^9 bytes; 0: no bound.
+    Both bounds are none if they are 0; `keep_gb` is in 10^9 bytes, for all logs together.
     """
     total, result = sum(log.size for log in logs), []
     for log in sorted(logs, key=lambda log: log.modified_s):

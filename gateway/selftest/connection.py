@@ -30,11 +30,7 @@ class RefusedError(ServiceError):
 
 
 class Connection:
-    """A session with one board.
-
-    Args:
-        wire: Its port and the time.
-    """
+    """A session with one board."""
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire

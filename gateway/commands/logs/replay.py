@@ -19,9 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.access.listeners import check_bus_listeners
-from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import parse
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, Mode, check_endpoint, zenoh_config
 from protocol.bus.identity import HELP, find_identity
 from protocol.ending import on_end_signal
@@ -83,7 +81,9 @@ def run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     on_end_signal(stop.set)
     if args.bytes:
-        return _bytes(args, stop)
+        from gateway.commands.logs.replay_bytes import replay_bytes
+
+        return replay_bytes(args, stop)
     if args.pty or args.tcp:
         raise UsageError("--pty and --tcp take bytes", remedy="Add --bytes")
     return _bus(args, stop)
@@ -203,43 +203,6 @@ def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:
     available = sorted({channel.topic for scan in reader.scans for channel in scan.channels.values()})
     selection = " ".join([*(args.topic or ()), *(args.board or ())]) or "any topic of the bus"
     raise DataError(f"Log {reader.name} has no messages of {selection}", remedy=f"It has: {', '.join(available)}")
-
-
-def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
-    from gateway.record.byte_port import open_pty, open_tcp, serve
-    from gateway.record.byte_replay import RecordedBoard
-    from gateway.record.replay import contents
-
-    if (args.pty is None) == (args.tcp is None):
-        raise UsageError("--bytes needs a destination", remedy="Give --pty PATH or --tcp HOST:PORT")
-    if args.loop or args.rename or args.topic or args.connect or args.listen:
-        raise UsageError("--bytes does not go with the options of the bus", remedy="Leave those out")
-    reader = LogReader(args.logs)
-    boards = list(dict.fromkeys(board for _, board, _ in contents(reader, topics_=("raw",), boards=args.board)))
-    if len(boards) > 1:
-        raise UsageError(f"The log has bytes of several boards: {', '.join(boards)}", remedy="Choose one with --board")
-    records = reader.raw(topics_=("raw",), boards=args.board, start_s=args.start, end_s=args.end)
-    messages = (parse(pb.RawBytes, record.data) for record in records)
-    board = RecordedBoard(message for message in messages if message is not None)
-    if args.pty is not None:
-        with open_pty(args.pty) as port:
-            print(f"board on {args.pty}", flush=True)
-            sent = serve(board, port, speed=args.speed, stop=stop)
-    else:
-        host, port_number = _address(args.tcp)
-        print(f"board on socket://{host}:{port_number}", flush=True)
-        with open_tcp(host, port_number, stop=stop) as connection:
-            sent = serve(board, connection, speed=args.speed, stop=stop) if connection is not None else 0
-    account = {"pieces": sent, "of": len(board.pieces), "answers_removed": board.removed, "refused": board.refused}
-    print(json.dumps(account) if args.json else ", ".join(f"{name} {value}" for name, value in account.items()))
-    return 0 if sent == len(board.pieces) else 1
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.removeprefix("socket://").rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise UsageError(f"--tcp {text} is not an address", remedy="Write HOST:PORT, e.g. 127.0.0.1:5100")
-    return host, int(port)
 
 
 class _Progress:

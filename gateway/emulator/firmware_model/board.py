@@ -72,13 +72,7 @@ class AnalogSide(Protocol):
 
 
 class Firmware:
-    """A board, powered on.
-
-    Args:
-        plant: Analog side; the firmware advances its time.
-        board_id: Serial number in IDENTITY.
-        profile: Scalings, gains, limits, converters.
-    """
+    """A board, powered on; it advances the time of its plant, and `board_id` is the serial number in IDENTITY."""
 
     def __init__(self, plant: AnalogSide, *, board_id: int = 1, profile: BoardProfile = CE152_BOARD) -> None:
         self._plant = plant

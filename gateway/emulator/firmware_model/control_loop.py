@@ -83,14 +83,7 @@ class Tick:
 
 
 class ControlLoop:
-    """The control loop between two resets.
-
-    Args:
-        emit: Called with each event: (code, detail).
-        settings: In force after the reset.
-        converter: Of u_c.
-        calibration: Of x, as the board keeps it; None: it has none.
-    """
+    """The control loop between two resets; `emit` is called with code and detail of each event."""
 
     def __init__(
         self,
@@ -261,12 +254,7 @@ class ControlLoop:
 
 
 class HostWatch:
-    """Acts on the loop when no frame of the host has come for `timeout_ms`: rule 10.
-
-    Args:
-        loop: The control loop.
-        emit: Sends an event with its detail.
-    """
+    """Acts on the loop when no frame of the host has come for `timeout_ms`: rule 10."""
 
     def __init__(self, loop: ControlLoop, emit: Callable[[EventCode, int], None]) -> None:
         self.policy = HostLoss.COIL_OFF

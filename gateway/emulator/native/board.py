@@ -28,13 +28,7 @@ _LONGEST_FRAME = 64  # bytes
 
 
 class NativeFirmware:
-    """A board with the firmware in C, powered on.
-
-    Args:
-        plant: Analog side; the firmware advances its time.
-        board_id: Serial number in IDENTITY.
-        profile: Scalings, gains, limits, converters.
-        path: The compiled library; None: that of this machine, compiled if it is not yet.
+    """A board with the firmware in C, powered on: compiled for this machine, or the library at `path`.
 
     Raises:
         InstallError: there is no C compiler.

@@ -118,13 +118,7 @@ def library() -> Path:
 
 
 def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
-    """Return a file from the cache; if it is not there, let `make` write it.
-
-    Args:
-        name: Name of the file; a key made of `inputs` and `options` is inserted before its ending.
-        inputs: The source files.
-        options: The options of the compiler.
-        make: Writes the file to the given path.
+    """Return a file from the cache, by `name` with a key of inputs and options; if it is not there, `make` writes it.
 
     Raises:
         ServiceError: the cache cannot be written.

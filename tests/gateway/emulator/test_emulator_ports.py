@@ -21,8 +21,7 @@ from typing import Self
 import pytest
 
 import board51
-from gateway.emulator.ports import TcpPort
-from gateway.emulator.pty_port import PtyPort
+from gateway.emulator.ports import PtyPort, TcpPort
 from gateway.emulator.serve import Emulator, Server, build_lines
 from protocol.errors import ServiceError, UsageError
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
