@@ -158,11 +158,7 @@ def run(args: argparse.Namespace) -> int:
             json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}"
         )
 
-    try:
-        server.run(args.duration)
-    finally:
-        server.close()
-
+    server.run(args.duration)
     for n, line in enumerate(lines):
         counts = asdict(line.counts) | {"late_ticks": server.overdue_ticks, "worst_lateness_s": server.worst_lateness_s}
         if args.json:

@@ -18,7 +18,6 @@ from gateway.emulator.firmware_model.answers import Answers
 from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.commands import (
     HANDLERS,
-    Acceptance,
     Nack,
     acknowledge,
     identity,
@@ -234,14 +233,14 @@ class Firmware:
             self.loop.switch_off()
             if self._reset_wait:
                 return
-            answer: Acceptance | Nack = acknowledge(body[0], self.next_tick)
+            answer: Message | Nack = acknowledge(body[0], self.next_tick)
         elif len(self._pending) < PENDING_COMMANDS:
             self._pending.append((body, command, False))
             return
         else:
             answer = Nack(Reason.BUSY)
         if self._answers.has_room(body):
-            self._answers.put(body, answer, keep=isinstance(answer, Acceptance))
+            self._answers.put(body, answer, keep=isinstance(answer, Message))
         else:
             self._leave_unanswered()
 
@@ -272,12 +271,12 @@ class Firmware:
             else:
                 self._answers.put(body, self._execute(command))
 
-    def _execute(self, message: Message) -> Acceptance | Nack:
+    def _execute(self, message: Message) -> Message | Nack:
         row, tick = ROW_OF_NAME[message.name], self.next_tick
         match message.name:
             case "PING":
                 counts = {"bad_frames": self.bad_frames, "overruns": self._overruns.count}
-                return Acceptance("PONG", {"tick": tick, **counts})
+                return Message("PONG", {"tick": tick, **counts})
             case "SET_STREAM":
                 self._divider = message.int("divider")
             case "SET_HOST_LOSS":
@@ -286,14 +285,14 @@ class Firmware:
                 return parameters(self.loop, self._divider, self._host.policy, self._host.timeout_ms)
             case "GET_HEALTH":  # a model has no stack of its own, and its converter no memory
                 free = 0 if self.loop.stack_broken else NOT_KNOWN
-                return Acceptance("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
+                return Message("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:
                 return HANDLERS[message.name](self.loop, message, tick)
         return acknowledge(row.type, tick)
 
-    def _hello(self, message: Message) -> Acceptance | Nack:
+    def _hello(self, message: Message) -> Message | Nack:
         if not message.int("version_min") <= VERSION <= message.int("version_max"):
             return Nack(Reason.VERSION, VERSION)
         if message.int("session") != self._session:

@@ -40,12 +40,7 @@ def compiler() -> str | None:
 
 
 def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[str] = ()) -> None:
-    """Compile a library into `target`.
-
-    Args:
-        target: The file to write.
-        files: Its sources; none: `sources()`.
-        options: For the compiler, behind those that are always given.
+    """Compile `files`, by default `sources()`, into a library, with `options` behind those that are always given.
 
     Raises:
         InstallError: there is no C compiler.

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from statistics import fmean
 
 from gateway.selftest.bench import Bench, FaultFoundError, NotReadyError
-from gateway.selftest.verdict import Result, Verdict, fault, judge, passed, warning
+from gateway.selftest.verdict import Verdict, fault, judge, passed, warning
 from protocol.wire.messages import COUNTS_MAX, Message
 
 _HOLD_S = 0.5
@@ -128,11 +128,10 @@ def _both(bench: Bench, ground_m: float, top_m: float, *, corrects: bool) -> Ver
     if _is_right(bench, ground_m, top_m):
         return passed("calibration", "calibration of x", f"{value}: nothing to do")
     repeat = "put the ball at the bottom and repeat with --only calibration --calibrate: the board then corrects x"
-    return Verdict(
-        name="calibration",
-        result=Result.WARNING,
-        what="calibration of x",
-        value=value,
+    return warning(
+        "calibration",
+        "calibration of x",
+        value,
         bound=f"0 and {1e3 * bench.rig.travel_m:g} mm within {1e3 * _CLOSE_M:g} mm",
         remedy=repeat if corrects else "flash firmware 1.4 or newer, then repeat with --calibrate",
     )

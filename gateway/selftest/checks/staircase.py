@@ -94,7 +94,7 @@ def _high_levels(bench: Bench) -> _Levels:
 
 def _gain(bench: Bench, fitted: Line) -> Iterator[Verdict]:
     K_A = bench.rig.K_A
-    verdict = judge(
+    yield judge(
         "input-gain",
         "K_A",
         1e3 * fitted.slope,
@@ -103,7 +103,6 @@ def _gain(bench: Bench, fitted: Line) -> Iterator[Verdict]:
         possible=(0.88e3 * K_A, 1.12e3 * K_A),
         remedy=f"{_AMPLIFIER}: i_c or u_c has a wrong scaling, or the coil another resistance",
     )
-    yield verdict
 
 
 def _shape(bench: Bench, fitted: Line, low: _Levels, high: _Levels) -> Iterator[Verdict]:

@@ -268,7 +268,6 @@ def test_what_a_busy_machine_held_up_is_not_caught_up_at_once() -> None:
     finally:
         server.stop()
         thread.join()
-        server.close()
 
     for (begin_s, first_s, _), (_, last_s, end_s) in combinations(readings[::50], 2):
         assert last_s - first_s <= 2.0 * (end_s - begin_s) + 0.11

@@ -174,7 +174,8 @@ class Stage:
         self._server.stop()
         if self._thread.ident is not None:
             self._thread.join(HANG_S)
-        self._server.close()
+        for line in self._server.lines:
+            line.close()
         for disk in self.disks:
             disk.close()
 
