@@ -1,7 +1,7 @@
 """Replays a log onto the bus under its recorded keys, at any speed.
 
 Rule 1: payloads are sent byte for byte: a twin computes the same from a replay as from the live board.
-Rule 2: the order is that of the log; the pace is log time divided by speed; with speed 0 only the bus limits the pace.
+Rule 2: the order is that of the log; the pace is that of `player`; with speed 0 only the bus limits it.
 Rule 3: twin/* is replayed only on request: a live twin publishes it, too, and two sources under one key would mix.
 Rule 4: each message is marked as replayed, beside its payload: views of the live rigs leave it out.
 Rule 5: each recorded `state` is also sent as `states`, one by one: a longer batch would delay its first sample.
@@ -10,9 +10,7 @@ Rule 6: a replay does not publish under the name of a board that is alive on the
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 
 import zenoh
@@ -28,45 +26,6 @@ _REPEATED, _REPEATED_S = "every 5 s", 6.0  # `rate` in the table of topics; a li
 DEFAULT_TOPICS = tuple(
     topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.source == "gateway"
 )
-
-
-def pace(
-    records: Iterable[RawLogRecord],
-    *,
-    speed: float,
-    stop: threading.Event,
-    send: Callable[[RawLogRecord], None],
-    now_s: Callable[[], float] = time.monotonic,
-) -> tuple[int, float]:
-    """Send each record at its time.
-
-    Args:
-        records: In the order to send.
-        speed: Log seconds per second; 0 sends at once.
-        stop: Set it to end early.
-        send: Called for each record.
-        now_s: Clock that corresponds to `stop.wait`, s.
-
-    Returns:
-        Records sent, and the log time they span in seconds.
-    """
-    begin_s = now_s()
-    first_ns: int | None = None
-    newest_ns = 0
-    count = 0
-    for record in records:
-        if first_ns is None:
-            first_ns = newest_ns = record.time_ns
-        newest_ns = max(newest_ns, record.time_ns)
-        if speed > 0:
-            wait_s = begin_s + (newest_ns - first_ns) / 1e9 / speed - now_s()
-            if wait_s > 0:
-                stop.wait(wait_s)
-        if stop.is_set():
-            break
-        send(record)
-        count += 1
-    return count, (newest_ns - first_ns) / 1e9 if first_ns is not None else 0.0
 
 
 class BusReplay:
