@@ -48,9 +48,7 @@ class EmulatedPort(Protocol):
 class TcpPort:
     """A listening TCP socket for one host at a time; further connections are refused.
 
-    Args:
-        host: Address to listen on.
-        port: Port; 0: a free one, the same again after `close` and `open`.
+    Port 0 is a free one, the same again after `close` and `open`.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -148,11 +146,7 @@ class TcpPort:
 
 
 class PtyPort:
-    """A pseudo-terminal behind a symbolic link.
-
-    Args:
-        link: Path of the link; removed at `close` if it is still ours.
-    """
+    """A pseudo-terminal behind a symbolic link, which is removed at `close` if it is still ours."""
 
     def __init__(self, link: Path) -> None:
         self._plain = link

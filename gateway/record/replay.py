@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from itertools import islice
 
 import zenoh
 from google.protobuf.message import Message
@@ -124,9 +125,12 @@ def from_time(
     at_ns = reader.start_ns + round(start_s * 1e9)
     repeated = [topic.name for topic in topics.TOPICS if topic.name in topics_ and _REPEATED in topic.rate]
     before = reader.raw(topics_=repeated, boards=boards, start_s=max(0.0, start_s - _REPEATED_S), end_s=start_s)
-    newest = {record.key: record._replace(time_ns=at_ns) for record in before} if start_s > 0.0 else {}
-    yield from sorted(newest.values(), key=lambda record: record.topic != "parameters")  # it says that a pass begins
-    yield from reader.raw(topics_=topics_, boards=boards, start_s=start_s, end_s=end_s)
+    known = {record.key: record._replace(time_ns=at_ns) for record in before} if start_s > 0.0 else {}
+    newest = sorted(known.values(), key=lambda record: record.topic != "parameters")  # it says that a pass begins
+    records = reader.raw(topics_=topics_, boards=boards, start_s=start_s, end_s=end_s)
+    for first in islice(records, 1):  # behind the end there is nothing
+        yield from (*newest, first)
+    yield from records
 
 
 def _with_session(topic: str, data: bytes, offset: int) -> bytes:

@@ -36,7 +36,7 @@ def delete_expired(
     logs = expired(logs_in(folder, prefix), time.time(), keep_days=keep_days, keep_gb=keep_gb)
     kept, archived = 0, set[tuple[str, int, int]]()
     if logs and keep_unarchived:
-        from gateway.record.catalogue.archived import archived_logs  # a gateway starts without it
+        from gateway.record.catalogue.store import archived_logs  # a gateway starts without it
 
         try:
             archived = archived_logs(folder)

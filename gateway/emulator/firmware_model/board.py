@@ -209,14 +209,14 @@ class Firmware:
             # A program that hangs leaves u_c as it is, in a capture, too.
             capture = loop.capture if loop.sampling and not self._hung_ticks else None
             if capture is not None:
-                if capture.time_to_sample_us() == 0:
+                if capture.wait_us == 0:
                     i_pin, _ = self._plant.sense()
                     capture.take(self._profile.current_count(i_pin), loop.output.write)
-                step_us = min(step_us, capture.time_to_sample_us())
+                step_us = min(step_us, capture.wait_us)
             self._plant.advance(self._profile.input_pin(self.u), step_us * 1e-6)
             self._elapsed_us += step_us
             if capture is not None:
-                capture.pass_time(step_us)
+                capture.wait_us -= step_us
                 if capture.has_ended:
                     loop.end_capture()
                     self._execute_pending()

@@ -7,7 +7,7 @@ changes nothing.  `board.py` executes the commands of session, stream and host l
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.capture import FirmwareCapture
@@ -140,13 +140,10 @@ def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Nack | Mes
 
 
 def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
-    numbers = range(1, 5)
-    m1, m2, m3, m4 = (message.int(f"k{n}_mantissa") for n in numbers)
-    s1, s2, s3, s4 = (message.int(f"k{n}_shift") for n in numbers)
     loop.law.gains = Gains(
         law=message.int("law"),
-        mantissas=(m1, m2, m3, m4),
-        shifts=(s1, s2, s3, s4),
+        mantissas=tuple(message.int(f"k{n}_mantissa") for n in range(1, 5)),
+        shifts=tuple(message.int(f"k{n}_shift") for n in range(1, 5)),
         i_0=message.int("i_0"),
         x_0=message.int("x_0"),
         u_0=message.int("u_0"),
@@ -167,8 +164,7 @@ def _excite(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
         return Nack(Reason.OUT_OF_RANGE, high)
     if message.int("shape") == Shape.CHIRP and message.int("duration") == 0:
         return Nack(Reason.OUT_OF_RANGE, 1)
-    fields = ("shape", "target", "amplitude", "offset", "period", "period_end", "seed", "duration")
-    loop.excite(Excitation(Signal(**{name: message.int(name) for name in fields})))
+    loop.excite(Excitation(Signal(**{field.name: message.int(field.name) for field in fields(Signal)})))
     return acknowledge(0x06, tick)
 
 
@@ -178,9 +174,8 @@ def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
         return hindrance
     if max(u_from, u_to) > loop.limits.u_max:
         return Nack(Reason.OUT_OF_RANGE, loop.limits.u_max)
-    loop.start_capture(
-        FirmwareCapture(u_from=u_from, u_to=u_to, pre=message.int("pre"), count=message.int("count"), tick=tick)
-    )
+    pre, count = message.int("pre"), message.int("count")
+    loop.capture = FirmwareCapture(u_from=u_from, u_to=u_to, pre=pre, count=count, tick=tick)
     return acknowledge(0x08, tick)
 
 

@@ -105,7 +105,7 @@ class ControlLoop:
         self.stack_broken = False
         self.gains_tick = 0
         self.excitation: Excitation | None = None
-        self.capture: FirmwareCapture | None = None
+        self.capture: FirmwareCapture | None = None  # drives the coil from the next tick on
         self._emit = emit
         self._open_loop_u = 0
         self._u = 0  # what the mode says
@@ -151,10 +151,6 @@ class ControlLoop:
         self.set_mode(Mode.IDLE)
         self._u = 0
         self.output.write(0)
-
-    def start_capture(self, capture: FirmwareCapture) -> None:
-        """Let a capture drive the coil from the next tick on."""
-        self.capture = capture
 
     def end_capture(self) -> None:
         """Drive the coil as the mode says: all samples of the capture are taken."""

@@ -240,3 +240,4 @@ def test_from_a_time_on_what_is_repeated_comes_first(log: Path) -> None:
         ("state", 1_000_000_000),
     ]
     assert all(record.topic == "state" for record in records[1:])
+    assert list(from_time(reader, 1e3, topics_=("state", "parameters"), boards=None, end_s=None)) == []
