@@ -111,7 +111,6 @@ def _parser() -> Parser:
         usage="board51 COMMAND ...",
         description="Gateway and digital twin of a magnetic levitation rig.",
         epilog=f"{listing}\n\nboard51 COMMAND --help tells more, with an example.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
     parser.add_argument("command", nargs="?", help=argparse.SUPPRESS)
@@ -154,9 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         module = importlib.import_module(COMMANDS[chosen][0])
-        command = Parser(
-            prog=f"board51 {chosen}", formatter_class=argparse.RawDescriptionHelpFormatter, description=module.__doc__
-        )
+        command = Parser(prog=f"board51 {chosen}", description=module.__doc__)
         module.configure(command)
         with _hang_up_ends_in_good_order(), _signs_of_life(chosen):
             if chosen in SERVICES:

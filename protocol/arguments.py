@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError
+from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn, TypeVar
 
@@ -18,7 +18,7 @@ class Parser(ArgumentParser):
     """A parser whose errors are one line without names of Python, with the nearest word; its sub-commands inherit."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+        super().__init__(**{"formatter_class": RawDescriptionHelpFormatter} | options)
         self.register("type", float, number)
         self.register("type", int, whole_number)
 

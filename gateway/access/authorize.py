@@ -92,10 +92,7 @@ class Sender:
 class Authorizer:
     """Authorisation of one gateway; thread-safe.
 
-    Args:
-        started_ns: Unix time of the gateway's start, ns.
-        tell: is called with sender and number of refused commands, at most once a second for each sender.
-        guarded: whether the bus is guarded, so that the keys of commands contain the sender.
+    `on_flood` is called with sender and number of refused commands, at most once a second for each sender.
     """
 
     def __init__(self, started_ns: int, on_flood: Callable[[str, int], None], *, guarded: bool = True) -> None:

@@ -34,13 +34,7 @@ _SERVED = ("query", "declare_subscriber", "declare_queryable")  # messages that 
 
 
 def access_control(site: str, people: Mapping[str, Role], *, upper: bool = False) -> dict[str, Any]:
-    """The `access_control` section of a router's configuration for one site.
-
-    Args:
-        site: first chunk of the keys.
-        people: role of each user, by name.
-        upper: whether this router connects to another one.
-    """
+    """The `access_control` section of a router for one site; `upper`: it connects to another router."""
     published = {
         who: [topics.key(site, "*", t.name) for t in topics.TOPICS if t.bus and t.source == who]
         for who in ("gateway", "twin")
@@ -54,18 +48,18 @@ def access_control(site: str, people: Mapping[str, Role], *, upper: bool = False
         _rule("served", "egress", _SERVED, everything),
     ]
     policies: list[dict[str, Any]] = []
-    for service, topic in (("gateway", "command"), ("twin", "twin/command")):
+    for service, topic, alive in (
+        ("gateway", "command", topics.key(site, "*", topics.ALIVE)),
+        ("twin", "twin/command", f"{site}/*/{topics.TWIN_ALIVE}/*"),
+    ):
         rules += [
+            _rule(f"{service}-lives", "ingress", ("liveliness_token",), [alive]),
             _rule(f"{service}-puts", "ingress", ("put",), published[service]),
             _rule(f"{service}-answers", "ingress", ("declare_queryable", "reply"), [_as(site, topic, "*", "*")]),
         ]
-        names = ["read", "told", "served", "asks-logs", f"{service}-puts", f"{service}-answers"]
-        policies.append({"subjects": _subject_ids(service), "rules": names})
+        own = [f"{service}-{what}" for what in ("puts", "answers", "lives")]
+        policies.append({"subjects": _subject_ids(service), "rules": ["read", "told", "served", "asks-logs", *own]})
     policies[0]["rules"].append("serves-logs")
-    alive = topics.key(site, "*", topics.ALIVE), f"{site}/*/{topics.TWIN_ALIVE}/*"
-    for policy, service, token in zip(policies, ("gateway", "twin"), alive, strict=True):
-        rules.append(_rule(f"{service}-lives", "ingress", ("liveliness_token",), [token]))
-        policy["rules"].append(f"{service}-lives")
     senders = {"views": ("*", "*"), **{name: (role.word, name) for name, role in people.items()}}
     for name, (role, who) in senders.items():
         keys = [_as(site, topic, role, who) for topic in ("command", "twin/command")]

@@ -70,12 +70,7 @@ class Authority:
     ) -> Issued:
         """Issue a client certificate, which is also a server certificate if hosts are given.
 
-        Args:
-            name: common name.
-            now: time of issue.
-            hosts: names and IP addresses of the server.
-            uris: application URIs of OPC UA.
-            days: validity; negative: already expired.
+        The certificate is valid for `days`; if negative, it has expired.  OPC UA wants the server's application URI.
         """
         key = rsa.generate_private_key(public_exponent=65537, key_size=_KEY_BITS)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
@@ -95,12 +90,7 @@ class Authority:
 
 
 def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> x509.Certificate:
-    """Return a certificate that is valid.
-
-    Args:
-        path: PEM file.
-        what: its description, for errors.
-        now: time of the check; None: now.
+    """Return a certificate in PEM that is valid now, or at the time given; `what` describes it in errors.
 
     Raises:
         ConfigError: the file is missing or not a certificate, or the certificate is expired or not yet valid.

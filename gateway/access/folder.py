@@ -85,20 +85,15 @@ class SecurityFolder:
 
     # -- making
 
-    def init(self, *, site: str = DEFAULT_SITE, hosts: Sequence[str] = (), now: datetime | None = None) -> None:
-        """Make the authority, the servers' certificates and the services' identities.
-
-        Args:
-            site: first chunk of the keys.
-            hosts: further names and addresses of the servers.
-            now: time of issue; None: now.
+    def init(self, *, site: str = DEFAULT_SITE, hosts: Sequence[str] = ()) -> None:
+        """Make the authority, the servers' certificates for further hosts, and the services' identities.
 
         Raises:
             UsageError: the folder is not empty or cannot be written.
             ConfigError: the site is not a valid name.
         """
         check_name(site, what="--site")
-        now = datetime.now(UTC) if now is None else now
+        now = datetime.now(UTC)
         make_folder(self.path, mode=0o700)
         with writing(self.path):
             if any(self.path.iterdir()):
@@ -127,7 +122,7 @@ class SecurityFolder:
             self._write_identity(authority, name, role.word, now, days)
         self._write_bus()
 
-    def add_user(self, user: User, password: str, *, now: datetime | None = None) -> Path:
+    def add_user(self, user: User, password: str) -> Path:
         """Add a user, or change role and password; returns the folder of the identity.
 
         Raises:
@@ -140,8 +135,7 @@ class SecurityFolder:
             )
         authority = self._authority()
         set_user(self.users, user, password)
-        now = datetime.now(UTC) if now is None else now
-        self._write_identity(authority, user.name, user.role.word, now, DAYS)
+        self._write_identity(authority, user.name, user.role.word, datetime.now(UTC), DAYS)
         self._write_bus()
         return self.identity_path(user.name)
 
@@ -192,17 +186,8 @@ class SecurityFolder:
             check_private(self.path / "ca-key.pem", what="The authority's key")
         return {name: days_left(certificate, now) for name, certificate in valid.items()}
 
-    def router(
-        self, listen: Sequence[str], connect: Sequence[str] = (), *, name: str = "gateway", wait_for_router: bool = True
-    ) -> str:
-        """Configuration of a router that admits only the accounts of this folder, for `zenoh.Config.from_json5`.
-
-        Args:
-            listen: endpoints to listen on.
-            connect: endpoints of another router to join.
-            name: identity for that router.
-            wait_for_router: see `zenoh_config`.
-        """
+    def router(self, listen: Sequence[str], connect: Sequence[str] = (), *, wait_for_router: bool = True) -> str:
+        """Configuration of a router for the accounts of this folder alone, for `zenoh.Config.from_json5`."""
         certificate, key = self.server("bus")
         config = json.loads(
             zenoh_config(
@@ -210,7 +195,7 @@ class SecurityFolder:
                 listen=listen,
                 connect=connect,
                 wait_for_router=wait_for_router,
-                identity=self.identity(name),
+                identity=self.identity("gateway"),
             )
         )
         transport = config["transport"]

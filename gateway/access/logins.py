@@ -26,13 +26,7 @@ class TooMany:
 
 
 class Logins:
-    """The logins of one server.
-
-    Args:
-        users: the users.
-        clock: monotonic time, s.
-        sleep: as `asyncio.sleep`.
-    """
+    """The logins of one server."""
 
     def __init__(
         self,
@@ -46,14 +40,7 @@ class Logins:
         self._pool = ThreadPoolExecutor(AT_ONCE, "login")
 
     async def login(self, name: str, password: str, host: str, *, browser: str = "") -> User | TooMany | None:
-        """Check a login; returns None for a wrong name or password.
-
-        Args:
-            name: user name.
-            password: password.
-            host: address of the client.
-            browser: token of a present or past session of this browser under this name; empty: none.
-        """
+        """Check a login; returns None for a wrong name or password.  `browser` is as of `Tries.turn`."""
         turn = self._tries.turn(name, host, self._clock(), patience_s=PATIENCE_S, browser=browser)
         if not turn.granted:
             return TooMany(turn.wait_s)

@@ -29,11 +29,7 @@ def write_private(path: Path, data: bytes) -> None:
 
 
 def read_private(path: Path, *, what: str) -> bytes:
-    """Read a private file.
-
-    Args:
-        path: of the file.
-        what: its description, for errors.
+    """Read a private file; `what` describes it in errors.
 
     Raises:
         ConfigError: the file is missing or open to others.

@@ -52,14 +52,9 @@ class Tries:
         self._known: OrderedDict[Hashable, None] = OrderedDict()
 
     def turn(self, name: str, host: str, now_s: float, *, patience_s: float, browser: str = "") -> Turn:
-        """Request an attempt.
+        """Request an attempt, for which the caller waits `patience_s` at most.
 
-        Args:
-            name: user name.
-            host: address of the source.
-            now_s: monotonic time, s.
-            patience_s: longest time that the caller waits, s.
-            browser: token of a present or past session of this browser under this name; empty: none.
+        `browser` is the token of a present or past session of this browser under this name; empty: none.
         """
         source, stranger = network(host), False
         if browser:

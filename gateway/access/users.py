@@ -157,12 +157,7 @@ def remove_user(path: Path, name: str) -> bool:
 
 
 def set_token(path: Path, name: str, user: User) -> str:
-    """Add a token, or replace the one of that name; returns it, as nothing else can.
-
-    Args:
-        path: of the file.
-        name: of the token.
-        user: for whom it acts, with the role that it has at most.
+    """Add a token for a user with this role at most, or replace it; returns it, as nothing else can.
 
     Raises:
         UsageError: there is no such user, or the user's role is lower.

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.campaign.plan import CommandLimits
+from gateway.client.commands import Mode
+from gateway.client.values import Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.experiments import Experiment, Wave
 from protocol.wire.messages import Flag
@@ -54,41 +56,6 @@ class CheckedRig:
     travel_m: float
     rest_m: float  # reading of x with the ball at rest
     sample_time_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Samples:
-    """The states of one recording; all arrays of shape (n,), absent values NaN."""
-
-    tick: NDArray[np.int64]
-    session: NDArray[np.int64]
-    u_v: FloatArray
-    i_a: FloatArray
-    x_m: FloatArray
-    x_ref_m: FloatArray
-    mode: NDArray[np.int64]
-    flags: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.tick)
-
-
-def samples_of(states: Sequence[pb.State]) -> Samples:
-    """The states as arrays."""
-
-    def channel(name: str) -> FloatArray:
-        return np.array([getattr(s, name) if s.HasField(name) else np.nan for s in states], dtype=float)
-
-    return Samples(
-        tick=np.array([s.tick for s in states], dtype=np.int64),
-        session=np.array([s.session for s in states], dtype=np.int64),
-        u_v=channel("u_c_v"),
-        i_a=channel("i_c_a"),
-        x_m=channel("x_m"),
-        x_ref_m=channel("x_ref_m"),
-        mode=np.array([int(s.mode) for s in states], dtype=np.int64),
-        flags=np.array([s.flags for s in states], dtype=np.int64),
-    )
 
 
 def check(
@@ -131,7 +98,7 @@ def departures_v(samples: Samples, rig: CheckedRig) -> list[float]:
     departures = []
     for k in np.flatnonzero(away[1:] & ~away[:-1]) + 1:
         if k >= rest_samples and not away[k - rest_samples : k].any():
-            departures.append(float(samples.u_v[k]))
+            departures.append(float(samples.u_c_v[k]))
     return departures
 
 
@@ -174,14 +141,14 @@ def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> list[Pro
     if position > CLIPPED_SHARE and experiment.expects == "flies":  # at a stop, a sensor with an offset may be clipped
         text = f"x is at an end of its converter in {100 * position:.0f} % of it"
         problems.append(Problem("clipped-x", text, "none"))
-    for name, values in (("u_c", s.u_v), ("i_c", s.i_a), ("x", s.x_m)):
+    for name, values in (("u_c", s.u_c_v), ("i_c", s.i_c_a), ("x", s.x_m)):
         known = values[np.isfinite(values)]
         if not len(known):
             problems.append(Problem(f"no-{name}", f"{name} was not measured", "none"))
         elif np.ptp(known) == 0.0 and not (name == "x" and experiment.expects in ("rests", "is-clamped")):
             text = f"{name} reads {known[0]:.6g} throughout: not connected?"
             problems.append(Problem("nothing-moves", text, "none"))
-    if not problems and experiment.expects != "flies" and _correlation(s.u_v, s.i_a) < 0.1:
+    if not problems and experiment.expects != "flies" and _correlation(s.u_c_v, s.i_c_a) < 0.1:
         text = "i_c does not follow u_c: amplifier off, or not connected"
         problems.append(Problem("no-response", text, "none"))
     return problems
@@ -225,7 +192,7 @@ def _lifts(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | Non
     departures = departures_v(s, rig)
     highest = float(np.max(s.x_m)) - rig.rest_m
     if highest < LIFTED_SHARE * rig.travel_m:
-        top = float(np.max(s.u_v))
+        top = float(np.max(s.u_c_v))
         at_limit = top > AT_LIMIT_SHARE * rig.limits.u_max_v  # a ramp ends one step short of its top
         hint = "; that is the limit: raise --u-max, or look whether the ball is stuck" if at_limit else ""
         text = f"the ball never left its rest (u_c went up to {top:.3g} V{hint})"
@@ -256,7 +223,7 @@ def _bounces(s: Samples, rig: CheckedRig) -> Problem | None:
 
 
 def _flies(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | None:
-    if (s.mode != pb.MODE_CLOSED_LOOP).any():
+    if (s.mode != Mode.CLOSED_LOOP).any():
         return Problem("mode-changed", "the board left closed loop in between")
     x = s.x_m - rig.rest_m
     if float(np.ptp(x)) < FOLLOWED_SHARE * float(np.ptp(s.x_ref_m)):
@@ -265,7 +232,7 @@ def _flies(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | Non
     longest_s = _longest(at_stop) * rig.sample_time_s
     if longest_s > AT_STOP_S:
         return Problem("ball-fell", f"the ball lay at a stop for {longest_s:.2g} s", "lower")
-    ends = (s.u_v >= rig.limits.u_max_v - rig.limits.u_lsb_v) | (s.u_v <= rig.limits.u_min_v + rig.limits.u_lsb_v)
+    ends = (s.u_c_v >= rig.limits.u_max_v - rig.limits.u_lsb_v) | (s.u_c_v <= rig.limits.u_min_v + rig.limits.u_lsb_v)
     share = float(np.mean(ends | ((s.flags & Flag.INPUT_SATURATED) != 0)))
     if share > SATURATED_SHARE:
         return Problem("clipped-u_c", f"u_c is at a limit in {100 * share:.0f} % of the samples", "lower")

@@ -82,21 +82,12 @@ def _lost(what: str, address: str) -> ServiceError:
 
 
 class RigControl:
-    """The control of one board through its gateway.
+    """The control of one board through its gateway, until `stop` is set."""
 
-    Args:
-        rig: sends the commands.
-        subscriber: of the same board.
-        stop: is set when the user ends the run.
-        travel_m: travel of the ball, m; NaN: it is set later, before the ball moves.
-    """
-
-    def __init__(
-        self, rig: Rig, subscriber: BoardSubscriber, stop: threading.Event, *, travel_m: float = float("nan")
-    ) -> None:
-        self._rig, self._subscriber, self._stop, self.travel_m = rig, subscriber, stop, travel_m
+    def __init__(self, rig: Rig, subscriber: BoardSubscriber, stop: threading.Event) -> None:
+        self._rig, self._subscriber, self._stop = rig, subscriber, stop
         self._address = f"{rig.site}/{rig.board}"
-        self.rest_m = float("nan")
+        self.travel_m = self.rest_m = float("nan")  # set before the ball moves
 
     # --- waiting
 

@@ -83,10 +83,7 @@ def controller_of(parameters: pb.Parameters) -> Controller:
 
 
 class Folder:
-    """A campaign's folder, new or to be continued.
-
-    Args:
-        path: may be missing; `claim` creates it.
+    """A campaign's folder, new or to be continued; `claim` creates it.
 
     Raises:
         UsageError: it has a campaign that `campaign run` did not make.
@@ -127,10 +124,7 @@ class Folder:
         return file.plant
 
     def claim(self, identity: Mapping[str, Any]) -> None:
-        """Create the folder for this rig, or check that it is of this rig.
-
-        Args:
-            identity: of `identity_of`.
+        """Create the folder for this rig (`identity_of`), or check that it is of this rig.
 
         Raises:
             UsageError: the folder is of another rig, or cannot be created.
@@ -191,15 +185,9 @@ class Folder:
         file, part = self.file_of(experiment.name), self.path / f".{experiment.name}.part"
         part.unlink(missing_ok=True)
         description = {"experiment": experiment.name, "kind": experiment.kind, "use": experiment.use}
-        writer = LogWriter(part, metadata={"campaign": description}, compression="zstd")
-        try:
+        with LogWriter(part, metadata={"campaign": description}, compression="zstd") as writer:
             for message in recorded.messages:
                 writer.write(*message)
-            writer.close()
-        except ServiceError:
-            writer.abandon()
-            part.unlink(missing_ok=True)
-            raise
         retained.bytes = part.stat().st_size
         part.replace(file)
         self.retained[experiment.name] = retained

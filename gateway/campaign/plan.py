@@ -88,13 +88,7 @@ Action = Send | Shoot | GoTo
 def limits_of(
     parameters: pb.Parameters, *, u_max_v: float | None, x_min_m: float | None, x_max_m: float | None
 ) -> CommandLimits:
-    """The limits of board and gateway, tightened by the options.
-
-    Args:
-        parameters: of the board.
-        u_max_v: upper limit of u_c, V; None: the board's.
-        x_min_m: lower limit of x_ref, m; None: that of board and gateway.
-        x_max_m: upper limit of x_ref, m; None: that of board and gateway.
+    """The limits of board and gateway, tightened by the options that are not None: u_c in V, x_ref in m.
 
     Raises:
         UsageError: an option is outside the board's limits, or leaves no range.

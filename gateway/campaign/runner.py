@@ -31,6 +31,7 @@ from gateway.campaign.plan import (
     raised,
 )
 from gateway.campaign.subscriber import BoardSubscriber, Recorded, is_foreign
+from gateway.client.values import Sample, Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding
 from protocol.errors import Board51Error, ServiceError
@@ -42,16 +43,7 @@ OVERHEAD_S = {True: 2.0, False: 0.8}  # of a recording in closed and in open loo
 
 
 class Runner:
-    """Runs the experiments of `wishes` on `rig` into `folder`.
-
-    Args:
-        rig: commands to the board.
-        subscriber: of the same board.
-        folder: receives the recordings.
-        board: its name.
-        wishes: options of the user.
-        write_line: is called with lines of progress.
-    """
+    """Runs the experiments of `wishes` on `rig` into `folder`."""
 
     def __init__(
         self,
@@ -240,7 +232,7 @@ class Runner:
             return cut, recorded
         if intruder := _intruder(recorded):
             return (intruder,), recorded
-        samples = checks.samples_of(recorded.states)
+        samples = Samples.of(map(Sample.of, recorded.states))
         known = self._known()
         problems = checks.check(e, samples, recorded.captures, recorded.events, known)
         if not problems and e.name == LIFT_OFF:

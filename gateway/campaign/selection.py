@@ -28,11 +28,6 @@ def _shortened(step: Step, keep: float, expects: Expectation) -> Step:
 
 
 def chosen(names: tuple[str, ...] = (), *, quick: bool = False) -> tuple[Experiment, ...]:
-    """The experiments of a run, in the order of the menu.
-
-    Args:
-        names: Names of the experiments; empty: the default run.
-        quick: Whether to shorten them.
-    """
+    """The experiments of a run, in the order of the menu; the default ones without names."""
     listed = [e for e in MENU if (e.name in names if names else e.standard and (e.quick > 0.0 or not quick))]
     return tuple(shortened(e) if quick else e for e in listed)

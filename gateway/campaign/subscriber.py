@@ -16,20 +16,13 @@ import zenoh
 from gateway.client.rig import Rig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import parse
+from protocol.bus.encoding import parse, stamp_ns
 
+Logged = tuple[str, bytes, int]  # key, serialised message and log time, ns
 ID_PREFIX = "campaign-"  # of the ids of a campaign's own commands
 RECENT = 100  # states for the reading at rest
 _RECORDED = ("state", "parameters", "plant", "capture", "event", "command/record", "status")
 _STANDING = ("parameters", "plant")  # sent every 5 s: a recording begins with the newest of each
-
-
-class Logged(NamedTuple):
-    """A message in the form of the log."""
-
-    key: str
-    data: bytes
-    time_ns: int
 
 
 class Recorded(NamedTuple):
@@ -48,12 +41,7 @@ def is_foreign(record: pb.CommandRecord) -> bool:
 
 
 class BoardSubscriber:
-    """Receives the messages of one board until the rig is closed.
-
-    Args:
-        rig: of the board.
-        ordered_ns: when the run was ordered, Unix time.  A later STOP ends it.
-    """
+    """Receives the messages of one board until the rig is closed; a STOP after `ordered_ns` (Unix time) ends it."""
 
     def __init__(self, rig: Rig, ordered_ns: int) -> None:
         self._ordered_ns = ordered_ns
@@ -106,8 +94,7 @@ class BoardSubscriber:
         if message is None:
             return
         with self.changed:
-            time_ns = int(getattr(message, "host_time_ns", 0) or getattr(message, "received_ns", 0) or time.time_ns())
-            logged = Logged(key, data, time_ns)
+            logged = (key, data, stamp_ns(message) or time.time_ns())
             if address[2] in _STANDING:
                 self._standing[address[2]] = logged
             recorded = self._recorded

@@ -59,10 +59,6 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
 def open_bus(connect: str, identity: Identity | None = None) -> Iterator[zenoh.Session]:
     """Open a client session; a context manager.
 
-    Args:
-        connect: the router's endpoint.
-        identity: of the client on a guarded bus.
-
     Raises:
         ConfigError: `connect` is not an endpoint, or the identity has expired.
         ServiceError: there is no router, or it refuses this identity.
@@ -96,10 +92,7 @@ class Subscription:
     option for that, but a thread inherits it from the one that starts it.  Callbacks without a thread of their own
     (`indirect=False`) would hold up zenoh's receiver, and with it lose samples while another thread computes.
 
-    Args:
-        session: of the bus.
-        keys: key expressions, each with a thread of its own: only messages of the same one keep their order.
-        receive: is called with each sample.
+    Each key expression has a thread of its own: only messages of the same one keep their order.
     """
 
     def __init__(self, session: zenoh.Session, keys: Iterable[str], receive: Callable[[zenoh.Sample], None]) -> None:

@@ -39,11 +39,7 @@ class Arrival(NamedTuple):
 class MessageQueue(AbstractContextManager["MessageQueue"], Iterator[Message]):
     """The messages of some topics from now on: an iterator that ends when it is closed or garbage-collected.
 
-    Args:
-        board: the board, or every board.
-        names: of topics.
-        capacity: of the queue, messages.
-        timeout_s: time without a message after which an iteration ends, s; None: no end.
+    It also ends after `timeout_s` without a message.
     """
 
     def __init__(

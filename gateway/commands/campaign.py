@@ -35,10 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = example
     what = parser.add_subparsers(dest="what", required=True, metavar="run")
-    run_ = what.add_parser(
-        "run", help="perform the experiments", description=__doc__, epilog=example,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    run_ = what.add_parser("run", help="perform the experiments", description=__doc__, epilog=example)
     run_.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="made if absent, continued if begun")
     run_.add_argument("--board", default="", help="name of the board")
     add_rig_arguments(run_, who="campaign")

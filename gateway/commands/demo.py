@@ -29,7 +29,8 @@ from gateway.processes.command import EmulatedLine, call, emulated_line, finish,
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import Diagnosis, load_diagnosis
 from protocol.ending import on_signals
-from protocol.errors import ServiceError, UsageError, require
+from protocol.errors import ServiceError, require
+from protocol.files import make_folder
 
 BOARD = "demo"
 HOLD_S = 2.0  # at each reference: the slowest closed-loop mode has long decayed
@@ -51,10 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 if the ball flew on all models and everything was written."""
     require("twin", "numba", "mcap", "scipy", "matplotlib")  # before processes are started that need them
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{args.out} is not a folder ({error.strerror})", remedy="Give another --out") from None
+    make_folder(args.out)
 
     def interrupt() -> None:
         raise KeyboardInterrupt

@@ -122,7 +122,8 @@ def _add_deviations(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM, SIGINT or the end of --duration."""
     from gateway.emulator.plant import effects, secret
-    from gateway.emulator.serve import Server, build_lines, pty_ports, tcp_ports
+    from gateway.emulator.ports import pty_ports, tcp_ports
+    from gateway.emulator.serve import Server, build_lines
 
     _check(args)
     strengths = dict(effects.parse(text) for text in args.effect)
@@ -157,11 +158,7 @@ def run(args: argparse.Namespace) -> int:
             json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}"
         )
 
-    try:
-        server.run(args.duration)
-    finally:
-        server.close()
-
+    server.run(args.duration)
     for n, line in enumerate(lines):
         counts = asdict(line.counts) | {"late_ticks": server.overdue_ticks, "worst_lateness_s": server.worst_lateness_s}
         if args.json:

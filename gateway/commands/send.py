@@ -73,8 +73,8 @@ def _add_excite_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=_whole, default=1)
     parser.epilog = (
-        "`excite none` ends the excitation in either mode, and the signal keeps its value. With --offset V in open loop"
-        " u_c stays at that level instead; in closed loop `reference` moves the ball."
+        "`excite none` ends the excitation in either mode, and the signal keeps its value.\n"
+        "With --offset V in open loop u_c stays at that level instead; in closed loop `reference` moves the ball."
     )
 
 

@@ -16,6 +16,8 @@ import socket
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from gateway.access.listeners import endpoint_host, is_loopback
@@ -29,7 +31,7 @@ from gateway.views.listen import ADDRESSES, address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.ending import on_signals, wait_for_end
 from protocol.errors import ServiceError, UsageError, require
-from protocol.files import replace_text, writing
+from protocol.files import make_folder, replace_text, writing
 from protocol.viewer import open_viewer
 
 PAGE = "127.0.0.1:8051"
@@ -37,6 +39,7 @@ READY_S = 90.0  # includes the first compilation of the kernels on a slow machin
 POLL_S = 0.1
 TELL_S = 2.0  # of waiting, before a message says what for
 VIEWS = ("opcua", "foxglove")  # beside the web page
+_COMPILES = "compiling the emulated board (only once after an installation)"
 MB_PER_MINUTE = {False: 11.0, True: 10.0}  # by --lean: logged of a board in flight and its twin, T_s = 2 ms
 
 
@@ -113,12 +116,7 @@ def run(args: argparse.Namespace) -> int:
             _check_free(address(ADDRESSES[view], where=""), option=f"`board51 gateway` with --{view} ")
     if args.listen.startswith("tcp/"):
         _check_free(address(args.listen.removeprefix("tcp/"), where="--listen:"), option="--listen tcp/")
-    try:
-        args.log_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(
-            f"{args.log_dir} is not a folder ({error.strerror})", remedy="Give another --log-dir"
-        ) from None
+    make_folder(args.log_dir)
     stopped = threading.Event()
     hang_up = (signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()
     with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, *hang_up):
@@ -126,7 +124,8 @@ def run(args: argparse.Namespace) -> int:
         line = emulated_line(Path(tempfile.gettempdir())) if args.emulated else None
         services = _services(args, line)
         with running(services, end_s=END_S + 5.0):  # the gateway waits for its views
-            if _answers(page, stopped) and (line is None or _emulates(line, stopped)):
+            page_answers = _await(partial(_listens, page), stopped)
+            if page_answers and (line is None or _await(line.served, stopped, _COMPILES)):
                 _print_services(args, services)
                 wait_for_end(stopped)
             elif not stopped.is_set():
@@ -209,23 +208,19 @@ def _check_free(address: tuple[str, int], *, option: str) -> None:
         ) from None
 
 
-def _answers(address: tuple[str, int], stopped: threading.Event) -> bool:
-    """Wait until a server listens at the address; False after READY_S, or when stopped."""
-    for _ in range(round(READY_S / POLL_S)):
-        with contextlib.suppress(OSError), socket.create_connection(address, timeout=1.0):
-            return True
-        if stopped.wait(POLL_S):
-            return False
+def _listens(address: tuple[str, int]) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(address, timeout=1.0):
+        return True
     return False
 
 
-def _emulates(line: EmulatedLine, stopped: threading.Event) -> bool:
-    """Wait until the emulated board is there; False after READY_S, or when stopped."""
+def _await(ready: Callable[[], bool], stopped: threading.Event, why: str = "") -> bool:
+    """Wait for `ready`, and print after TELL_S `why` it takes so long; False after READY_S, or when stopped."""
     for look in range(round(READY_S / POLL_S)):
-        if line.served():
+        if ready():
             return True
-        if look == round(TELL_S / POLL_S):
-            print("compiling the emulated board (only once after an installation)", file=sys.stderr, flush=True)
+        if why and look == round(TELL_S / POLL_S):
+            print(why, file=sys.stderr, flush=True)
         if stopped.wait(POLL_S):
             return False
     return False

@@ -150,12 +150,7 @@ def parse(text: str) -> Fault:
 
 
 class FaultyLine:
-    """A direction of the line, which may damage, delay or lose bytes.
-
-    Args:
-        direction: `tx` (from the board) or `rx` (to the board).
-        seed: Seed of the random faults.
-    """
+    """A direction of the line (`tx` is from the board, `rx` to it), which may damage, delay or lose bytes."""
 
     def __init__(self, direction: str, seed: int) -> None:
         self._direction = direction

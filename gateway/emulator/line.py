@@ -76,16 +76,7 @@ class LineCounts:
 
 
 class BoardLine:
-    """An emulated board with its line and port.
-
-    Args:
-        firmware: The board.
-        port: Where hosts connect; opened here.
-        baud: Of the line, both ways, bits per second.
-        faults: Of link and board.
-        seed: Of the faults.
-        wiring: Between the board and its plant, for the faults there; None: they do nothing.
-    """
+    """An emulated board with its line of `baud` bits per second and its port, which is opened here."""
 
     def __init__(
         self,
@@ -178,31 +169,26 @@ class BoardLine:
 
     def _suffer(self) -> None:
         now, until = self.time_s - _T_S / 2, self.time_s + _T_S / 2  # so that rounding never misses or doubles a time
+        events = {
+            "reset": self.power_cycle,
+            "watchdog": self.firmware.hang,
+            "stack": self.firmware.break_stack,
+            "overrun": self.firmware.overrun,
+        }
         for fault in self._faults:
-            if fault.name not in EVENTS or not fault.happens(now, until):
-                continue
-            if fault.name == "reset":
-                self.power_cycle()
-            elif fault.name == "watchdog":
-                self.firmware.hang()
-            elif fault.name == "stack":
-                self.firmware.break_stack()
-            else:
-                self.firmware.overrun()
-        self._follow_output()
-        self._follow_wiring()
+            if fault.name in EVENTS and fault.happens(now, until):
+                events[fault.name]()
+        active = [fault for fault in self._faults if fault.active(self.time_s)]
+        self._follow_output({fault.name for fault in active})
+        if self._wiring is not None:
+            self._wiring.follow([fault for fault in active if fault.name in WIRING | CODES])
         self._follow_plug()
 
-    def _follow_output(self) -> None:
-        names = {fault.name for fault in self._faults if fault.active(self.time_s)}
+    def _follow_output(self, names: set[str]) -> None:
         now = next((OutputFault[name.upper()] for name in OUTPUTS if name in names), OutputFault.NONE)
         if now != self._output_fault:
             self._output_fault = now
             self.firmware.fail_output(now)
-
-    def _follow_wiring(self) -> None:
-        if self._wiring is not None:
-            self._wiring.follow([f for f in self._faults if f.name in WIRING | CODES and f.active(self.time_s)])
 
     def _follow_plug(self, *, renamed: bool = False) -> None:
         active = [fault for fault in self._faults if fault.name == "disconnect" and fault.active(self.time_s)]

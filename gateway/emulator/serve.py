@@ -18,17 +18,14 @@ Rule 4: in lockstep time passes only in `advance`.  Bytes that the host wrote be
 from __future__ import annotations
 
 import contextlib
-import os
-import selectors
-import socket
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from types import TracebackType
+from queue import Empty, SimpleQueue
 from typing import Self, TypedDict, Unpack
 
 from gateway.emulator.faults import Fault, parse
@@ -39,7 +36,7 @@ from gateway.emulator.line import Board, BoardLine, LineCounts
 from gateway.emulator.own_rig import load_rig
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
-from gateway.emulator.ports import EmulatedPort, TcpPort
+from gateway.emulator.ports import EmulatedPort, pty_ports, tcp_ports
 from gateway.emulator.wiring import FaultyWiring
 from protocol.errors import ServiceError, UsageError
 
@@ -81,24 +78,17 @@ class Server:
         self.overdue_ticks = 0
         self.worst_lateness_s = 0.0
         self._speed = speed
-        self._calls: deque[Callable[[], None]] = deque()
+        self._calls: SimpleQueue[Callable[[], object]] = SimpleQueue()  # a signal handler may put
         self._stopped = False
-        self._wake_out, self._wake_in = socket.socketpair()  # a selector of Windows takes nothing but sockets
-        self._wake_in.setblocking(False)
-        self._wake_out.setblocking(False)
-        self._closed = False
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._wake_out, selectors.EVENT_READ)
 
     def stop(self) -> None:
         """End `run` soon; from any thread or signal handler."""
         self._stopped = True
-        self._wake()
+        self.call(lambda: None)
 
-    def call(self, action: Callable[[], None]) -> None:
+    def call(self, action: Callable[[], object]) -> None:
         """Run `action` between two ticks, in the thread that runs the boards."""
-        self._calls.append(action)
-        self._wake()
+        self._calls.put(action)
 
     def run(self, duration_s: float | None = None) -> None:
         """Run the boards, for `duration_s` of their time or until `stop`; then close their ports."""
@@ -114,19 +104,6 @@ class Server:
         finally:
             for line in self.lines:
                 line.close()
-
-    def close(self) -> None:
-        """Close the ports and release all resources; the creator of the server calls it after `run`.
-
-        `run` itself does not do this, because another thread may be waking it.
-        """
-        for line in self.lines:
-            line.close()
-        if not self._closed:
-            self._closed = True
-            self._selector.close()
-            self._wake_in.close()
-            self._wake_out.close()
 
     def _run_in_time(self, ticks: int | None, speed: float) -> None:
         period_ns = _T_NS / speed
@@ -167,16 +144,11 @@ class Server:
                 ticks_run += 1
 
     def _rest(self, timeout_s: float | None) -> None:
-        """Sleep until the next deadline or a wake-up, then do what other threads asked for."""
-        if self._selector.select(timeout_s):
-            self._wake_out.recv(4096)
-        while self._calls:
-            self._calls.popleft()()
-
-    def _wake(self) -> None:
-        if not self._closed:
-            with contextlib.suppress(BlockingIOError):  # it is full, so the thread will wake
-                self._wake_in.send(b"w")
+        """Sleep until the next deadline, or do what other threads asked for."""
+        with contextlib.suppress(Empty):
+            self._calls.get(timeout=timeout_s)()
+            while True:
+                self._calls.get_nowait()()
 
 
 class Emulator:
@@ -219,12 +191,9 @@ class Emulator:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._server.stop()
         self._thread.join(10.0)
-        self._server.close()
         if self._folder is not None:
             self._folder.cleanup()
 
@@ -287,41 +256,21 @@ class Emulator:
         self._do(lambda line: line.reconnect(renamed=renamed), board)
 
     def _do(self, action: Callable[[BoardLine], None], board: int, *, patience_s: float = 10.0) -> None:
-        line, completed = self._server.lines[board], threading.Event()
-        failures: list[Exception] = []
+        line, done = self._server.lines[board], Future[None]()
 
         def work() -> None:
             try:
                 action(line)
+                done.set_result(None)
             except Exception as error:  # handed to the caller below
-                failures.append(error)
-            completed.set()
+                done.set_exception(error)
 
         self._server.call(work)
-        if not completed.wait(patience_s):
-            raise ServiceError("The emulator's thread does not answer", remedy="Use it inside its `with` block")
-        if failures:
-            raise failures[0]
-
-
-def pty_ports(link: Path, boards: int) -> list[EmulatedPort]:
-    """Return the ptys: PATH for one board, PATH-1, PATH-2, ... for several.
-
-    Raises:
-        UsageError: this system has no ptys.
-    """
-    if os.name != "posix":
-        raise UsageError("A pty needs Linux or macOS", remedy="Give --tcp HOST:PORT instead")
-    from gateway.emulator.pty_port import PtyPort
-
-    if boards == 1:
-        return [PtyPort(link)]
-    return [PtyPort(link.with_name(f"{link.name}-{n}")) for n in range(1, boards + 1)]
-
-
-def tcp_ports(host: str, port: int, boards: int) -> list[EmulatedPort]:
-    """Return consecutive TCP ports from `port` on, or free ones if it is 0."""
-    return [TcpPort(host, port + n if port else 0) for n in range(boards)]
+        try:
+            done.result(patience_s)
+        except TimeoutError:
+            problem = "The emulator's thread does not answer"
+            raise ServiceError(problem, remedy="Use it inside its `with` block") from None
 
 
 def rig_of(name: str) -> tuple[Callable[..., EmulatedPlant], BoardProfile]:

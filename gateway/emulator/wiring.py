@@ -16,13 +16,7 @@ from gateway.emulator.plant.levitation import EmulatedPlant
 
 
 class FaultyWiring:
-    """The analog side of a board, behind wires that may be wrong.
-
-    Args:
-        plant: The plant.
-        profile: Of the board: what its pins carry, and the bits of its converters.
-        seed: Of the noise.
-    """
+    """The analog side of a board, behind wires that may be wrong."""
 
     def __init__(self, plant: EmulatedPlant, profile: BoardProfile, *, seed: int = 0) -> None:
         self._plant: AnalogSide = plant

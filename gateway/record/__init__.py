@@ -2,6 +2,6 @@
 
 Foxglove, PlotJuggler and `@mcap/core` can read the files.
 Reading order: `writer` (one file), `recorder` (queue, thread, rotation, full disk).  `protocol.log` reads logs; based
-on it are `recover`, `summary`, `timeline`, `replay` (onto the bus), `player` (a replay under orders), `byte_replay` and
-`byte_port` (into a gateway) and `tables` (CSV, MATLAB and Parquet, both ways).
+on it are `recover`, `summary`, `timeline`, `replay` (onto the bus), `player` (its pace and orders), `byte_replay`
+(into a gateway) and `tables` (CSV, MATLAB and Parquet, both ways).
 """

@@ -142,15 +142,7 @@ class RecordedBoard:
         return identity
 
     def answer(self, data: bytes, *, position: int) -> bytes:
-        """Return the board's answer to bytes from the host.
-
-        Args:
-            data: As received.
-            position: Index of the next piece to be sent.
-
-        Returns:
-            Frames to send now; empty if no command is complete yet.
-        """
+        """Return the board's answer to bytes from the host, while `position` is the next piece; it may be empty."""
         frames = []
         # As on the board, a damaged command is not answered: the host repeats it.
         for event in self._host.feed(data):

@@ -35,10 +35,7 @@ class _Fresh:
 
 
 class Contents:
-    """The blocks of one part.
-
-    Args:
-        path: Of the part, finished or not.
+    """The blocks of one part, finished or not.
 
     Raises:
         DataError: the file is absent, empty or not MCAP.

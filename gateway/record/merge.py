@@ -8,7 +8,7 @@ from __future__ import annotations
 import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,32 +51,25 @@ def merge(
     if not paths:
         raise UsageError(f"{folder} has no logs", remedy="Give the folder of the parts: *.mcap")
     result = Merged()
-    writer = LogWriter(out, metadata={"merge": {"parts": str(len(paths))}})
-    try:
-        with (
-            tempfile.TemporaryDirectory(dir=out.parent, prefix=".merge-") as work,
-            closing(sqlite3.connect(Path(work) / "sorted.sqlite")) as database,
+    with (
+        LogWriter(out, metadata={"merge": {"parts": str(len(paths))}}) as writer,
+        tempfile.TemporaryDirectory(dir=out.parent, prefix=".merge-") as work,
+        closing(sqlite3.connect(Path(work) / "sorted.sqlite")) as database,
+    ):
+        for pragma in ("journal_mode = OFF", "synchronous = OFF", "temp_store = FILE", "cache_size = -65536"):
+            database.execute(f"PRAGMA {pragma}")
+        database.execute(_TABLE)
+        for path in paths:
+            report(f"{path.name} ({result.parts + 1} of {len(paths)})")
+            _take(database, path, boards, result)
+        if result.parts == len(result.unreadable):
+            raise DataError(f"No log of {folder} can be read: {result.unreadable[0]}", remedy="Use another folder")
+        database.execute("CREATE INDEX in_order ON record (time_ns, session, id)")
+        for key, time_ns, data in database.execute(
+            "SELECT key, time_ns, data FROM record ORDER BY time_ns, session, id"
         ):
-            for pragma in ("journal_mode = OFF", "synchronous = OFF", "temp_store = FILE", "cache_size = -65536"):
-                database.execute(f"PRAGMA {pragma}")
-            database.execute(_TABLE)
-            for path in paths:
-                report(f"{path.name} ({result.parts + 1} of {len(paths)})")
-                _take(database, path, boards, result)
-            if result.parts == len(result.unreadable):
-                raise DataError(f"No log of {folder} can be read: {result.unreadable[0]}", remedy="Use another folder")
-            database.execute("CREATE INDEX in_order ON record (time_ns, session, id)")
-            for key, time_ns, data in database.execute(
-                "SELECT key, time_ns, data FROM record ORDER BY time_ns, session, id"
-            ):
-                writer.write(key, data, time_ns)
-                result.records += 1
-        writer.close()
-    except BaseException:
-        writer.abandon()
-        with suppress(OSError):
-            out.unlink()
-        raise
+            writer.write(key, data, time_ns)
+            result.records += 1
     return result
 
 

@@ -1,9 +1,10 @@
-"""Plays a log under orders that arrive while it plays: pause, play, seek, speed.
+"""Plays a log at its pace: once, or under orders that arrive while it plays: pause, play, seek, speed.
 
 Rule 1: an order is a line of text: `pause`, `play`, `seek S` (from the first message of the log), `speed N`.  A line
         that is none of them is passed over.
 Rule 2: it stays at the end, where `seek` brings it back.
 Rule 3: a seek while it pauses sends GLANCE_S of the log, so that there is something to look at.
+Rule 4: speed is log seconds per second; at 0 each record is due at once.
 """
 
 from __future__ import annotations
@@ -50,10 +51,16 @@ class Player:
         self._speed, self._state = 1.0, "playing"
         self._seek_s: float | None = None
         self._anchor: tuple[float, int] | None = None  # a moment of the clock and the log time that belongs to it
-        self._newest_ns = 0
+        self._first_ns = self._newest_ns = 0  # of this pass
+
+    def play(self, start_s: float, speed: float) -> float:
+        """Play once from `start_s` to the end or `stop`; return the log time of what was sent, s."""
+        self._speed = speed
+        self._pass(start_s)
+        return (self._newest_ns - self._first_ns) / 1e9
 
     def run(self, start_s: float, speed: float) -> None:
-        """Play from `start_s` until `stop`."""
+        """Play from `start_s` under orders until `stop`."""
         self._speed, self._seek_s = speed, start_s
         self._changed("playing")
         while not self._stop.is_set():
@@ -66,25 +73,26 @@ class Player:
 
     def _pass(self, position_s: float) -> bool:
         """Send from a position on; return whether the end was reached."""
-        self._anchor, glance_ns = None, None
-        for record in self._records(position_s):
-            if glance_ns is None:
-                glance_ns = record.time_ns + round(GLANCE_S * 1e9)
+        self._anchor, self._first_ns, self._newest_ns = None, 0, 0
+        for number, record in enumerate(self._records(position_s)):
+            if number == 0:
+                self._first_ns = record.time_ns
             # Log times may run back by a little: such a record is due at once.
-            self._newest_ns = max(record.time_ns, self._newest_ns) if self._anchor else record.time_ns
-            if not self._await(self._newest_ns, glance_ns):
+            self._newest_ns = max(record.time_ns, self._newest_ns)
+            if not self._await(self._newest_ns):
                 return False
             self._send(record)
         return True
 
-    def _await(self, time_ns: int, glance_ns: int) -> bool:
+    def _await(self, time_ns: int) -> bool:
         """Wait until a record is due; False: a seek, or the end, came first."""
         while not self._stop.is_set():
             paused = self._state == "paused"
             if self._anchor is None:
                 self._anchor = (self._now_s(), time_ns)
-            wait_s = self._anchor[0] + (time_ns - self._anchor[1]) / 1e9 / self._speed - self._now_s()
-            is_due = time_ns <= glance_ns if paused else wait_s <= 0.0
+            lasts_s = (time_ns - self._anchor[1]) / 1e9 / self._speed if self._speed else 0.0
+            wait_s = self._anchor[0] + lasts_s - self._now_s()
+            is_due = time_ns <= self._first_ns + GLANCE_S * 1e9 if paused else wait_s <= 0.0
             self._obey(0.0 if is_due else _LOOK_S if paused else min(wait_s, _LOOK_S))
             if self._seek_s is not None:
                 return False

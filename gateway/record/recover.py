@@ -5,7 +5,6 @@ Messages are copied byte for byte (never parsed and written again), in the order
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -55,8 +54,7 @@ def recover(broken: Path, clean: Path) -> Recovery:
     messages = 0
     records = reader.raw()
     first = next(records, None)  # the metadata comes before it, and is known from here on
-    writer = LogWriter(clean, metadata={**scan.metadata, "recovered": {"from": broken.name}})
-    try:
+    with LogWriter(clean, metadata={**scan.metadata, "recovered": {"from": broken.name}}) as writer:
         for record in chain([] if first is None else [first], records):
             writer.write(record.key, record.data, record.time_ns)
             messages += 1
@@ -67,12 +65,6 @@ def recover(broken: Path, clean: Path) -> Recovery:
                 board.take(state)
             elif record.topic == "parameters" and (known := encoding.parse(pb.Parameters, record.data)) is not None:
                 board.divider = max(known.stream_divider, 1)
-        writer.close()
-    except BaseException:
-        writer.abandon()
-        with contextlib.suppress(OSError):
-            clean.unlink()
-        raise
     if not messages:
         clean.unlink()
         reasons = "; ".join(damage.reason for damage in scan.damages) or "it holds no Board51 messages"

@@ -1,7 +1,7 @@
 """Replays a log onto the bus under its recorded keys, at any speed.
 
 Rule 1: payloads are sent byte for byte: a twin computes the same from a replay as from the live board.
-Rule 2: the order is that of the log; the pace is log time divided by speed; with speed 0 only the bus limits the pace.
+Rule 2: the order is that of the log; the pace is that of `player`; with speed 0 only the bus limits it.
 Rule 3: twin/* is replayed only on request: a live twin publishes it, too, and two sources under one key would mix.
 Rule 4: each message is marked as replayed, beside its payload: views of the live rigs leave it out.
 Rule 5: each recorded `state` is also sent as `states`, one by one: a longer batch would delay its first sample.
@@ -10,10 +10,9 @@ Rule 6: a replay does not publish under the name of a board that is alive on the
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from itertools import islice
 
 import zenoh
 from google.protobuf.message import Message
@@ -30,53 +29,10 @@ DEFAULT_TOPICS = tuple(
 )
 
 
-def pace(
-    records: Iterable[RawLogRecord],
-    *,
-    speed: float,
-    stop: threading.Event,
-    send: Callable[[RawLogRecord], None],
-    now_s: Callable[[], float] = time.monotonic,
-) -> tuple[int, float]:
-    """Send each record at its time.
-
-    Args:
-        records: In the order to send.
-        speed: Log seconds per second; 0 sends at once.
-        stop: Set it to end early.
-        send: Called for each record.
-        now_s: Clock that corresponds to `stop.wait`, s.
-
-    Returns:
-        Records sent, and the log time they span in seconds.
-    """
-    begin_s = now_s()
-    first_ns: int | None = None
-    newest_ns = 0
-    count = 0
-    for record in records:
-        if first_ns is None:
-            first_ns = newest_ns = record.time_ns
-        newest_ns = max(newest_ns, record.time_ns)
-        if speed > 0:
-            wait_s = begin_s + (newest_ns - first_ns) / 1e9 / speed - now_s()
-            if wait_s > 0:
-                stop.wait(wait_s)
-        if stop.is_set():
-            break
-        send(record)
-        count += 1
-    return count, (newest_ns - first_ns) / 1e9 if first_ns is not None else 0.0
-
-
 class BusReplay:
     """Publishes records on a zenoh session.  Use it as a context manager; the boards are alive on the bus within it.
 
-    Args:
-        session: An open session.
-        boards: (site, board) pairs to publish.
-        rename: Publish the only board under this name instead.
-        site: Publish under this site instead of the recorded one.
+    `rename` publishes the only board under another name, `site` all boards under another site.
     """
 
     def __init__(
@@ -169,9 +125,12 @@ def from_time(
     at_ns = reader.start_ns + round(start_s * 1e9)
     repeated = [topic.name for topic in topics.TOPICS if topic.name in topics_ and _REPEATED in topic.rate]
     before = reader.raw(topics_=repeated, boards=boards, start_s=max(0.0, start_s - _REPEATED_S), end_s=start_s)
-    newest = {record.key: record._replace(time_ns=at_ns) for record in before} if start_s > 0.0 else {}
-    yield from sorted(newest.values(), key=lambda record: record.topic != "parameters")  # it says that a pass begins
-    yield from reader.raw(topics_=topics_, boards=boards, start_s=start_s, end_s=end_s)
+    known = {record.key: record._replace(time_ns=at_ns) for record in before} if start_s > 0.0 else {}
+    newest = sorted(known.values(), key=lambda record: record.topic != "parameters")  # it says that a pass begins
+    records = reader.raw(topics_=topics_, boards=boards, start_s=start_s, end_s=end_s)
+    for first in islice(records, 1):  # behind the end there is nothing
+        yield from (*newest, first)
+    yield from records
 
 
 def _with_session(topic: str, data: bytes, offset: int) -> bytes:

@@ -36,7 +36,7 @@ def delete_expired(
     logs = expired(logs_in(folder, prefix), time.time(), keep_days=keep_days, keep_gb=keep_gb)
     kept, archived = 0, set[tuple[str, int, int]]()
     if logs and keep_unarchived:
-        from gateway.record.catalogue.archived import archived_logs  # a gateway starts without it
+        from gateway.record.catalogue.store import archived_logs  # a gateway starts without it
 
         try:
             archived = archived_logs(folder)
@@ -70,11 +70,7 @@ def logs_in(folder: Path, prefix: str) -> list[Log]:
 def expired(logs: Sequence[Log], now_s: float, *, keep_days: float, keep_gb: float) -> list[tuple[Path, str]]:
     """Return the logs to delete, oldest first, each with the reason.
 
-    Args:
-        logs: of the folder.
-        now_s: Unix time.
-        keep_days: greatest age; 0: no bound.
-        keep_gb: greatest size of all logs together, in 10^9 bytes; 0: no bound.
+    Both bounds are none if they are 0; `keep_gb` is in 10^9 bytes, for all logs together.
     """
     total, result = sum(log.size for log in logs), []
     for log in sorted(logs, key=lambda log: log.modified_s):

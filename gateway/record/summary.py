@@ -72,6 +72,11 @@ class Range:
         self.low = min(self.low, value)
         self.high = max(self.high, value)
 
+    @property
+    def mean(self) -> float:
+        """The mean; only after a value."""
+        return self.total / self.count
+
 
 @dataclass(slots=True)
 class TopicSummary:
@@ -190,7 +195,7 @@ def _board_json(board: BoardSummary) -> dict[str, object]:
             for name, topic in board.topics.items()
         },
         "ranges": {
-            name: {"low": span.low, "high": span.high, "mean": span.total / span.count, "count": span.count}
+            name: {"low": span.low, "high": span.high, "mean": span.mean, "count": span.count}
             for name, span in board.ranges.items()
         },
         "sessions": board.gaps.sessions,
@@ -230,7 +235,7 @@ def _lines(summary: LogSummary) -> Iterable[str]:
             rate = f"{counts.rate_hz:10.2f} Hz" if counts.rate_hz is not None else " " * 13
             yield f"  {topic:<16}{counts.count:>10} messages {rate} {counts.bytes:>12} bytes"
         for channel, span in board.ranges.items():
-            yield f"  {channel:<16}{span.low:>14.6g} .. {span.high:.6g}, mean {span.total / span.count:.6g}"
+            yield f"  {channel:<16}{span.low:>14.6g} .. {span.high:.6g}, mean {span.mean:.6g}"
         if board.modes:
             yield f"  modes           {', '.join(sorted(board.modes))}"
         for model in board.models:

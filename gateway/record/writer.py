@@ -16,8 +16,9 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 from foxglove import Context, Schema, open_mcap
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
@@ -95,7 +96,7 @@ class _Memory:
 
 
 class LogWriter:
-    """An MCAP file that is being written.
+    """An MCAP file that is being written; as a context manager it is closed at the end, or after an error deleted.
 
     Args:
         path: File to create; it must not exist.
@@ -149,6 +150,19 @@ class LogWriter:
             path.unlink(missing_ok=True)
             raise
         self._chunk_at = self._memory.end  # where the current chunk begins
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        try:
+            if error is None:
+                self.close()
+        finally:
+            if self._fd >= 0:
+                self.abandon()
+                with suppress(OSError):
+                    self.path.unlink()
 
     @property
     def bytes_written(self) -> int:

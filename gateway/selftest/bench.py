@@ -14,7 +14,7 @@ from gateway.board.scaling import Scaling, scaling_of
 from gateway.selftest.connection import BOOT_S, Connection
 from gateway.selftest.estimates import mean_and_deviation
 from gateway.selftest.rigs import RigNumbers
-from gateway.selftest.verdict import Verdict, fault
+from gateway.selftest.verdict import fault
 from protocol.wire.events import BoardEvent, Sample
 from protocol.wire.messages import HostLoss, Message, Mode, Shape
 
@@ -27,11 +27,11 @@ class NotReadyError(Exception):
 
 
 class FaultFoundError(Exception):
-    """A fault ends a check."""
+    """A fault ends a check; its arguments are those of `fault`."""
 
-    def __init__(self, verdict: Verdict) -> None:
-        super().__init__(verdict.what)
-        self.verdict = verdict
+    def __init__(self, name: str, what: str, value: str, *, bound: str = "", remedy: str) -> None:
+        super().__init__(what)
+        self.verdict = fault(name, what, value, bound=bound, remedy=remedy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,31 +57,19 @@ class Begin:
 
 @dataclass(slots=True, kw_only=True)
 class Bench:
-    """A run of the self-test.
-
-    Attributes:
-        line: The board.
-        rig: The numbers of a healthy one.
-        port: As it was given, for commands to copy.
-        baud: Speed of the line, bit/s.
-        quick: Fewer repetitions.
-        calibrate: Correct the board's position sensor where it is off.
-        lift_input_v: Input that has lifted the ball, V; 0: that of the rig.
-        faults: Names of those found so far: what follows from one is skipped, not found again.
-        progress: Called with what goes on and its share done, 0 to 1.
-    """
+    """A run of the self-test."""
 
     line: Connection
     rig: RigNumbers
-    port: str = ""
-    baud: int = 115200
-    quick: bool = False
-    calibrate: bool = False
-    progress: Callable[[str, float], None] = lambda _text, _share: None
+    port: str = ""  # as it was given, for commands to copy
+    baud: int = 115200  # bit/s
+    quick: bool = False  # fewer repetitions
+    calibrate: bool = False  # correct the board's position sensor where it is off
+    progress: Callable[[str, float], None] = lambda _text, _share: None  # what goes on, and its share done, 0 to 1
     begin: Begin = field(default_factory=Begin)
     parameters: Message | None = None
-    lift_input_v: float = 0.0
-    faults: set[str] = field(default_factory=set)
+    lift_input_v: float = 0.0  # has lifted the ball; 0: use that of the rig
+    faults: set[str] = field(default_factory=set)  # found so far: what follows from one is skipped, not found again
     expected_resets: int = 0
     expected_host_losses: int = 0
     _rest: Rest | None = None
@@ -154,14 +142,8 @@ class Bench:
         """Return what to raise where no current flows: a fault, unless it is known."""
         if self.faults & {"no-current", "input-not-followed"}:
             return NotReadyError("no current flows: see staircase")
-        return FaultFoundError(
-            fault(
-                "no-current",
-                "i_c",
-                "does not follow u_c",
-                remedy="look at the coil and its wires, its supply, the driver and the shunt",
-            )
-        )
+        remedy = "look at the coil and its wires, its supply, the driver and the shunt"
+        return FaultFoundError("no-current", "i_c", "does not follow u_c", remedy=remedy)
 
     def currents(self, samples: Sequence[Sample]) -> list[float]:
         """Return i_c of samples, A."""
@@ -234,7 +216,7 @@ class Bench:
 
 def too_few_states(count: int) -> FaultFoundError:
     """Return what to raise where states are missing."""
-    return FaultFoundError(fault("no-states", "states", f"only {count}", remedy="the line loses them: see link"))
+    return FaultFoundError("no-states", "states", f"only {count}", remedy="the line loses them: see link")
 
 
 def at_input(samples: Sequence[Sample], count: int) -> list[Sample]:

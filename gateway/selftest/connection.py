@@ -30,11 +30,7 @@ class RefusedError(ServiceError):
 
 
 class Connection:
-    """A session with one board.
-
-    Args:
-        wire: Its port and the time.
-    """
+    """A session with one board."""
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
@@ -105,14 +101,14 @@ class Connection:
             self.step(left_s, silent=silent)
         return self.samples[first:]
 
-    def until(self, condition: Callable[[], bool], patience_s: float, *, silent: bool = False) -> bool:
+    def until(self, condition: Callable[[], bool], patience_s: float) -> bool:
         """Run until the condition holds; return whether it does within `patience_s`."""
         end_s = self.wire.now_s() + patience_s
         while not condition():
             left_s = end_s - self.wire.now_s()
             if left_s <= 0.0:
                 return False
-            self.step(left_s, silent=silent)
+            self.step(left_s)
         return True
 
     def send(self, name: str, /, **values: Value) -> Answer:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import fmean, stdev
+from statistics import fmean, linear_regression, stdev
 
 T_95 = 2.2  # Student's t, 97.5 %, for about ten degrees of freedom
 
@@ -26,10 +26,9 @@ class Line:
 
 def line_through(x: Sequence[float], y: Sequence[float]) -> Line:
     """Fit a line to three points or more, of which two differ in x."""
-    x_mean, y_mean = fmean(x), fmean(y)
+    slope, offset = linear_regression(x, y)
+    x_mean = fmean(x)
     s_xx = sum((a - x_mean) ** 2 for a in x)
-    slope = sum((a - x_mean) * (b - y_mean) for a, b in zip(x, y, strict=True)) / s_xx
-    offset = y_mean - slope * x_mean
     residuals = tuple(b - offset - slope * a for a, b in zip(x, y, strict=True))
     variance = sum(r * r for r in residuals) / max(len(x) - 2, 1)
     return Line(offset, slope, T_95 * math.sqrt(variance / s_xx), residuals)

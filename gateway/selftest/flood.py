@@ -20,12 +20,7 @@ _RESTART = 1000
 
 
 class Flood:
-    """Counts what it sends and what comes back.
-
-    Args:
-        wire: The line.
-        baud: Its speed, bit/s.
-    """
+    """Counts what it sends into a line of `baud` bit/s and what comes back."""
 
     def __init__(self, wire: Wire, baud: int) -> None:
         self.states: list[tuple[float, State]] = []  # arrival, s

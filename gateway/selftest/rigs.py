@@ -31,6 +31,11 @@ class RigNumbers:
     magnet: bool  # lifted by a permanent magnet: the coil has a polarity
     flash_board: str = ""  # of `board51 flash`; "": it flashes none
 
+    @property
+    def no_current_a(self) -> float:
+        """The highest reading of i_c, A, at which no current flows."""
+        return self.current_offset_a[1] + 6 * self.current_noise_a[1]
+
 
 RIGS: Mapping[str, RigNumbers] = {
     "ce152": RigNumbers(

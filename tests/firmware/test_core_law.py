@@ -102,9 +102,7 @@ def test_at_its_limits_and_a_count_beside_them_the_integral_is_that_of_python(
     of_integral = (1, 3)[law is Law.LQI]
     mantissas = tuple(256 if n == 0 else integral if n == of_integral else 0 for n in range(4))  # a count for a count
     for u_0, total, more, error in product((0, 4095), (-256, 0, 256), (-1, 0, 1), (-1, 0, 1)):
-        python = ControlLaw(
-            Gains(law=law, mantissas=mantissas, shifts=(8, 8, 8, 8), i_0=2000, x_0=2000, u_0=u_0)  # type: ignore[arg-type]
-        )
+        python = ControlLaw(Gains(law=law, mantissas=mantissas, shifts=(8, 8, 8, 8), i_0=2000, x_0=2000, u_0=u_0))
         core.load(python.gains)
         python.sum = core.law.sum = total
 

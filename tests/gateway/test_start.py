@@ -108,7 +108,7 @@ def children_of(pid: int) -> list[int]:
         (["--emulated", "--page", "0.0.0.0:0"], "open to the network"),
         (["--emulated", "--listen", "tcp/0.0.0.0:7447"], "board51 gateway --security DIR"),
         (["--emulated", "--keep-days", "-3"], "--keep-days = -3.0 is not in 0 .. 100000"),
-        (["--emulated", "--log-dir", "/dev/null/logs"], "Give another --log-dir"),
+        (["--emulated", "--log-dir", "/dev/null/logs"], "/dev/null/logs cannot be written: Not a directory"),
     ],
 )
 def test_what_cannot_be_is_said_at_once(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -103,7 +103,7 @@ def test_the_page_of_all_commands_has_each_of_them() -> None:
         (["twin", "--model", "absent.json"], "absent.json"),
         (["twin", "--hand-over", "absent.json"], "absent.json"),
         (["plot", "absent.mcap", "--out", "p.png", "--span", "5:2"], "is not FROM:TO"),
-        (["demo", "--out", "/proc/no/folder"], "/proc/no/folder is not a folder"),
+        (["demo", "--out", "/proc/no/folder"], "/proc/no/folder cannot be written"),
         (["plot", "absent.mcap", "--out", "p.png"], "absent.mcap"),
         (["bench", "nothing"], "nothing"),
         (["emulate", "--effect", "magic=1"], "magic"),

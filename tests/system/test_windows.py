@@ -36,11 +36,11 @@ def board51(*words: str) -> subprocess.CompletedProcess[str]:
     return windows("-m", "board51", *words)
 
 
-def test_every_module_but_the_pty_is_imported() -> None:
+def test_every_module_is_imported() -> None:
     done = windows(str(WINDOWS / "every_module.py"))
 
     assert done.returncode == 0, done.stderr
-    assert list(json.loads(done.stdout)) == ["gateway.emulator.pty_port"]
+    assert list(json.loads(done.stdout)) == []
 
 
 def test_a_pty_is_refused_in_words() -> None:

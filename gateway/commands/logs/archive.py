@@ -35,9 +35,8 @@ def configure(work: argparse._SubParsersAction[Any]) -> None:
 
     def add(name: str, purpose: str, text: str, example: str) -> argparse.ArgumentParser:
         parser: argparse.ArgumentParser = work.add_parser(
-            name, help=purpose, description=text, epilog=f"example:\n  {example}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )  # fmt: skip
+            name, help=purpose, description=text, epilog=f"example:\n  {example}"
+        )
         parser.add_argument("--endpoint", metavar="URL", help="of the server (AWS_ENDPOINT_URL, or Amazon's own)")
         return parser
 

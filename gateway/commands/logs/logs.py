@@ -39,11 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = f"columns: {', '.join(COLUMNS)}\n{_EXAMPLES}"
     work = parser.add_subparsers(dest="work", required=True, metavar="WORK")
     parser_of_query = work.add_parser(
-        "query",
-        help="the sessions that satisfy a condition",
-        description=__doc__,
-        epilog=parser.epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "query", help="the sessions that satisfy a condition", description=__doc__, epilog=parser.epilog
     )
     parser_of_query.add_argument("condition", nargs="?", default="", metavar="CONDITION", help="in SQL; default: all")
     parser_of_query.add_argument(

@@ -15,13 +15,12 @@ import queue
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.access.listeners import check_bus_listeners
-from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import parse
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, Mode, check_endpoint, zenoh_config
 from protocol.bus.identity import HELP, find_identity
 from protocol.ending import on_end_signal
@@ -83,14 +82,16 @@ def run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     on_end_signal(stop.set)
     if args.bytes:
-        return _bytes(args, stop)
+        from gateway.commands.logs.replay_bytes import replay_bytes
+
+        return replay_bytes(args, stop)
     if args.pty or args.tcp:
         raise UsageError("--pty and --tcp take bytes", remedy="Add --bytes")
     return _bus(args, stop)
 
 
 def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
-    from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, contents, pace
+    from gateway.record.replay import DEFAULT_TOPICS, BusReplay, contents
     from protocol.bus.closing import closing
 
     if args.connect and args.listen:
@@ -108,7 +109,6 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         _raise_empty(reader, args)
     boards = list(dict.fromkeys((site, board) for site, board, _ in channels))
     begin_s = time.monotonic()
-    sent, passes, log_s = 0, 0, 0.0
     session = _session(args)
     with closing(session), BusReplay(session, boards, rename=args.rename, site=args.as_site) as replay:
         replay.declare(channels)
@@ -118,24 +118,10 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         if not replay.matched() and not args.json:
             print("no subscriber yet", file=sys.stderr)
         stop.wait(SETTLE_S)
-        progress = _Progress(quiet=args.json)
-
-        def send(record: RawLogRecord) -> None:
-            replay.send(record)
-            progress.at(record.time_ns, reader.start_ns)
-
-        if args.control:
-            _play(reader, replay, args, topics_, stop)
-            return 0
-        while not stop.is_set():
-            records = reader.raw(topics_=topics_, boards=args.board, start_s=args.start, end_s=args.end)
-            count, span_s = pace(records, speed=args.speed, stop=stop, send=send)
-            sent, passes, log_s = sent + count, passes + 1, log_s + span_s
-            replay.session_offset += SESSIONS_PER_PASS
-            if not args.loop or not count:
-                break
+        sent, passes, log_s = _play(reader, replay, args, topics_, stop)
+    if args.control:
+        return 0
     lasted_s = time.monotonic() - begin_s
-    progress.end()
     if args.json:
         print(json.dumps({"messages": sent, "passes": passes, "seconds": lasted_s, "log_seconds": log_s}))
     else:
@@ -166,14 +152,52 @@ def _session(args: argparse.Namespace) -> zenoh.Session:
 
 def _play(
     reader: LogReader, replay: BusReplay, args: argparse.Namespace, topics_: tuple[str, ...], stop: threading.Event
-) -> None:
-    """Replay as standard input orders, and print each change of state as a line of JSON."""
+) -> tuple[int, int, float]:
+    """Play once, in a loop, or as standard input orders; return messages, passes and the log time of all passes, s.
+
+    Under orders, each change of state is printed as a line of JSON.
+    """
     from gateway.record.player import Player
     from gateway.record.replay import SESSIONS_PER_PASS, from_time
 
-    def sought() -> None:
-        replay.session_offset += SESSIONS_PER_PASS  # nothing is continuous across a seek
+    sent, passes, log_s = 0, 0, 0.0
+    progress = _Progress(quiet=args.json or args.control)
 
+    def send(record: RawLogRecord) -> None:
+        nonlocal sent
+        replay.send(record)
+        sent += 1
+        progress.at(record.time_ns, reader.start_ns)
+
+    def next_session() -> None:
+        replay.session_offset += SESSIONS_PER_PASS  # nothing is continuous across a seek, or from pass to pass
+
+    def no_order(limit_s: float) -> None:
+        stop.wait(limit_s)
+
+    player = Player(
+        lambda start_s: from_time(reader, start_s, topics_=topics_, boards=args.board, end_s=args.end),
+        send,
+        next_order=_orders() if args.control else no_order,
+        sought=next_session,
+        report=lambda state: print(json.dumps(state), flush=True),
+        stop=stop,
+    )
+    if args.control:
+        player.run(args.start, args.speed)
+    while not stop.is_set():
+        before = sent
+        log_s += player.play(args.start, args.speed)
+        passes += 1
+        next_session()
+        if not args.loop or sent == before:
+            break
+    progress.end()
+    return sent, passes, log_s
+
+
+def _orders() -> Callable[[float], str | None]:
+    """Return a function of seconds to wait, which returns the next line of standard input, or None."""
     orders: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def listen() -> None:
@@ -182,20 +206,11 @@ def _play(
 
     def next_order(limit_s: float) -> str | None:
         with contextlib.suppress(queue.Empty):
-            return orders.get(timeout=limit_s) if limit_s > 0.0 else orders.get_nowait()
+            return orders.get(timeout=limit_s)
         return None
 
-    player = Player(
-        lambda start_s: from_time(reader, start_s, topics_=topics_, boards=args.board, end_s=args.end),
-        replay.send,
-        next_order=next_order,
-        sought=sought,
-        report=lambda state: print(json.dumps(state), flush=True),
-        stop=stop,
-    )
-
     threading.Thread(target=listen, name="orders", daemon=True).start()
-    player.run(args.start, args.speed)
+    return next_order
 
 
 def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:
@@ -203,43 +218,6 @@ def _raise_empty(reader: LogReader, args: argparse.Namespace) -> None:
     available = sorted({channel.topic for scan in reader.scans for channel in scan.channels.values()})
     selection = " ".join([*(args.topic or ()), *(args.board or ())]) or "any topic of the bus"
     raise DataError(f"Log {reader.name} has no messages of {selection}", remedy=f"It has: {', '.join(available)}")
-
-
-def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
-    from gateway.record.byte_port import open_pty, open_tcp, serve
-    from gateway.record.byte_replay import RecordedBoard
-    from gateway.record.replay import contents
-
-    if (args.pty is None) == (args.tcp is None):
-        raise UsageError("--bytes needs a destination", remedy="Give --pty PATH or --tcp HOST:PORT")
-    if args.loop or args.rename or args.topic or args.connect or args.listen:
-        raise UsageError("--bytes does not go with the options of the bus", remedy="Leave those out")
-    reader = LogReader(args.logs)
-    boards = list(dict.fromkeys(board for _, board, _ in contents(reader, topics_=("raw",), boards=args.board)))
-    if len(boards) > 1:
-        raise UsageError(f"The log has bytes of several boards: {', '.join(boards)}", remedy="Choose one with --board")
-    records = reader.raw(topics_=("raw",), boards=args.board, start_s=args.start, end_s=args.end)
-    messages = (parse(pb.RawBytes, record.data) for record in records)
-    board = RecordedBoard(message for message in messages if message is not None)
-    if args.pty is not None:
-        with open_pty(args.pty) as port:
-            print(f"board on {args.pty}", flush=True)
-            sent = serve(board, port, speed=args.speed, stop=stop)
-    else:
-        host, port_number = _address(args.tcp)
-        print(f"board on socket://{host}:{port_number}", flush=True)
-        with open_tcp(host, port_number, stop=stop) as connection:
-            sent = serve(board, connection, speed=args.speed, stop=stop) if connection is not None else 0
-    account = {"pieces": sent, "of": len(board.pieces), "answers_removed": board.removed, "refused": board.refused}
-    print(json.dumps(account) if args.json else ", ".join(f"{name} {value}" for name, value in account.items()))
-    return 0 if sent == len(board.pieces) else 1
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.removeprefix("socket://").rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise UsageError(f"--tcp {text} is not an address", remedy="Write HOST:PORT, e.g. 127.0.0.1:5100")
-    return host, int(port)
 
 
 class _Progress:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 
-from gateway.emulator.firmware_model.commands import Acceptance, Nack
+from gateway.emulator.firmware_model.commands import Nack
 from gateway.emulator.firmware_model.uart import Outbox, Priority
 from protocol.wire.codec import encode_body
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import ROW_OF_NAME, Reason
+from protocol.wire.messages import ROW_OF_NAME, Message, Reason
 
 RETAINED_IDS = 8
 
@@ -29,11 +29,10 @@ class Answers:
         blocks = body[0] == ROW_OF_NAME["READ_CAPTURE"].type and self._outbox.full(Priority.CAPTURE_BLOCK)
         return not self._outbox.full(Priority.ANSWER) and not blocks
 
-    def put(self, body: bytes, answer: Acceptance | Nack, *, keep: bool = True) -> None:
+    def put(self, body: bytes, answer: Message | Nack, *, keep: bool = True) -> None:
         """Answer a command."""
         if isinstance(answer, Nack):
-            values = {"command": body[0], "reason": int(answer.reason), "detail": answer.detail}
-            answer = Acceptance("NACK", values)
+            answer = Message("NACK", {"command": body[0], "reason": int(answer.reason), "detail": answer.detail})
         frame = encode_frame(encode_body(answer.name, id=body[1], **answer.values))
         priority = Priority.CAPTURE_BLOCK if answer.name == "CAPTURE_BLOCK" else Priority.ANSWER
         if keep:

@@ -18,7 +18,6 @@ from gateway.emulator.firmware_model.answers import Answers
 from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.commands import (
     HANDLERS,
-    Acceptance,
     Nack,
     acknowledge,
     identity,
@@ -72,13 +71,7 @@ class AnalogSide(Protocol):
 
 
 class Firmware:
-    """A board, powered on.
-
-    Args:
-        plant: Analog side; the firmware advances its time.
-        board_id: Serial number in IDENTITY.
-        profile: Scalings, gains, limits, converters.
-    """
+    """A board, powered on; it advances the time of its plant, and `board_id` is the serial number in IDENTITY."""
 
     def __init__(self, plant: AnalogSide, *, board_id: int = 1, profile: BoardProfile = CE152_BOARD) -> None:
         self._plant = plant
@@ -216,14 +209,14 @@ class Firmware:
             # A program that hangs leaves u_c as it is, in a capture, too.
             capture = loop.capture if loop.sampling and not self._hung_ticks else None
             if capture is not None:
-                if capture.time_to_sample_us() == 0:
+                if capture.wait_us == 0:
                     i_pin, _ = self._plant.sense()
                     capture.take(self._profile.current_count(i_pin), loop.output.write)
-                step_us = min(step_us, capture.time_to_sample_us())
+                step_us = min(step_us, capture.wait_us)
             self._plant.advance(self._profile.input_pin(self.u), step_us * 1e-6)
             self._elapsed_us += step_us
             if capture is not None:
-                capture.pass_time(step_us)
+                capture.wait_us -= step_us
                 if capture.has_ended:
                     loop.end_capture()
                     self._execute_pending()
@@ -240,14 +233,14 @@ class Firmware:
             self.loop.switch_off()
             if self._reset_wait:
                 return
-            answer: Acceptance | Nack = acknowledge(body[0], self.next_tick)
+            answer: Message | Nack = acknowledge(body[0], self.next_tick)
         elif len(self._pending) < PENDING_COMMANDS:
             self._pending.append((body, command, False))
             return
         else:
             answer = Nack(Reason.BUSY)
         if self._answers.has_room(body):
-            self._answers.put(body, answer, keep=isinstance(answer, Acceptance))
+            self._answers.put(body, answer, keep=isinstance(answer, Message))
         else:
             self._leave_unanswered()
 
@@ -278,12 +271,12 @@ class Firmware:
             else:
                 self._answers.put(body, self._execute(command))
 
-    def _execute(self, message: Message) -> Acceptance | Nack:
+    def _execute(self, message: Message) -> Message | Nack:
         row, tick = ROW_OF_NAME[message.name], self.next_tick
         match message.name:
             case "PING":
                 counts = {"bad_frames": self.bad_frames, "overruns": self._overruns.count}
-                return Acceptance("PONG", {"tick": tick, **counts})
+                return Message("PONG", {"tick": tick, **counts})
             case "SET_STREAM":
                 self._divider = message.int("divider")
             case "SET_HOST_LOSS":
@@ -292,14 +285,14 @@ class Firmware:
                 return parameters(self.loop, self._divider, self._host.policy, self._host.timeout_ms)
             case "GET_HEALTH":  # a model has no stack of its own, and its converter no memory
                 free = 0 if self.loop.stack_broken else NOT_KNOWN
-                return Acceptance("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
+                return Message("HEALTH", {"stack_free": free, "u_power_on": NOT_KNOWN})
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:
                 return HANDLERS[message.name](self.loop, message, tick)
         return acknowledge(row.type, tick)
 
-    def _hello(self, message: Message) -> Acceptance | Nack:
+    def _hello(self, message: Message) -> Message | Nack:
         if not message.int("version_min") <= VERSION <= message.int("version_max"):
             return Nack(Reason.VERSION, VERSION)
         if message.int("session") != self._session:

@@ -25,32 +25,24 @@ class FirmwareCapture:
         self.u_from, self.u_to = u_from, u_to
         self._pre = pre
         self.begun = False  # at its tick
-        self._start_us = CAPTURE_SETTLE_US
+        self.wait_us = CAPTURE_SETTLE_US  # to the next sample; after the last one, to the end of the capture
         self._samples: list[int] = []
 
     @property
     def step_is_due(self) -> bool:
         """Return whether the step is made at this instant, behind its sample."""
-        return len(self._samples) == self._pre and self._start_us == 0
+        return len(self._samples) == self._pre and self.wait_us == 0
 
     @property
     def has_ended(self) -> bool:
         """Return whether all samples are taken and the 40 us of the last one are over."""
-        return len(self._samples) == self.total and self._start_us <= 0
-
-    def time_to_sample_us(self) -> int:
-        """The time until the next sample is due (0: now); after the last sample, until the end of the capture."""
-        return self._start_us
-
-    def pass_time(self, duration_us: int) -> None:
-        """Advance the time, by at most `time_to_sample_us()`."""
-        self._start_us -= duration_us
+        return len(self._samples) == self.total and self.wait_us <= 0
 
     def take(self, i: int, write: Callable[[int], object]) -> None:
         """Store the sample that is due, and make the step if it is due."""
         steps = self.step_is_due
         self._samples.append(i)
-        self._start_us = CAPTURE_US
+        self.wait_us = CAPTURE_US
         if steps:
             write(self.u_to)
 

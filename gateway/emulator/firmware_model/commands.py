@@ -1,13 +1,13 @@
 """Execution of commands on the control loop, and their refusals: rules 6 to 8, 12, 15 and 17 of protocol/README.md.
 
-A handler takes the loop, the message and the next tick, and returns a `Nack` or an `Acceptance`.  A refused command
+A handler takes the loop, the message and the next tick, and returns a `Nack` or the answer.  A refused command
 changes nothing.  `board.py` executes the commands of session, stream and host loss.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
 
 from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.capture import FirmwareCapture
@@ -23,7 +23,7 @@ from gateway.emulator.firmware_model.flash import (
     Settings,
 )
 from gateway.emulator.firmware_model.law import Gains
-from protocol.wire.messages import ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
+from protocol.wire.messages import ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,20 +34,12 @@ class Nack:
     detail: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Acceptance:
-    """The answer to an accepted command, without its id."""
-
-    name: str
-    values: Mapping[str, Value]
+Handler = Callable[[ControlLoop, Message, int], Nack | Message]  # the answer has no id yet
 
 
-Handler = Callable[[ControlLoop, Message, int], Nack | Acceptance]
-
-
-def acknowledge(message_type: int, tick: int) -> Acceptance:
+def acknowledge(message_type: int, tick: int) -> Message:
     """Return an ACK: in force from `tick` on."""
-    return Acceptance("ACK", {"command": message_type, "tick": tick})
+    return Message("ACK", {"command": message_type, "tick": tick})
 
 
 def refuse_range(body: bytes) -> Nack:
@@ -67,10 +59,10 @@ def refuse_range(body: bytes) -> Nack:
     return Nack(Reason.OUT_OF_RANGE)
 
 
-def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardProfile) -> Acceptance:
+def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardProfile) -> Message:
     """Return the answer to HELLO: identity and scalings (rule 14)."""
     major, minor = FIRMWARE
-    return Acceptance(
+    return Message(
         "IDENTITY",
         {
             "version": VERSION,
@@ -95,24 +87,29 @@ def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardPro
     )
 
 
-def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Acceptance:
+def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Message:
     """Return the answer to GET_PARAMETERS: the values in force."""
     values = Settings(gains=loop.law.gains, limits=loop.limits).in_parameters()
     values |= {"divider": divider, "policy": int(policy), "timeout": timeout_ms, "tick": loop.gains_tick}
-    return Acceptance("PARAMETERS", values)
+    return Message("PARAMETERS", values)
 
 
-def _get_calibration(loop: ControlLoop, _message: Message, _tick: int) -> Acceptance:
-    return Acceptance("CALIBRATION", {**asdict(loop.calibration), "kept": int(loop.stored_calibration is not None)})
-
-
-def _set_calibration(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
+def _hindrance(loop: ControlLoop, *modes: Mode) -> Nack | None:
+    """Return why a command has to wait that needs one of these modes, a board without a fault and no capture."""
     if loop.fault:
         return Nack(Reason.FAULT_ACTIVE)
     if loop.capturing:
         return Nack(Reason.BUSY)
-    if loop.mode != Mode.IDLE:
-        return Nack(Reason.WRONG_MODE, loop.mode)
+    return None if loop.mode in modes else Nack(Reason.WRONG_MODE, loop.mode)
+
+
+def _get_calibration(loop: ControlLoop, _message: Message, _tick: int) -> Message:
+    return Message("CALIBRATION", {**asdict(loop.calibration), "kept": int(loop.stored_calibration is not None)})
+
+
+def _set_calibration(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
+    if hindrance := _hindrance(loop, Mode.IDLE):
+        return hindrance
     points = Calibration(**{name: message.int(name) for name in asdict(loop.calibration)})
     if bound := points.bound_in_the_way():
         return Nack(Reason.OUT_OF_RANGE, bound)
@@ -120,7 +117,7 @@ def _set_calibration(loop: ControlLoop, message: Message, tick: int) -> Nack | A
     return acknowledge(0x0F, tick)
 
 
-def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
+def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
     mode = Mode(message.int("mode"))
     if loop.capturing and mode != Mode.IDLE:
         return Nack(Reason.BUSY)
@@ -130,7 +127,7 @@ def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptan
     return acknowledge(0x03, tick)
 
 
-def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
+def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
     x_ref, limits, reference = message.int("x_ref"), loop.limits, loop.reference
     if x_ref < limits.x_ref_min:
         return Nack(Reason.OUT_OF_RANGE, limits.x_ref_min)
@@ -142,14 +139,11 @@ def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Nack | Acc
     return acknowledge(0x04, tick)
 
 
-def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
-    numbers = range(1, 5)
-    m1, m2, m3, m4 = (message.int(f"k{n}_mantissa") for n in numbers)
-    s1, s2, s3, s4 = (message.int(f"k{n}_shift") for n in numbers)
+def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
     loop.law.gains = Gains(
         law=message.int("law"),
-        mantissas=(m1, m2, m3, m4),
-        shifts=(s1, s2, s3, s4),
+        mantissas=tuple(message.int(f"k{n}_mantissa") for n in range(1, 5)),
+        shifts=tuple(message.int(f"k{n}_shift") for n in range(1, 5)),
         i_0=message.int("i_0"),
         x_0=message.int("x_0"),
         u_0=message.int("u_0"),
@@ -158,51 +152,41 @@ def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Accepta
     return acknowledge(0x05, tick)
 
 
-def _excite(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
+def _excite(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
     target, amplitude, offset = message.int("target"), abs(message.int("amplitude")), message.int("offset")
     required = Mode.OPEN_LOOP if target == TARGET_U else Mode.CLOSED_LOOP
     low, high = (0, loop.limits.u_max) if target == TARGET_U else (loop.limits.x_ref_min, loop.limits.x_ref_max)
-    if loop.fault:
-        return Nack(Reason.FAULT_ACTIVE)
-    if loop.capturing:
-        return Nack(Reason.BUSY)
-    if loop.mode != required:
-        return Nack(Reason.WRONG_MODE, loop.mode)
+    if hindrance := _hindrance(loop, required):
+        return hindrance
     if offset - amplitude < low:
         return Nack(Reason.OUT_OF_RANGE, low)
     if offset + amplitude > high:
         return Nack(Reason.OUT_OF_RANGE, high)
     if message.int("shape") == Shape.CHIRP and message.int("duration") == 0:
         return Nack(Reason.OUT_OF_RANGE, 1)
-    fields = ("shape", "target", "amplitude", "offset", "period", "period_end", "seed", "duration")
-    loop.excite(Excitation(Signal(**{name: message.int(name) for name in fields})))
+    loop.excite(Excitation(Signal(**{field.name: message.int(field.name) for field in fields(Signal)})))
     return acknowledge(0x06, tick)
 
 
-def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
+def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
     u_from, u_to = message.int("u_from"), message.int("u_to")
-    if loop.fault:
-        return Nack(Reason.FAULT_ACTIVE)
-    if loop.capturing:
-        return Nack(Reason.BUSY)
-    if loop.mode == Mode.CLOSED_LOOP:
-        return Nack(Reason.WRONG_MODE, loop.mode)
+    if hindrance := _hindrance(loop, Mode.IDLE, Mode.OPEN_LOOP):
+        return hindrance
     if max(u_from, u_to) > loop.limits.u_max:
         return Nack(Reason.OUT_OF_RANGE, loop.limits.u_max)
-    loop.start_capture(
-        FirmwareCapture(u_from=u_from, u_to=u_to, pre=message.int("pre"), count=message.int("count"), tick=tick)
-    )
+    pre, count = message.int("pre"), message.int("count")
+    loop.capture = FirmwareCapture(u_from=u_from, u_to=u_to, pre=pre, count=count, tick=tick)
     return acknowledge(0x08, tick)
 
 
-def _read_capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
+def _read_capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
     if loop.capturing:
         return Nack(Reason.BUSY)
     index = message.int("index")
     if loop.capture is None or index >= loop.capture.total:
         return Nack(Reason.NOT_AVAILABLE)
     capture = loop.capture
-    return Acceptance(
+    return Message(
         "CAPTURE_BLOCK",
         {"index": index, "total": capture.total, "tick": capture.began_tick, "samples": capture.block(index)},
     )

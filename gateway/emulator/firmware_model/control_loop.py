@@ -83,14 +83,7 @@ class Tick:
 
 
 class ControlLoop:
-    """The control loop between two resets.
-
-    Args:
-        emit: Called with each event: (code, detail).
-        settings: In force after the reset.
-        converter: Of u_c.
-        calibration: Of x, as the board keeps it; None: it has none.
-    """
+    """The control loop between two resets; `emit` is called with code and detail of each event."""
 
     def __init__(
         self,
@@ -112,7 +105,7 @@ class ControlLoop:
         self.stack_broken = False
         self.gains_tick = 0
         self.excitation: Excitation | None = None
-        self.capture: FirmwareCapture | None = None
+        self.capture: FirmwareCapture | None = None  # drives the coil from the next tick on
         self._emit = emit
         self._open_loop_u = 0
         self._u = 0  # what the mode says
@@ -158,10 +151,6 @@ class ControlLoop:
         self.set_mode(Mode.IDLE)
         self._u = 0
         self.output.write(0)
-
-    def start_capture(self, capture: FirmwareCapture) -> None:
-        """Let a capture drive the coil from the next tick on."""
-        self.capture = capture
 
     def end_capture(self) -> None:
         """Drive the coil as the mode says: all samples of the capture are taken."""
@@ -261,12 +250,7 @@ class ControlLoop:
 
 
 class HostWatch:
-    """Acts on the loop when no frame of the host has come for `timeout_ms`: rule 10.
-
-    Args:
-        loop: The control loop.
-        emit: Sends an event with its detail.
-    """
+    """Acts on the loop when no frame of the host has come for `timeout_ms`: rule 10."""
 
     def __init__(self, loop: ControlLoop, emit: Callable[[EventCode, int], None]) -> None:
         self.policy = HostLoss.COIL_OFF

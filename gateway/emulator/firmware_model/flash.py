@@ -122,7 +122,7 @@ LIMITS = FlashLimits(
 
 K_LQI = (0.49, 1700.0, 17.7, -17600.0)
 K_PID = (1700.0, 17600.0, 17.7)  # k_p V/m, k_int V/(m s), k_d V s/m
-OPERATING_POINT = (0.6365, 2.85e-3, 2.143)  # i_0 A, x_0 m, u_0 V: mid-travel at rest, by the line in rig.py
+OPERATING_POINT = (0.6365, 2.85e-3, 2.143)  # i_0 A, x_0 m, u_0 V: mid-travel at rest, by the line in constants.py
 
 
 def gains_in_counts(
@@ -148,12 +148,12 @@ def gains_in_counts(
     else:
         k_p, k_int, k_d = gains_si
         counts = (k_p * per_x, k_int * per_x * t_s, k_d * per_x / t_s, 0.0)
-    (m1, s1), (m2, s2), (m3, s3), (m4, s4) = (to_mantissa(gain) for gain in counts)
+    mantissas, shifts = zip(*map(to_mantissa, counts), strict=True)
     i_0_a, x_0_m, u_0_v = operating_point
     return Gains(
         law=law,
-        mantissas=(m1, m2, m3, m4),
-        shifts=(s1, s2, s3, s4),
+        mantissas=mantissas,
+        shifts=shifts,
         i_0=current.to_count(i_0_a),
         x_0=position.to_count(x_0_m),
         u_0=input_.to_count(u_0_v),

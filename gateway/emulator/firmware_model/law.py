@@ -28,8 +28,8 @@ class Gains:
     """The gains of SET_GAINS: gain n is mantissas[n] * 2^-shifts[n], in counts of u_c per count."""
 
     law: int  # messages.Law
-    mantissas: tuple[int, int, int, int]
-    shifts: tuple[int, int, int, int]
+    mantissas: tuple[int, ...]  # four
+    shifts: tuple[int, ...]
     i_0: int  # operating point (13), counts
     x_0: int
     u_0: int

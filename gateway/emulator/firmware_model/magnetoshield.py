@@ -2,7 +2,7 @@
 
 IDENTITY's scalings are linear, and neither the Hall sensor nor the coil's driver is.  So two tables of 65 entries, with
 straight lines between them, convert.  One turns codes of the converter of A3 into counts of x.  The other turns counts
-of u_c into codes of the MCP4725.  They are made here from a calibration (`HallCurve`, `DRIVER`);
+of u_c into codes of the MCP4725.  They are made here from a calibration (`_x_m`, `DRIVER`);
 `firmware/avr/magnetoshield.h` holds the same numbers for the chip.  firmware/magnetoshield.md has their origin.
 
 Gains: linearised at x = 2.5 mm the magnet has x'' = 2706 s^-2 x - 65 s^-1 x' + 2.39 m/s^2/V u.  K puts the fast pair at
@@ -29,10 +29,11 @@ _ADC_MAX = 1023
 _REFERENCE_V = 3.3  # AREF
 _AMPERE_PER_V = 1.0 / 30.0  # of the current amplifier
 DRIVER = (1.41353993, -15.4070873, 389.266686, -11.7613432)  # code = d3 u^3 + d2 u^2 + d1 u + d0, u in V
+_HALL_ZERO_V, _HALL_GAUSS_V = 2.5, 800.0
+_CURVE_MM, _CURVE_POWER = 3.2331, 0.220571  # gap in mm = _CURVE_MM * (field in gauss)^_CURVE_POWER
 _SEGMENTS = 64
 _ADC_STEP, _INPUT_STEP = 1024 // _SEGMENTS, 4096 // _SEGMENTS
 _GAP_BOTTOM_MM = 17.0  # coil to the magnet on the ground, x = 0
-_GAP_TOP_MM = 12.0  # at the ceiling, x = 5 mm
 
 CURRENT = ConverterScale(offset=0.0, lsb=_REFERENCE_V * _AMPERE_PER_V / 4096.0)
 POSITION = ConverterScale(offset=-0.25e-3, lsb=6.25e-3 / 4096.0)
@@ -48,31 +49,20 @@ K_LQI = (30.0, 5200.0, 38.0, -39000.0)
 OPERATING_POINT = (0.02112, 2.5e-3, 4.115)  # i_0 = m g y^4 / K at a gap y of 14.5 mm, x_0, u_0 = R i_0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HallCurve:
-    """Gap in mm = scale * (field in gauss)^power; field = (zero - pin) * sensitivity."""
-
-    scale_mm: float = 3.2331
-    power: float = 0.220571
-    zero_v: float = 2.5
-    gauss_per_v: float = 800.0
-
-    def x_m(self, pin_v: float) -> float:
-        """The position, up from the ground; infinite where the field is not that of the magnet."""
-        gauss = (self.zero_v - pin_v) * self.gauss_per_v
-        return (_GAP_BOTTOM_MM - self.scale_mm * gauss**self.power) * 1e-3 if gauss > 0.0 else math.inf
+def _x_m(hall_v: float) -> float:
+    """Return x at a voltage of the Hall sensor, up from the ground; infinite where the field is not the magnet's."""
+    gauss = (_HALL_ZERO_V - hall_v) * _HALL_GAUSS_V
+    return (_GAP_BOTTOM_MM - _CURVE_MM * gauss**_CURVE_POWER) * 1e-3 if gauss > 0.0 else math.inf
 
 
-def position_table(curve: HallCurve) -> tuple[int, ...]:
+def position_table() -> tuple[int, ...]:
     """The counts of x at each 16th code of the converter, 0 to 1024."""
-    return tuple(
-        POSITION.to_count(curve.x_m(code * _REFERENCE_V / (_ADC_MAX + 1))) for code in range(0, 1025, _ADC_STEP)
-    )
+    return tuple(POSITION.to_count(_x_m(code * _REFERENCE_V / (_ADC_MAX + 1))) for code in range(0, 1025, _ADC_STEP))
 
 
-def input_table(driver: tuple[float, float, float, float] = DRIVER) -> tuple[int, ...]:
+def input_table() -> tuple[int, ...]:
     """The codes of the input converter at each 64th count of u_c, 0 to 4096; 0 at 0, so that the coil can be off."""
-    d3, d2, d1, d0 = driver
+    d3, d2, d1, d0 = DRIVER
     volts = (INPUT.lsb * count for count in range(0, 4097, _INPUT_STEP))
     codes = [min(max(round(((d3 * u + d2) * u + d1) * u + d0), 0), COUNTS_MAX) for u in volts]
     return (0, *codes[1:])
@@ -117,8 +107,8 @@ class MagnetoShieldProfile(BoardProfile):
         return float(code)
 
 
-def magnetoshield(curve: HallCurve | None = None) -> MagnetoShieldProfile:
-    """The profile with the calibration of a Hall sensor; that of the examples without one."""
+def magnetoshield() -> MagnetoShieldProfile:
+    """The profile with the calibration of the examples."""
     return MagnetoShieldProfile(
         current=CURRENT,
         position=POSITION,
@@ -128,7 +118,7 @@ def magnetoshield(curve: HallCurve | None = None) -> MagnetoShieldProfile:
         build=b"magneto",
         adc_bits=_ADC_BITS,
         program="magnetoshield.h",
-        positions=position_table(curve or HallCurve()),
+        positions=position_table(),
         inputs=input_table(),
     )
 

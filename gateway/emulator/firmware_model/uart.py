@@ -73,37 +73,19 @@ class Inbox:
     """Receiver: decodes bytes from the host into bodies with a correct CRC."""
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
-        self._overflow = False
+        self._pending = b""
         self.bad_frames = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Yield the bodies (without CRC) that `data` completes, each before what follows it; count invalid frames."""
-        *ends, rest = data.split(b"\x00")
-        for end in ends:
-            self._collect(end)
-            body = self._body()
-            if body is not None:
-                yield body
-        self._collect(rest)
-
-    def _collect(self, part: bytes) -> None:
-        self._buffer += part
-        if len(self._buffer) > MAX_ENCODED:  # the buffer of the board is full: the frame is lost, the next is not
-            self._overflow = True
-            self._buffer.clear()
-
-    def _body(self) -> bytes | None:
-        encoded, overflow = bytes(self._buffer), self._overflow
-        self._buffer.clear()
-        self._overflow = False
-        if not encoded and not overflow:  # two delimiters in a row
-            return None
-        body = None if overflow else cobs_decode(encoded)
-        if body is None or len(body) < 3 or crc_hqx(body, 0xFFFF) != 0:
-            self.count_bad()
-            return None
-        return body[:-2]
+        *frames, rest = (self._pending + data).split(b"\x00")
+        self._pending = rest[: MAX_ENCODED + 1]  # the buffer of the board; a longer frame is lost, the next is not
+        for frame in filter(None, frames):  # nothing is between two delimiters in a row
+            body = cobs_decode(frame) if len(frame) <= MAX_ENCODED else None
+            if body is None or len(body) < 3 or crc_hqx(body, 0xFFFF) != 0:
+                self.count_bad()
+            else:
+                yield body[:-2]
 
     def count_bad(self) -> None:
         """Count a frame that is not answered."""

@@ -20,7 +20,7 @@ from gateway.emulator.firmware_model.flash import (
 )
 from gateway.emulator.firmware_model.output import OutputFault
 from gateway.emulator.native.build import library
-from gateway.emulator.native.library import CIdentity, CSettings, CView, load
+from gateway.emulator.native.library import CView, load
 from protocol.wire.messages import EventCode, Mode
 
 _PLANT_STEP_US = 20
@@ -28,13 +28,7 @@ _LONGEST_FRAME = 64  # bytes
 
 
 class NativeFirmware:
-    """A board with the firmware in C, powered on.
-
-    Args:
-        plant: Analog side; the firmware advances its time.
-        board_id: Serial number in IDENTITY.
-        profile: Scalings, gains, limits, converters.
-        path: The compiled library; None: that of this machine, compiled if it is not yet.
+    """A board with the firmware in C, powered on: compiled for this machine, or the library at `path`.
 
     Raises:
         InstallError: there is no C compiler.
@@ -58,8 +52,8 @@ class NativeFirmware:
         self._view = CView.from_buffer(self._memory)
         self._frame = ctypes.create_string_buffer(_LONGEST_FRAME)
         self._elapsed_us = 0  # plant time since the last tick
-        identity = CIdentity.from_buffer_copy(profile.identity(board_id, profile.adc_bits))
-        self._library.b51_posix_open(self._board, ctypes.byref(identity), ctypes.byref(settings_of(profile.settings)))
+        identity = profile.identity(board_id, profile.adc_bits)
+        self._library.b51_posix_open(self._board, identity, settings_of(profile.settings))
 
     def __del__(self) -> None:
         if hasattr(self, "_board"):
@@ -87,7 +81,7 @@ class NativeFirmware:
 
     def store(self, settings: Settings) -> None:
         """Write the memory of gains, operating point and limits, which the board reads at its next boot."""
-        self._library.b51_posix_store(self._board, ctypes.byref(settings_of(settings)))
+        self._library.b51_posix_store(self._board, settings_of(settings))
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
@@ -161,7 +155,7 @@ class NativeFirmware:
             self._library.b51_posix_pass(self._board, step_us)
 
 
-def settings_of(settings: Settings) -> CSettings:
+def settings_of(settings: Settings) -> bytes:
     """Return gains, operating point and limits as C lays them out: a byte aligns the mantissas."""
     packed = settings.packed()
-    return CSettings.from_buffer_copy(packed[:5] + b"\0" + packed[5:])
+    return packed[:5] + b"\0" + packed[5:]

@@ -40,12 +40,7 @@ def compiler() -> str | None:
 
 
 def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[str] = ()) -> None:
-    """Compile a library into `target`.
-
-    Args:
-        target: The file to write.
-        files: Its sources; none: `sources()`.
-        options: For the compiler, behind those that are always given.
+    """Compile `files`, by default `sources()`, into a library, with `options` behind those that are always given.
 
     Raises:
         InstallError: there is no C compiler.
@@ -118,13 +113,7 @@ def library() -> Path:
 
 
 def cached(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
-    """Return a file from the cache; if it is not there, let `make` write it.
-
-    Args:
-        name: Name of the file; a key made of `inputs` and `options` is inserted before its ending.
-        inputs: The source files.
-        options: The options of the compiler.
-        make: Writes the file to the given path.
+    """Return a file from the cache, by `name` with a key of inputs and options; if it is not there, `make` writes it.
 
     Raises:
         ServiceError: the cache cannot be written.

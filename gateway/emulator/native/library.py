@@ -1,50 +1,11 @@
-"""The functions of `firmware/posix/posix.h`, and its structures as C lays them out."""
+"""The functions of `firmware/posix/posix.h`, and the view of a board as C lays it out."""
 
 from __future__ import annotations
 
 import ctypes
-from ctypes import POINTER, c_bool, c_char_p, c_int16, c_int32, c_uint8, c_uint16, c_uint32, c_void_p
+from ctypes import c_bool, c_char_p, c_int32, c_uint8, c_uint16, c_uint32, c_void_p
 from functools import cache
 from pathlib import Path
-
-
-class CGains(ctypes.Structure):
-    """struct b51_gains."""
-
-    _fields_ = (
-        ("law", c_uint8),
-        ("shift", c_uint8 * 4),
-        ("mantissa", c_int16 * 4),
-        ("i_0", c_uint16),
-        ("x_0", c_uint16),
-        ("u_0", c_uint16),
-    )
-
-
-class CLimits(ctypes.Structure):
-    """struct b51_limits."""
-
-    _fields_ = tuple((name, c_uint16) for name in ("x_ref_min", "x_ref_max", "x_ref_step", "x_ref_slew", "u_max"))
-
-
-class CSettings(ctypes.Structure):
-    """struct b51_settings."""
-
-    _fields_ = (("gains", CGains), ("limits", CLimits))
-
-
-class CIdentity(ctypes.Structure):
-    """struct b51_identity."""
-
-    _fields_ = (
-        ("board_id", c_uint32),
-        ("firmware_major", c_uint8),
-        ("firmware_minor", c_uint8),
-        ("adc_bits", c_uint8),
-        ("dac_bits", c_uint8),
-        ("scalings", c_uint8 * 24),
-        ("build", c_uint8 * 8),
-    )
 
 
 class CView(ctypes.Structure):
@@ -64,15 +25,15 @@ class CView(ctypes.Structure):
     )
 
 
-_FUNCTIONS = {  # name: result, arguments behind the board
-    "b51_posix_open": (None, (POINTER(CIdentity), POINTER(CSettings))),
+_FUNCTIONS = {  # name: result, arguments behind the board; identity and settings are bytes as `flash.py` packs them
+    "b51_posix_open": (None, (c_char_p, c_char_p)),
     "b51_posix_close": (None, ()),
     "b51_posix_reset": (None, (c_uint8,)),
     "b51_posix_hang": (None, ()),
     "b51_posix_late": (None, ()),
     "b51_posix_break_stack": (None, ()),
     "b51_posix_fail_output": (None, (c_uint8,)),
-    "b51_posix_store": (None, (POINTER(CSettings),)),
+    "b51_posix_store": (None, (c_char_p,)),
     "b51_posix_feed": (None, (c_char_p, c_uint32)),
     "b51_posix_pass": (None, (c_uint16,)),
     "b51_posix_capture": (None, (c_uint16,)),

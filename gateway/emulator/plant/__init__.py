@@ -1,5 +1,5 @@
 """The emulated plant: ball, coil, amplifier, sensors and their effects.
 
-Reading order: `rig.py` (numbers), `effects.py` (effects that the model does not have), `physics.py` (equations of
+Reading order: `constants.py` (numbers), `effects.py` (effects that the model does not have), `physics.py` (equations of
 motion).  Then `levitation.py` (the rig, as connected to a board) and `secret.py` (secret effects for blind tests).
 """

@@ -30,11 +30,7 @@ NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 class EmulatedPlant:
     """An emulated rig, initially at rest: ball on the bottom stop, no current, coil cold.
 
-    Args:
-        rig: Constants of the rig.
-        effects: Strength of each effect by name (`effects.EFFECTS`); an effect not named is absent.
-        seed: Seed of noise and lost frames.
-        step_s: Integration step, s.
+    Effects have their strength by name (`effects.EFFECTS`); one that is not named is absent.
 
     Raises:
         UsageError: an unknown effect, or a strength out of its range or impossible on this rig.

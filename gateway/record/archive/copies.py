@@ -15,8 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from gateway.record.archive.bucket import Bucket, Stored
-from gateway.record.catalogue.archived import known_logs, learn, mark, rows_of
-from gateway.record.catalogue.store import update
+from gateway.record.catalogue.store import known_logs, learn, mark, rows_of, update
 from protocol.errors import DataError, UsageError
 from protocol.files import parse_json, writing
 

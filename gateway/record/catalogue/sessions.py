@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from gateway.record.summary import SampleGaps
+from gateway.record.summary import Range, SampleGaps
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import LogReader
 
@@ -45,23 +45,6 @@ class Session:
 
 
 @dataclass(slots=True)
-class _MeanSquare:
-    """A running mean of squares."""
-
-    count: int = 0
-    total: float = 0.0
-
-    def take(self, value: float) -> None:
-        if math.isfinite(value):
-            self.count += 1
-            self.total += value * value
-
-    @property
-    def root(self) -> float | None:
-        return math.sqrt(self.total / self.count) if self.count else None
-
-
-@dataclass(slots=True)
 class _Sums:
     """The sums of a session so far."""
 
@@ -72,16 +55,16 @@ class _Sums:
     samples: int = 0
     flown_s: float = 0.0
     last_t_s: float | None = None  # of the last sample in closed loop
-    low: float = math.inf
-    high: float = -math.inf
+    x: Range = field(default_factory=Range)
     model: str = ""
     causes: dict[str, None] = field(default_factory=dict)
     alarms: dict[str, None] = field(default_factory=dict)
     faults: dict[str, None] = field(default_factory=dict)
-    x: _MeanSquare = field(default_factory=_MeanSquare)
-    i_c: _MeanSquare = field(default_factory=_MeanSquare)
-    innovation: _MeanSquare = field(default_factory=_MeanSquare)
-    nis: _MeanSquare = field(default_factory=_MeanSquare)
+    # Of the squares:
+    error_x: Range = field(default_factory=Range)
+    error_i_c: Range = field(default_factory=Range)
+    innovation: Range = field(default_factory=Range)
+    nis: Range = field(default_factory=Range)
 
 
 def sessions_of(path: Path) -> tuple[list[Session], str]:
@@ -123,7 +106,7 @@ def _take_state(known: _Sums, state: pb.State) -> None:
     known.samples += 1
     known.gaps.take(state)
     if state.HasField("x_m"):
-        known.low, known.high = min(known.low, state.x_m), max(known.high, state.x_m)
+        known.x.take(state.x_m)
     flies = state.mode == pb.MODE_CLOSED_LOOP
     if flies and known.last_t_s is not None:
         known.flown_s += max(state.t_s - known.last_t_s, 0.0)
@@ -131,15 +114,18 @@ def _take_state(known: _Sums, state: pb.State) -> None:
 
 
 def _take_divergence(known: _Sums, divergence: pb.Divergence) -> None:
-    known.x.take(divergence.x_m.error)
-    known.i_c.take(divergence.i_c_a.error)
+    errors = (divergence.x_m.error, divergence.i_c_a.error)
+    squares = [(known.error_x, errors[0] * errors[0]), (known.error_i_c, errors[1] * errors[1])]
     if divergence.innovation_valid:
-        known.innovation.take(divergence.innovation_x_m)
-        known.nis.take(math.sqrt(max(divergence.nis, 0.0)))
+        innovation = divergence.innovation_x_m
+        squares += [(known.innovation, innovation * innovation), (known.nis, max(divergence.nis, 0.0))]
+    for sums, square in squares:
+        if math.isfinite(square):
+            sums.take(square)
 
 
 def _row(site: str, board: str, session: int, known: _Sums) -> Session:
-    parameters, nis = known.parameters, known.nis.root
+    parameters, x = known.parameters, known.x
     return Session(
         site=site,
         board=board,
@@ -152,17 +138,21 @@ def _row(site: str, board: str, session: int, known: _Sums) -> Session:
         samples=known.samples,
         missing=known.gaps.missing,
         flown_s=known.flown_s,
-        x_low_m=known.low if known.low <= known.high else None,
-        x_high_m=known.high if known.low <= known.high else None,
+        x_low_m=x.low if x.low <= x.high else None,
+        x_high_m=x.high if x.low <= x.high else None,
         model=known.model,
         causes=",".join(known.causes),
         alarms=",".join(known.alarms),
         faults=",".join(known.faults),
-        divergence_x_m=known.x.root,
-        divergence_i_c_a=known.i_c.root,
-        innovation_x_m=known.innovation.root,
-        nis=None if nis is None else nis * nis,
+        divergence_x_m=_root(known.error_x),
+        divergence_i_c_a=_root(known.error_i_c),
+        innovation_x_m=_root(known.innovation),
+        nis=known.nis.mean if known.nis.count else None,
     )
+
+
+def _root(squares: Range) -> float | None:
+    return math.sqrt(squares.mean) if squares.count else None
 
 
 def _text(time_ns: int) -> str:

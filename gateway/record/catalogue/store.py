@@ -2,13 +2,15 @@
 
 SQLite, not Parquet and DuckDB: it comes with Python, a changed log changes its own rows alone, and Grafana and every
 language read it.  Questions come from people and from pages, so SQLite itself refuses whatever is not a SELECT.
+
+The rows of logs that lie in an archive stay when the logs are deleted on this machine.
 """
 
 from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -52,7 +54,7 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
     """
     if not folder.is_dir():
         raise UsageError(f"{folder} is not a folder", remedy="Give the folder of the logs")
-    with opened(folder, "rwc") as database:
+    with _opened(folder, "rwc") as database:
         _prepare(database)
         known = {name: (size, changed) for name, size, changed, _ in database.execute("SELECT * FROM seen")}
         present, unfinished, unreadable, read = set[str](), [], [], 0
@@ -78,7 +80,7 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
             size = status.st_size
             values = [{"file": name, "bytes": size, **asdict(row), "problem": problem, "archived": ""} for row in rows]
             with database:  # a log at a time: an interrupted update keeps what it has read
-                insert(database, name, (size, status.st_mtime_ns), values)
+                _insert(database, name, (size, status.st_mtime_ns), values)
             read += 1
         stays = present | {name for (name,) in database.execute("SELECT file FROM seen WHERE archived != ''")}
         deleted = [name for name in known if name not in stays]
@@ -95,7 +97,7 @@ def query(folder: Path, sql: str, *, limit_s: float = LIMIT_S) -> Answer:
     """
     if not (folder / NAME).is_file():
         raise UsageError(f"{folder} has no catalogue", remedy="Run board51 logs query without --no-update first")
-    with opened(folder, "ro") as database:
+    with _opened(folder, "ro") as database:
         deadline = time.monotonic() + limit_s
         database.set_progress_handler(lambda: time.monotonic() > deadline, 10_000)
         database.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY)
@@ -122,7 +124,48 @@ def selection(condition: str, columns: Sequence[str] = COLUMNS) -> str:
     return f"SELECT {', '.join(columns)} FROM logs{where} ORDER BY began, site, board, session"
 
 
-def insert(database: sqlite3.Connection, name: str, state: tuple[int, int], rows: Sequence[dict[str, Any]]) -> None:
+def known_logs(folder: Path) -> dict[str, tuple[int, int]]:
+    """Return (size, time of change in ns) of each log that the catalogue has read, by its name."""
+    with _opened(folder, "ro") as database:
+        return {name: (size, changed_ns) for name, size, changed_ns, _ in database.execute("SELECT * FROM seen")}
+
+
+def archived_logs(folder: Path) -> set[tuple[str, int, int]]:
+    """Return (name, size, time of change in ns) of the logs that lie in the archive."""
+    with _opened(folder, "ro") as database:
+        return set(database.execute("SELECT file, bytes, changed_ns FROM seen WHERE archived != ''"))
+
+
+def rows_of(folder: Path, name: str) -> list[dict[str, Any]]:
+    """Return the rows of one log by column, as they are archived with it."""
+    columns = [column for column in COLUMNS if column != "archived"]
+    with _opened(folder, "ro") as database:
+        rows = database.execute(f"SELECT {', '.join(columns)} FROM logs WHERE file = ? ORDER BY began", (name,))
+        return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def learn(folder: Path, logs: Mapping[str, tuple[int, Sequence[Mapping[str, Any]]]]) -> None:
+    """Take size and rows of logs that lie in an archive alone.  A copy of one here will be read like any other log."""
+    with _opened(folder, "rw") as database, database:
+        for name, (size, rows) in logs.items():
+            values = [{column: _scalar(row.get(column)) for column in COLUMNS} for row in rows]
+            _insert(database, name, (size, 0), [{**row, "file": name, "archived": ""} for row in values])
+
+
+def _scalar(value: Any) -> Any:
+    return str(value) if isinstance(value, list | dict) else value
+
+
+def mark(folder: Path, addresses: Mapping[str, str]) -> None:
+    """Note the addresses of all logs that lie in the archive, and that no others do."""
+    with _opened(folder, "rw") as database, database:
+        noted = dict(database.execute("SELECT file, archived FROM seen"))
+        changed = [(addresses.get(name, ""), name) for name in noted if noted[name] != addresses.get(name, "")]
+        for table in ("seen", "logs"):
+            database.executemany(f"UPDATE {table} SET archived = ? WHERE file = ?", changed)
+
+
+def _insert(database: sqlite3.Connection, name: str, state: tuple[int, int], rows: Sequence[dict[str, Any]]) -> None:
     """Put the rows of a log in place of those that are known; `state` is its size and its time of change in ns."""
     _forget(database, [name])
     database.execute("INSERT INTO seen VALUES (?, ?, ?, '')", (name, *state))
@@ -131,7 +174,7 @@ def insert(database: sqlite3.Connection, name: str, state: tuple[int, int], rows
 
 
 @contextmanager
-def opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
+def _opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
     """Open the database of a folder: `ro`, `rw`, or `rwc` to create it.
 
     Raises:

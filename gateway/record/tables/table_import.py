@@ -79,13 +79,7 @@ def import_recording(
 ) -> ImportReport:
     """Write one recording as a log.
 
-    Args:
-        source: The table.
-        log: MCAP file to create.
-        recording: Columns and kind; for `equilibria` each row is a session of its own, without time.
-        site: First part of the keys.
-        board: Second part.
-        campaign: Gives the gains and the plant, where it is known.
+    Each row of `equilibria` is a session of its own, without time.  A campaign gives gains and plant, if it is known.
 
     Raises:
         DataError: the table does not match the recording; the message names file, line, column and value.
@@ -261,19 +255,14 @@ def _round(step_s: float) -> float:
 def _write(
     prefix: str, report: ImportReport, recording: Recording, campaign: Campaign | None, states: Iterable[pb.State]
 ) -> None:
-    writer = LogWriter(report.log, metadata=_provenance(report, recording, campaign), compression="zstd")
-    try:
+    metadata = _provenance(report, recording, campaign)
+    with LogWriter(report.log, metadata=metadata, compression="zstd") as writer:
         for number, state in enumerate(states):
             if number == 0:
                 parameters = _parameters(report, recording, campaign)
                 parameters.session, parameters.host_time_ns = state.session, state.host_time_ns
                 writer.write(f"{prefix}/parameters", parameters.SerializeToString(), state.host_time_ns)
             writer.write(f"{prefix}/state", state.SerializeToString(), state.host_time_ns)
-        writer.close()
-    except BaseException:
-        writer.abandon()
-        report.log.unlink(missing_ok=True)
-        raise
 
 
 def _states(

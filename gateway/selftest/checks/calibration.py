@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from statistics import fmean
 
 from gateway.selftest.bench import Bench, FaultFoundError, NotReadyError
-from gateway.selftest.verdict import Result, Verdict, fault, judge, passed, warning
+from gateway.selftest.verdict import Verdict, judge, passed, warning
 from protocol.wire.messages import COUNTS_MAX, Message
 
 _HOLD_S = 0.5
@@ -61,12 +61,10 @@ def _correct(bench: Bench, ground_m: float, top_m: float) -> bool:
     answer = line.send("SET_CALIBRATION", **points).message
     if answer is None or answer.name == "NACK":
         raise FaultFoundError(
-            fault(
-                "calibration-refused",
-                "calibration of x",
-                f"{_pair(ground_m, top_m)}: further off than the board corrects",
-                remedy="look at the sensor, its place and its supply, and whether this is the right --rig",
-            )
+            "calibration-refused",
+            "calibration of x",
+            f"{_pair(ground_m, top_m)}: further off than the board corrects",
+            remedy="look at the sensor, its place and its supply, and whether this is the right --rig",
         )
     for _ in range(10):
         line.run(0.05)
@@ -91,13 +89,11 @@ def _ceiling_m(bench: Bench) -> float:
         raise bench.no_current()
     if top_m - rest.x_m < 0.5 * rig.travel_m:
         raise FaultFoundError(
-            fault(
-                "ceiling",
-                "x at the ceiling",
-                f"{1e3 * top_m:.3f} mm",
-                bound=f"{1e3 * rig.travel_m:g} mm",
-                remedy="the ball does not reach the ceiling: see polarity; its way must be free",
-            )
+            "ceiling",
+            "x at the ceiling",
+            f"{1e3 * top_m:.3f} mm",
+            bound=f"{1e3 * rig.travel_m:g} mm",
+            remedy="the ball does not reach the ceiling: see polarity; its way must be free",
         )
     return top_m
 
@@ -128,11 +124,10 @@ def _both(bench: Bench, ground_m: float, top_m: float, *, corrects: bool) -> Ver
     if _is_right(bench, ground_m, top_m):
         return passed("calibration", "calibration of x", f"{value}: nothing to do")
     repeat = "put the ball at the bottom and repeat with --only calibration --calibrate: the board then corrects x"
-    return Verdict(
-        name="calibration",
-        result=Result.WARNING,
-        what="calibration of x",
-        value=value,
+    return warning(
+        "calibration",
+        "calibration of x",
+        value,
         bound=f"0 and {1e3 * bench.rig.travel_m:g} mm within {1e3 * _CLOSE_M:g} mm",
         remedy=repeat if corrects else "flash firmware 1.4 or newer, then repeat with --calibrate",
     )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from gateway.selftest.bench import Bench, Rest
 from gateway.selftest.rigs import RigNumbers
-from gateway.selftest.verdict import Verdict, fault, judge, passed, warning
+from gateway.selftest.verdict import Verdict, fault, judge
 from protocol.wire.messages import COUNTS_MAX
 
 
@@ -78,12 +79,12 @@ def _position(rest: Rest, rig: RigNumbers) -> Iterator[Verdict]:
         possible=(0.0, 1e6 * possible),
         remedy="look at the sensor's supply, its ground, and loose wires",
     )
-    if len(counts) == 1:
-        yield warning(
-            "position-constant",
-            "codes of x at rest",
-            f"only {counts.pop()}",
-            remedy="the noise is less than a code, or the reading is stuck: the check `polarity` decides",
-        )
-    else:
-        yield passed("position-constant", "codes of x at rest", str(len(counts)), "more than 1")
+    yield judge(
+        "position-constant",
+        "different codes of x at rest",
+        len(counts),
+        "",
+        good=(2, math.inf),
+        possible=(1, math.inf),
+        remedy="the noise is less than a code, or the reading is stuck: the check `polarity` decides",
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from statistics import median
 
@@ -156,12 +157,5 @@ def _stream(bench: Bench) -> Iterator[Verdict]:
         possible=(-10000, 10000),
         remedy=_CRYSTAL,
     )
-    yield Verdict(
-        name=verdict.name,
-        result=verdict.result,
-        what=verdict.what,
-        value=f"{round(ppm):+d} ± {interval:.0f} ppm",
-        bound=verdict.bound,
-        remedy=verdict.remedy,
-    )
+    yield replace(verdict, value=f"{round(ppm):+d} ± {interval:.0f} ppm")
     yield passed("tick", "T_s", f"{1e3 * tick_s:g} ms")

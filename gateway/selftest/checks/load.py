@@ -73,9 +73,8 @@ def _stop_in_flood(bench: Bench) -> Verdict:
     bench.line.open()
     stop_s = flood.stop_s or 0.0
     off_s = next((at_s for at_s, state in flood.states if at_s > stop_s and state.u_c == 0), None)
-    limit_a = bench.rig.current_offset_a[1] + 6 * bench.rig.current_noise_a[1]
     last_a = bench.scaling.i_a(flood.states[-1][1].i_c) if flood.states else 0.0
-    if off_s is not None and last_a > limit_a:
+    if off_s is not None and last_a > bench.rig.no_current_a:
         return fault("stop", "i_c after STOP in a full line", f"{last_a:.3g} A", bound="off", remedy=_CUT)
     if off_s is None:
         return fault("stop-in-load", "u_c after STOP in a full line", "not 0", remedy="STOP overtakes all (rule 13)")

@@ -21,8 +21,9 @@ def safety(bench: Bench) -> Iterator[Verdict]:
     yield from _host_loss(bench)
     yield _reset(bench)
     top_a = bench.rig.K_A * bench.rig.top_input_v
-    reason = f"cannot be provoked from the host: {top_a:.3g} A at the top of the input, {{0:.3g}} A at that of i_c"
-    yield skipped("over-current", "fault OVER_CURRENT", reason.format(bench.scaling.i_a(COUNTS_MAX)))
+    full_a = bench.scaling.i_a(COUNTS_MAX)
+    reason = f"cannot be provoked from the host: {top_a:.3g} A at the top of the input, {full_a:.3g} A at that of i_c"
+    yield skipped("over-current", "fault OVER_CURRENT", reason)
     yield skipped("watchdog", "reset by the watchdog", "cannot be provoked from the host")
     yield skipped(
         "sensor-fault",

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.campaign.checks import CheckedRig, Problem, Samples, check, lift_off_v, rest_level_m, samples_of
+from gateway.campaign.checks import CheckedRig, Problem, check, lift_off_v, rest_level_m
 from gateway.campaign.plan import CommandLimits
+from gateway.client.commands import Mode
+from gateway.client.values import Sample, Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.experiments import EXPERIMENT_OF_NAME, Burst
 from protocol.wire.messages import Flag
@@ -24,17 +26,19 @@ RIG = CheckedRig(limits=LIMITS, travel_m=TRAVEL, rest_m=REST, sample_time_s=T_S)
 Change = Callable[[Samples], Samples]
 
 
-def series(u_v: np.ndarray, x_m: np.ndarray, x_ref_m: np.ndarray | None = None, mode: int = 1) -> Samples:
+def series(u_v: np.ndarray, x_m: np.ndarray, x_ref_m: np.ndarray | None = None, mode: Mode = Mode.OPEN_LOOP) -> Samples:
     n, rng = len(u_v), np.random.default_rng(1)
     return Samples(
         tick=np.arange(100, 100 + n),
         session=np.ones(n, dtype=np.int64),
-        u_v=u_v,
-        i_a=0.3 * u_v + 2e-3 * rng.standard_normal(n),
+        t_s=np.arange(n) * np.float64(T_S),
+        u_c_v=u_v,
+        i_c_a=0.3 * u_v + 2e-3 * rng.standard_normal(n),
         x_m=x_m + 5e-6 * rng.standard_normal(n),
         x_ref_m=np.full(n, 2.85e-3) if x_ref_m is None else x_ref_m,
         mode=np.full(n, mode),
         flags=np.zeros(n, dtype=np.int64),
+        lost_before=np.zeros(n, dtype=np.int64),
     )
 
 
@@ -56,7 +60,7 @@ def flying() -> Samples:
     x_ref = np.tile(np.repeat([2.4e-3, 3.3e-3], 350), 5)
     lag = np.convolve(x_ref, np.ones(60) / 60, mode="full")[: len(x_ref)]
     x = np.where(np.arange(len(x_ref)) < 60, x_ref, lag)
-    return series(2.1 + 100 * (x - 2.85e-3), x, x_ref, mode=2)
+    return series(2.1 + 100 * (x - 2.85e-3), x, x_ref, mode=Mode.CLOSED_LOOP)
 
 
 GOOD: dict[str, Callable[[], Samples]] = {
@@ -117,8 +121,8 @@ def test_a_good_recording_has_no_problem(name: str) -> None:
         ("steps", with_("flags", put(slice(10, 12), Flag.FAULT)), "fault", "again"),
         ("rest", with_("flags", put(slice(0, 90), Flag.CURRENT_RANGE)), "clipped-i_c", "lower"),
         ("steps", with_("flags", put(slice(0, 90), Flag.POSITION_RANGE)), "clipped-x", "none"),
-        ("rest", with_("i_a", put(slice(None), 0.1)), "nothing-moves", "none"),
-        ("rest", with_("i_a", lambda i: i[::-1]), "no-response", "none"),
+        ("rest", with_("i_c_a", put(slice(None), 0.1)), "nothing-moves", "none"),
+        ("rest", with_("i_c_a", lambda i: i[::-1]), "no-response", "none"),
         ("rest", with_("x_m", put(slice(500, None), 3e-3)), "ball-moves", "lower"),
         ("blocked-ball", with_("x_m", put(slice(500, None), 0.4e-3)), "ball-moves", "none"),
         ("lift-off", with_("x_m", put(slice(None), REST)), "nothing-moves", "none"),
@@ -130,7 +134,7 @@ def test_a_good_recording_has_no_problem(name: str) -> None:
         ("steps", with_("x_m", put(slice(2000, 2060), REST)), "ball-fell", "lower"),
         ("steps", with_("x_m", lambda x: x + 0.5e-3), "reference-not-reached", "lower"),
         ("steps", with_("x_m", lambda x: 2.85e-3 + 1e-3 * (x - x.mean())), "nothing-moves", "again"),
-        ("steps", with_("u_v", put(slice(0, 1000), 5.0)), "clipped-u_c", "lower"),
+        ("steps", with_("u_c_v", put(slice(0, 1000), 5.0)), "clipped-u_c", "lower"),
     ],
 )
 def test_what_spoils_a_recording_is_named(name: str, spoil: Change, code: str, cure: str) -> None:
@@ -152,7 +156,7 @@ def test_a_sensor_at_its_end_at_the_stop_is_no_problem_where_the_ball_bounces() 
 
 def test_a_ramp_that_ended_at_the_limit_is_not_raised_any_more() -> None:
     stuck = sawtooth(lifts_at_v=99.0)
-    at_the_limit = replace(stuck, u_v=stuck.u_v * 5.0 / 3.6)
+    at_the_limit = replace(stuck, u_c_v=stuck.u_c_v * 5.0 / 3.6)
 
     assert [p.cure for p in problems("lift-off", stuck)] == ["raise"]
     assert [p.cure for p in problems("lift-off", at_the_limit)] == ["none"]
@@ -186,7 +190,8 @@ def test_the_lift_off_input_is_read_off_the_ramps() -> None:
 
 
 def test_an_absent_channel_is_not_zero() -> None:
-    samples = samples_of([pb.State(tick=1, session=1, u_c_v=1.0), pb.State(tick=2, session=1, u_c_v=1.0)])
+    states = [pb.State(tick=tick, session=1, u_c_v=1.0, mode=pb.MODE_IDLE) for tick in (1, 2)]
+    samples = Samples.of(map(Sample.of, states))
 
     assert np.isnan(samples.x_m).all()
     assert [p.code for p in problems("rest", samples)] == ["nothing-moves", "no-i_c", "no-x"]

@@ -21,8 +21,7 @@ from typing import Self
 import pytest
 
 import board51
-from gateway.emulator.ports import TcpPort
-from gateway.emulator.pty_port import PtyPort
+from gateway.emulator.ports import PtyPort, TcpPort
 from gateway.emulator.serve import Emulator, Server, build_lines
 from protocol.errors import ServiceError, UsageError
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
@@ -269,7 +268,6 @@ def test_what_a_busy_machine_held_up_is_not_caught_up_at_once() -> None:
     finally:
         server.stop()
         thread.join()
-        server.close()
 
     for (begin_s, first_s, _), (_, last_s, end_s) in combinations(readings[::50], 2):
         assert last_s - first_s <= 2.0 * (end_s - begin_s) + 0.11

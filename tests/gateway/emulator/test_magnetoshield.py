@@ -10,7 +10,7 @@ import pytest
 
 from firmware.sim.mcs51.board import Mcs51Board
 from gateway.emulator.firmware_model.board import Firmware
-from gateway.emulator.firmware_model.magnetoshield import HallCurve, magnetoshield
+from gateway.emulator.firmware_model.magnetoshield import magnetoshield
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.magnetoshield import MAGNETOSHIELD, EmulatedMagnetoShield
 from protocol.errors import UsageError
@@ -122,13 +122,6 @@ def test_an_effect_on_the_position_shows_in_the_counts(effects: Mapping[str, flo
 
     expected = 2e-4 if "position-sensor-offset" in effects else -0.1 * 2.5e-3
     assert y - x == pytest.approx(expected, abs=1.5e-5)
-
-
-def test_another_calibration_gives_another_table() -> None:
-    farther = magnetoshield(HallCurve(scale_mm=3.4))
-
-    assert farther.positions != PROFILE.positions
-    assert all(a <= b for a, b in zip(PROFILE.positions, PROFILE.positions[1:], strict=False))
 
 
 def test_there_is_no_8051_for_it() -> None:

@@ -99,3 +99,22 @@ def test_what_is_no_order_is_passed_over(line: str) -> None:
 
     assert played.sent == list(range(TICKS))
     assert len(played.reports) == 2
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 4.0])
+def test_played_once_it_keeps_time_and_a_record_of_before_delays_nothing(speed: float) -> None:
+    ticks, clock_s, sent = [0, 5, 2, 6], [0.0], list[tuple[int, float]]()
+
+    def wait(limit_s: float) -> None:
+        clock_s[0] += limit_s
+
+    player = Player(
+        lambda start_s: map(record, ticks), lambda played: sent.append((played.time_ns // TICK_NS, clock_s[0])),
+        next_order=wait, sought=lambda: None, report=lambda state: None, stop=threading.Event(),
+        now_s=lambda: clock_s[0],
+    )  # fmt: skip
+
+    assert player.play(0.0, speed) == pytest.approx(0.12)
+    assert [tick for tick, _ in sent] == ticks  # in the order of the log
+    due = [0.0, 0.1, 0.1, 0.12] if speed else [0.0] * 4
+    assert [at_s for _, at_s in sent] == pytest.approx([at_s / (speed or 1.0) for at_s in due])

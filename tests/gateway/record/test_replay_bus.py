@@ -8,7 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,11 +17,11 @@ import pytest
 import zenoh
 
 import board51
-from gateway.record.replay import SESSIONS_PER_PASS, from_time, pace
+from gateway.record.replay import SESSIONS_PER_PASS, from_time
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
-from protocol.log.reader import LogReader, RawLogRecord
+from protocol.log.reader import LogReader
 from tests.harness.soak.stage import Disk
 from tests.patience import HANG_S
 
@@ -102,41 +101,6 @@ def test_choices_apply(log: Path, endpoint: str) -> None:
 
     assert [key for key, _, _ in found] == ["board51/ghost/twin/state"] * 50
     assert [pb.TwinState.FromString(payload).tick for _, _, payload in found] == list(range(250, 300))
-
-
-class Clock(threading.Event):
-    """Time that passes while somebody waits, and at no other moment."""
-
-    now_s = 0.0
-
-    def wait(self, timeout: float | None = None) -> bool:
-        assert timeout is not None
-        self.now_s += timeout
-        return False
-
-
-@pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_time_is_kept(speed: float) -> None:
-    records = [RawLogRecord("k", "s", "b", "state", b"", START_NS + n * 10_000_000) for n in range(41)]
-    sent: list[float] = []
-    clock = Clock()
-
-    count, span_s = pace(
-        records, speed=speed, stop=clock, send=lambda _: sent.append(clock.now_s), now_s=lambda: clock.now_s
-    )
-
-    assert (count, span_s) == (41, 0.4)
-    assert sent == pytest.approx([n * 0.01 / speed for n in range(41)])
-
-
-def test_a_retained_message_of_before_does_not_delay_the_rest() -> None:
-    times = [0, 5_000_000_000, 1_000_000_000, 5_001_000_000]
-    records = [RawLogRecord("k", "s", "b", "state", b"", START_NS + at) for at in times]
-    sent: list[int] = []
-
-    pace(records, speed=100.0, stop=threading.Event(), send=lambda record: sent.append(record.time_ns - START_NS))
-
-    assert sent == times  # in the order of the log
 
 
 def test_each_pass_of_a_loop_has_its_own_session(log: Path, endpoint: str) -> None:
@@ -276,3 +240,4 @@ def test_from_a_time_on_what_is_repeated_comes_first(log: Path) -> None:
         ("state", 1_000_000_000),
     ]
     assert all(record.topic == "state" for record in records[1:])
+    assert list(from_time(reader, 1e3, topics_=("state", "parameters"), boards=None, end_s=None)) == []

@@ -10,12 +10,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 import board51
-from gateway.record.byte_port import open_pty, serve
+from gateway.commands.logs.replay_bytes import serve
+from gateway.emulator.ports import pty_ports
 from gateway.record.byte_replay import RecordedBoard
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
@@ -202,7 +204,9 @@ def states(events: list[Event]) -> list[int]:
 def test_a_pty_waits_for_hello_then_keeps_time(tmp_path: Path, speed: float, least_s: float) -> None:
     board = RecordedBoard(raw(identity(), *(state_frame(tick) for tick in range(70_001, 71_001))))  # 2 s
     link, stop = tmp_path / "board", threading.Event()
-    with open_pty(link) as port:
+    (port,) = pty_ports(link, 1)
+    port.open()
+    with closing(port):
         thread = threading.Thread(target=serve, args=(board, port), kwargs={"speed": speed, "stop": stop})
         thread.start()
         host = os.open(link, os.O_RDWR | os.O_NOCTTY)

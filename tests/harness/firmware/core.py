@@ -8,7 +8,19 @@ from pathlib import Path
 
 from gateway.emulator.firmware_model.excitation import Signal
 from gateway.emulator.firmware_model.law import Gains
-from gateway.emulator.native.library import CGains
+
+
+class CGains(ctypes.Structure):
+    """struct b51_gains."""
+
+    _fields_ = (
+        ("law", c_uint8),
+        ("shift", c_uint8 * 4),
+        ("mantissa", c_int16 * 4),
+        ("i_0", c_uint16),
+        ("x_0", c_uint16),
+        ("u_0", c_uint16),
+    )
 
 
 class CSignal(ctypes.Structure):

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from gateway.emulator.faults import parse
 from gateway.emulator.firmware_model.board import Firmware
 from gateway.emulator.line import BoardLine
-from gateway.emulator.pty_port import PtyPort
+from gateway.emulator.ports import PtyPort
 from gateway.emulator.serve import Server, build_lines
 from protocol.wire.messages import Mode
 from tests.harness.gateway.gateway_peers import wait_for
@@ -174,7 +174,8 @@ class Stage:
         self._server.stop()
         if self._thread.ident is not None:
             self._thread.join(HANG_S)
-        self._server.close()
+        for line in self._server.lines:
+            line.close()
         for disk in self.disks:
             disk.close()
 
