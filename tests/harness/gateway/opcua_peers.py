@@ -16,6 +16,7 @@ from asyncua.ua.uaerrors import UaStatusCodeError
 
 from gateway.views.feed import Feed
 from gateway.views.opcua.server import OpcuaSettings, serve
+from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, feed_of
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S
@@ -229,3 +230,26 @@ async def received(notified: Notifications, path: str, count: int) -> None:
         return True if len(notified.values.get(path, [])) >= count else None
 
     await until(look, f"{count} values of {path}")
+
+
+EVENTS = [
+    ua.ObjectIds.AlarmConditionType, ua.ObjectIds.BaseEventType, ua.ObjectIds.RefreshStartEventType,
+    ua.ObjectIds.RefreshEndEventType,
+]  # fmt: skip
+
+
+def raise_alarm(server: Served, board: str, text: str = "x is off") -> None:
+    server.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text=text, value=9.0), board)
+
+
+async def condition(server: Served, client: Peer, notified: Notifications, board: str) -> Any:
+    """Subscribe at the Server, raise an alarm, and return its first event."""
+    await client.await_status(f"{board}/state/x_m", ua.StatusCodes.Good)
+    subscription = await client.client.create_subscription(50, notified)
+    await subscription.subscribe_alarms_and_conditions(evtypes=EVENTS)
+    raise_alarm(server, board)
+
+    async def came() -> Any:
+        return next(iter(notified.of(board)), None)
+
+    return await until(came, "condition")

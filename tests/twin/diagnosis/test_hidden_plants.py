@@ -23,7 +23,7 @@ from tests.harness.diagnose.hidden_campaign import (
     play,
 )
 from tests.harness.diagnose.outside import OUTSIDE
-from tests.harness.diagnose.second_plant import NAMES, SecondBench
+from tests.harness.diagnose.second_bench import NAMES, SecondBench
 from tests.harness.diagnose.textbook_plant import TextbookBench
 from twin.model.causes.catalogue import BY_NAME
 
