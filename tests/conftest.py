@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from tests.examples import QUICK
 from tests.harness.posix import needs_posix
 
 # Before numpy is imported, here and in what tests start.  Several processes share the cores: threads of the linear
@@ -41,6 +42,8 @@ def _same_priority() -> Iterator[None]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if "not slow" in config.option.markexpr:
+        os.environ[QUICK] = "1"
     if hasattr(config, "workerinput"):
         _compile_one_at_a_time()
 
