@@ -54,14 +54,14 @@ def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
             ("diagnose", "--quick", "--quiet"),
             (
                 "what-if",
-                folder / "closed_loop_1.csv",
+                folder / "closed_loop_1.csv.gz",
                 "--model",
                 model,
                 "--reference",
-                folder / "closed_loop_2.csv",
+                folder / "closed_loop_2.csv.gz",
                 "--campaign",
             ),
-        )  # fmt: skip
+        )
     ]
 
     assert code == 0
