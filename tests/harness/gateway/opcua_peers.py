@@ -136,16 +136,17 @@ async def _connect(client: Client) -> None:
 
 
 async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, timeout_s: float = HANG_S) -> T:
-    """The first value of `look` that is not None; fails at the deadline."""
-    deadline_s = asyncio.get_running_loop().time() + timeout_s
-    while asyncio.get_running_loop().time() < deadline_s:
+    """The first value of `look` that is not None, asked ever more rarely; fails at the deadline."""
+    clock_s = asyncio.get_running_loop().time
+    start_s = clock_s()
+    while (waited_s := clock_s() - start_s) < timeout_s:
         try:
             value = await look()
         except UaStatusCodeError:
             value = None
         if value is not None:
             return value
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(min(0.1, 0.02 + 0.02 * waited_s))
     raise AssertionError(f"no {what} within {timeout_s:g} s")
 
 
