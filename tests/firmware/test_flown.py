@@ -121,6 +121,7 @@ def emulate(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
 
 
+@pytest.mark.slow
 def test_the_command_flies_several_boards_of_it(target: Target) -> None:
     done = emulate(*target.words, "--boards", "2", "--duration", "0.4", "--json")
 
