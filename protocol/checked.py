@@ -13,6 +13,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from pydantic import AfterValidator, AllowInfNan, ConfigDict, Field, Strict, TypeAdapter, ValidationError
@@ -99,13 +100,18 @@ def checked(
     Raises:
         ConfigError, DataError: a value is invalid; the message names place, key and value, and the allowed values.
     """
-    adapter = TypeAdapter(kind)
+    adapter = _adapter(kind)
     try:
         return adapter.validate_strings(data) if from_text else adapter.validate_python(data)
     except ValidationError as failed:
         errors = failed.errors(include_url=False)
     problem, correction = _explain(kind, data, errors, toml=error is ConfigError, quote=quote)
     raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy or correction)
+
+
+@cache  # making it takes twice as long as the check of a model file
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
 
 
 def keys_of(kind: Any) -> dict[str, Any]:

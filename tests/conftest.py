@@ -11,12 +11,16 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
+from _pytest.assertion import rewrite
 from hypothesis import settings
 
+from tests.examples import QUICK
 from tests.harness.posix import needs_posix
 
 # Before numpy is imported, here and in what tests start.  Several processes share the cores: threads of the linear
@@ -41,8 +45,23 @@ def _same_priority() -> Iterator[None]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if "not slow" in config.option.markexpr:
+        os.environ[QUICK] = "1"
     if hasattr(config, "workerinput"):
         _compile_one_at_a_time()
+        _share_rewriting(config)
+
+
+def _share_rewriting(config: pytest.Config) -> None:
+    """Rewrite the assertions of a part of the files: in a new clone each process of the run would rewrite them all."""
+    worker: dict[str, Any] = vars(config)["workerinput"]
+    number, count = int(worker["workerid"].removeprefix("gw")), worker["workercount"]
+    for file in sorted(Path(__file__).parent.rglob("test_*.py"))[number::count]:
+        bytecode = rewrite.get_cache_dir(file) / f"{file.stem}{rewrite.PYC_TAIL}"
+        if not sys.dont_write_bytecode and rewrite._read_pyc(file, bytecode) is None:
+            status, code = rewrite._rewrite_test(file, config)
+            bytecode.parent.mkdir(parents=True, exist_ok=True)
+            rewrite._write_pyc(config.stash[rewrite.assertstate_key], code, status, bytecode)
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
@@ -54,7 +73,7 @@ def pytest_ignore_collect(collection_path: Path) -> bool | None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark tests that need POSIX, and put the slow ones first.
 
-    Tests that share a fixture of their module run in one process: four processes would make it four times.
+    Tests that share a fixture or a cached function of their module run in one process: four would make it four times.
     """
     for item in items:
         if needs_posix(item.path):
@@ -64,12 +83,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if isinstance(item, pytest.Function) and not any(item.iter_markers("xdist_group")):
             made = item._fixtureinfo.name2fixturedefs.values()
-            if any(definition[-1].scope == "module" for definition in made):
+            if any(definition[-1].scope == "module" for definition in made) or _remembers(item.module):
                 item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     # The short ones fill up the end of a run, where a process would otherwise wait for the last long test.  A group
     # keeps its order: its fixtures are made once.
     slow = {_group(item) for item in items if any(item.iter_markers("slow"))}
     items.sort(key=lambda item: _group(item) not in slow)
+
+
+@cache
+def _remembers(module: ModuleType) -> bool:
+    """Return whether the module has a function that keeps what it has made."""
+    own = (value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__)
+    return any(hasattr(value, "cache_clear") for value in own)
 
 
 def _group(item: pytest.Item) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 
 import pytest
 
@@ -10,6 +10,7 @@ from gateway.emulator.native.build import compile_to
 from gateway.emulator.native.flags import flags
 from tests.harness.firmware.core import Core
 from tests.harness.gateway.board_host import skip_without_compiler
+from tests.harness.once import once
 
 WARNINGS = flags("WARNINGS", "POSIX_WARNINGS")
 
@@ -18,6 +19,4 @@ WARNINGS = flags("WARNINGS", "POSIX_WARNINGS")
 def core(tmp_path_factory: pytest.TempPathFactory) -> Core:
     """The functions of the core."""
     skip_without_compiler()
-    path: Path = tmp_path_factory.mktemp("core") / "core.so"
-    compile_to(path, options=WARNINGS)
-    return Core(path)
+    return Core(once(tmp_path_factory, "core.so", partial(compile_to, options=WARNINGS)))

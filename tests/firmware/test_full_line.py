@@ -114,6 +114,7 @@ def test_the_avr_keeps_its_ticks(name: str, fields: dict[str, Value], *, capture
     assert share < MOST_OF_A_TICK
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "fields"), CASES, ids=IDS)
 def test_the_avr_keeps_its_ticks_at_250000_where_bytes_come_faster_than_it_can_look_at_them(
     name: str, fields: dict[str, Value]

@@ -37,7 +37,7 @@ def make(folder: Path, *words: str) -> str:
     ("skip", "goal", "name"),
     [
         (skip_without_avr, "avr", "atmega328p"),
-        (skip_without_avr, "avr", "magnetoshield"),
+        pytest.param(skip_without_avr, "avr", "magnetoshield", marks=pytest.mark.slow),
         (skip_without_sdcc, "mcs51", "aduc841"),
     ],
 )

@@ -14,11 +14,12 @@ from hypothesis import HealthCheck, settings
 
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
+from tests.examples import costly
 from tests.harness.gateway.gateway_peers import frame, identity_values, parameters_values
 
 EXAMPLES = os.environ.get("BOARD51_FUZZ_EXAMPLES", "")  # how many, and then other ones each time
 fuzzed = settings(
-    max_examples=int(EXAMPLES or 40),
+    max_examples=int(EXAMPLES or costly(40)),
     derandomize=not EXAMPLES,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -24,6 +24,7 @@ from protocol.campaign import (
 )
 from protocol.campaign_text import emit
 from protocol.errors import ConfigError, DataError
+from tests.examples import costly
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 words = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)
@@ -58,7 +59,7 @@ campaigns = st.builds(
 )  # fmt: skip
 
 
-@settings(max_examples=40)
+@settings(max_examples=costly(40))
 @given(campaign=campaigns)
 def test_what_is_written_is_read_back(campaign: Campaign) -> None:
     text = emit(campaign, comments=["how it came about"])

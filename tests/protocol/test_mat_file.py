@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
 from protocol.mat_file import BrokenMatError, MatTooLargeError, Numbers, parse_mat
+from tests.examples import costly
 
 NUMBERS = st.sampled_from(["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"])
 arrays = st.builds(
@@ -29,6 +30,7 @@ def saved(content: dict[str, Any], **options: Any) -> bytes:
     return bytes(out.getvalue())
 
 
+@settings(max_examples=costly(100))
 @given(
     content=st.dictionaries(names, arrays | st.dictionaries(names, arrays, min_size=1), min_size=1),
     packed=st.booleans(),

@@ -221,6 +221,7 @@ def line(tmp_path: Path) -> Iterator[str]:
     assert (gateway.returncode, router.returncode) == (0, 0), said
 
 
+@pytest.mark.slow  # of six programs; test_start.py guards that they find each other
 def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -> None:
     bus = ("--connect", line)
     deadline = time.monotonic() + HANG_S

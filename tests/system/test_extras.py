@@ -185,12 +185,12 @@ def test_every_command_that_needs_an_extra_is_tried_above() -> None:
 @pytest.mark.parametrize(
     ("extra", "packages"),
     [
-        ("opcua", ["gateway.views.opcua"]),
+        pytest.param("opcua", ["gateway.views.opcua"], marks=pytest.mark.slow),
         ("web", ["gateway.views.hmi"]),
         ("emulator", ["gateway.emulator"]),
-        ("campaign", ["gateway.campaign"]),
-        ("export", ["gateway.record"]),
-        ("s3", ["gateway.record.archive"]),
+        pytest.param("campaign", ["gateway.campaign"], marks=pytest.mark.slow),
+        pytest.param("export", ["gateway.record"], marks=pytest.mark.slow),
+        pytest.param("s3", ["gateway.record.archive"], marks=pytest.mark.slow),
         ("twin", ["twin"]),
     ],
 )

@@ -7,14 +7,15 @@ from random import Random
 
 import pytest
 
+from tests.examples import costly
 from tests.harness.fuzz_targets import TARGETS, change_messages, check_finite, pack, unpack
 from tests.harness.fuzzing import Findings
 
 COSTLY = {
-    "bus, twin": 3,
+    "bus, twin": 6,
     "bus, command": 20,
     "bus, OPC UA": 20,
-    "users": 2,
+    "users": 6,
     "configuration": 30,
     "model": 30,
     "bus, model": 30,
@@ -28,7 +29,7 @@ def test_a_target_takes_its_seeds_and_changes_of_them(name: str, tmp_path: Path)
     seeds = list(target.seeds(tmp_path))
     findings = Findings(lambda data: target.run(tmp_path, data), lambda kind, *_: kinds.append(kind))
 
-    for _ in range(COSTLY.get(name, 100)):
+    for _ in range(costly(COSTLY.get(name, 100))):
         data = chance.choice(seeds)
         for _ in range(chance.randint(0, 3)):
             data = target.change(chance, data)

@@ -9,9 +9,12 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+import pytest
+
+from tests.harness.sources import trees
+
+pytestmark = pytest.mark.xdist_group("sources")  # parsed once
 
 # Participles, adverbs and pronouns that do not say what a value is or what a function does.
 NOT_NAMES = frozenset(
@@ -30,12 +33,6 @@ NOT_BEGINNINGS = re.compile(
     r"|Nothing|More|Less|Such|Also|Done|Said|Told|Found)\b"
 )
 MAX_BEGINNINGS = {"protocol": 0, "gateway": 0, "twin": 0}
-
-
-def trees(package: str) -> Iterator[tuple[str, ast.Module]]:
-    for path in sorted((ROOT / package).rglob("*.py")):
-        if "_pb2" not in path.name:
-            yield str(path.relative_to(ROOT)), ast.parse(path.read_text())
 
 
 def names(tree: ast.Module) -> Iterator[str]:

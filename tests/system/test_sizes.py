@@ -1,14 +1,20 @@
-"""Classes, functions and lists of parameters that a reader takes in at once."""
+"""Classes, functions and lists of parameters that a reader takes in at once, and files of tests."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from pathlib import Path
+from functools import cache
 
-ROOT = Path(__file__).parents[2]
+import pytest
+
+from tests.harness.sources import ROOT, parsed, trees
+
+pytestmark = pytest.mark.xdist_group("sources")  # parsed once
 MAX_CLASS_LINES, MAX_FUNCTION_LINES, MAX_PARAMETERS = 250, 60, 7
+MAX_TEST_FILE_LINES = 400
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+Definition = Function | ast.ClassDef
 
 # A kernel is one loop over numbers, and its calls cannot pass an object: it may be longer, and take more.
 KERNELS = frozenset(["kernel", "inlined", "_compiled"])  # decorators
@@ -22,14 +28,14 @@ MANY_PARAMETERS = {
 }
 
 
-def definitions() -> Iterator[tuple[str, Function | ast.ClassDef]]:
-    """Yield each class and each function of the product, with its file and name."""
-    packages = ("protocol", "gateway", "twin", "firmware")
-    paths = [path for package in packages for path in (ROOT / package).rglob("*.py") if "_pb2" not in path.name]
-    for path in sorted([*paths, ROOT / "board51.py"]):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, Function | ast.ClassDef):
-                yield f"{path.relative_to(ROOT)} {node.name}", node
+@cache
+def definitions() -> list[tuple[str, Definition]]:
+    """Return each class and each function of the product, with its file and name."""
+    files = [file for package in ("protocol", "gateway", "twin", "firmware") for file in trees(package)]
+    files.append(("board51.py", parsed(ROOT / "board51.py")))
+    return [
+        (f"{path} {node.name}", node) for path, tree in files for node in ast.walk(tree) if isinstance(node, Definition)
+    ]
 
 
 def functions() -> Iterator[tuple[str, Function]]:
@@ -39,7 +45,7 @@ def functions() -> Iterator[tuple[str, Function]]:
             yield name, node
 
 
-def length(node: Function | ast.ClassDef) -> int:
+def length(node: Definition) -> int:
     """Return the number of lines, with the docstring and without the decorators."""
     assert node.end_lineno is not None
     return node.end_lineno - node.lineno + 1
@@ -63,3 +69,10 @@ def test_a_function_is_read_at_once() -> None:
 
 def test_a_function_takes_few_parameters() -> None:
     assert {name for name, node in functions() if parameters(node) > MAX_PARAMETERS} == set(MANY_PARAMETERS)
+
+
+def test_a_file_of_tests_is_read_at_once() -> None:
+    """Its name says what it tests; what files share is in `tests/harness` or a conftest."""
+    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in (ROOT / "tests").rglob("*.py")}
+
+    assert [f"{path.relative_to(ROOT)}: {n} lines" for path, n in lines.items() if n > MAX_TEST_FILE_LINES] == []

@@ -12,6 +12,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from gateway.processes.command import listens
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.harness.ports import free_port
@@ -51,6 +53,7 @@ def test_a_pty_is_refused_in_words() -> None:
     )  # fmt: skip
 
 
+@pytest.mark.slow  # test_start.py guards the same where all is real
 def test_a_flight_from_start_to_its_log_until_ctrl_break(tmp_path: Path) -> None:
     page, bus = free_port(), f"tcp/127.0.0.1:{free_port()}"
     words = ["--emulated", "--no-browser", "--page", f"127.0.0.1:{page}", "--listen", bus]

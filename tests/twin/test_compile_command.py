@@ -52,6 +52,15 @@ def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
             ("identify", "--quiet", "--out", model),
             ("validate", "--model", model, "--out", tmp_path / "v"),
             ("diagnose", "--quick", "--quiet"),
+            (
+                "what-if",
+                folder / "closed_loop_1.csv.gz",
+                "--model",
+                model,
+                "--reference",
+                folder / "closed_loop_2.csv.gz",
+                "--campaign",
+            ),
         )
     ]
 

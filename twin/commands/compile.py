@@ -1,8 +1,8 @@
 """Compile the numerical kernels now, so that no later command waits for it.
 
-The first identify, validate, diagnose or twin after an installation or an update compiles what it needs, which takes up
-to half a minute.  This command does it at once: it simulates a short campaign of the nominal CE 152 and lets each of
-them run on it.  `make setup` calls it.  Done again it takes a few seconds.
+The first identify, validate, what-if, diagnose or twin after an installation or an update compiles what it needs, which
+takes up to half a minute.  This command does it at once: it simulates a short campaign of the nominal CE 152 and lets
+each of them run on it.  `make setup` calls it.  Done again it takes a few seconds.
 """
 
 from __future__ import annotations
@@ -26,9 +26,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compile."""
+    from protocol.campaign import Campaign
     from twin import compiled
     from twin.api import functions as api
     from twin.mirror.warm_up import compile_kernels
+    from twin.validation.source import source_at
+    from twin.what_if.forecast import forecast
 
     print_progress = progress_printer(quiet=args.quiet)
     if not compiled.cache_folder():
@@ -44,6 +47,10 @@ def run(args: argparse.Namespace) -> int:
         api.identify(campaign)
         api.validate(campaign, model)
         api.predict(model, Path(folder) / "judge.csv", campaign=campaign)
+        print_progress("what-if")
+        flight = source_at(Path(folder) / "judge.csv", model, Campaign.load(campaign))
+        assert flight.law is not None
+        forecast(flight, model, flight.law, draws=2)
         print_progress("diagnose")
         api.diagnose(campaign, quick=True, free_form=True, experiments=True)
         print_progress("design")

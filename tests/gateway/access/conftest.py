@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from gateway.access.folder import SecurityFolder
 from tests.harness.gateway.access_peers import GuardedRig, guarded_rig, made_folder
+from tests.harness.once import once
 
 
 @pytest.fixture(scope="session")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> SecurityFolder:
     """A plant with ana (engineer), ben (operator) and vic (viewer).  Not to be changed."""
-    path: Path = tmp_path_factory.mktemp("plant") / "keys"
-    return made_folder(path)
+    return SecurityFolder(once(tmp_path_factory, "keys", made_folder))
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import math
 import signal
@@ -16,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import gateway.client
 from gateway.client import (
     CommandNotDeliveredError,
     CommandRefusedError,
@@ -24,8 +22,6 @@ from gateway.client import (
     NoSamplesError,
     OperatingPoint,
     Rig,
-    Sample,
-    Samples,
     read_log,
 )
 from gateway.client.connection import BusBoard, open_bus
@@ -33,9 +29,8 @@ from gateway.client.message_queue import MessageQueue
 from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant
-from protocol.errors import ConfigError, ServiceError, UsageError
+from protocol.errors import ServiceError, UsageError
 from tests.harness.gateway.gateway_peers import gateway_and_client, gateway_config
-from tests.harness.ports import free_port
 from tests.patience import HANG_S
 
 
@@ -159,14 +154,6 @@ def test_a_refusal_says_who_why_and_what_to_do(rig: Rig) -> None:
     assert refused.value.remedy
 
 
-def test_who_may_not_send_a_command_is_told_to_be_somebody_else() -> None:
-    reply = pb.CommandReply(refused_by="gateway", reason="not-allowed", text="ana (viewer) may not excite.")
-
-    error = CommandRefusedError(pb.Command(excite=pb.Excite()), reply)
-
-    assert "identity" in error.remedy
-
-
 def test_what_cannot_be_a_command_is_refused_before_it_is_sent(rig: Rig) -> None:
     for wrong in (
         lambda: rig.set_mode("fast"),
@@ -272,16 +259,6 @@ def test_a_rig_that_is_not_open_says_so(endpoint: str) -> None:
     rig.close()
 
 
-def test_wrong_options_are_named() -> None:
-    for words in ({"connect": "here"}, {"site": "A/B"}, {"identity": "no-such-folder"}):
-        with pytest.raises(ConfigError):
-            Rig("rig", **words)  # type: ignore[arg-type]
-    with pytest.raises(UsageError):
-        Rig("rig", timeout_s=0.0)
-    with pytest.raises(ServiceError), Rig("rig", connect=f"tcp/127.0.0.1:{free_port()}"):
-        pass
-
-
 def test_a_recording_holds_what_was_read_and_reads_back_equal(rig: Rig, tmp_path: Path) -> None:
     with rig.record(tmp_path / "new" / "logs", prefix="flight") as recording:
         seen = rig.read(0.5)
@@ -315,20 +292,6 @@ def test_messages_of_any_topic_come_typed(rig: Rig) -> None:
     assert "look here" in next(texts)
 
 
-def test_what_was_not_measured_is_nan() -> None:
-    sample = Sample.of(pb.State(tick=1, x_m=0.0))
-
-    assert sample.x_m == 0.0
-    assert math.isnan(sample.i_c_a)
-    assert len(Samples.of([])) == 0
-
-
-@pytest.mark.skipif(importlib.util.find_spec("pandas") is not None, reason="pandas is installed here")
-def test_a_data_frame_needs_pandas_and_says_so() -> None:
-    with pytest.raises(UsageError, match="pandas is not installed"):
-        Samples.of([]).to_dataframe()
-
-
 def test_a_closed_feed_hears_nothing_more(endpoint: str) -> None:
     with open_bus(endpoint) as session:
         with MessageQueue(BusBoard(session, "board51", "rig"), ["state"]) as feed:
@@ -337,14 +300,6 @@ def test_a_closed_feed_hears_nothing_more(endpoint: str) -> None:
             pass
 
         assert feed.take(0.1) is None
-
-
-def test_the_package_costs_nothing_until_a_name_is_used() -> None:
-    code = "import gateway.client, sys; assert not {'zenoh', 'numpy'} & set(sys.modules)"
-
-    subprocess.run([sys.executable, "-c", code], check=True)
-    for name in gateway.client.__all__:
-        assert getattr(gateway.client, name).__module__.startswith("gateway.client.")
 
 
 ENDINGS = {

@@ -325,17 +325,42 @@ def test_two_that_copy_at_once_do_no_harm(server: S3Server, address: str, tmp_pa
             1,
             "SignatureDoesNotMatch: .*Correct AWS_SECRET_ACCESS_KEY or AWS_ACCESS_KEY_ID",
         ),
-        ({"AWS_ACCESS_KEY_ID": "nobody"}, "", "", 1, "InvalidAccessKeyId: .*Correct AWS_ACCESS_KEY_ID"),
-        ({"AWS_ACCESS_KEY_ID": "reader"}, "", "", 1, r"a\.mcap.*AccessDenied: .*right to list, read and write"),
+        pytest.param(
+            {"AWS_ACCESS_KEY_ID": "nobody"},
+            "",
+            "",
+            1,
+            "InvalidAccessKeyId: .*Correct AWS_ACCESS_KEY_ID",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            {"AWS_ACCESS_KEY_ID": "reader"},
+            "",
+            "",
+            1,
+            r"a\.mcap.*AccessDenied: .*right to list, read and write",
+            marks=pytest.mark.slow,
+        ),
         ({"AWS_ACCESS_KEY_ID": ""}, "", "", 2, "AWS_ACCESS_KEY_ID not set. Set"),
         ({}, "s3://absent/logs", "", 1, "s3://absent/logs: .*NoSuchBucket: .*Create the bucket"),
         ({}, "", "http://127.0.0.1:1", 1, r"no answer from the server \(Connection refused\)\. Look at --endpoint"),
-        ({}, "", "http://absent.invalid", 1, "no answer from the server .*Look at --endpoint"),
-        ({}, "", "https://", 1, "no answer from the server.*https or http"),
-        ({}, "", "127.0.0.1:9000", 2, "127.0.0.1:9000 is not an endpoint"),
-        ({}, "plant/logs", "", 2, "plant/logs is not the address of a bucket. Write s3://"),
-        ({}, "s3://plant/a//b", "", 1, "s3://plant/a//b: .*empty path segment"),
-        ({"AWS_CA_BUNDLE": "/absent.pem"}, "", "", 2, "AWS_CA_BUNDLE=/absent.pem cannot be read"),
+        pytest.param(
+            {}, "", "http://absent.invalid", 1, "no answer from the server .*Look at --endpoint", marks=pytest.mark.slow
+        ),
+        pytest.param({}, "", "https://", 1, "no answer from the server.*https or http", marks=pytest.mark.slow),
+        pytest.param({}, "", "127.0.0.1:9000", 2, "127.0.0.1:9000 is not an endpoint", marks=pytest.mark.slow),
+        pytest.param(
+            {}, "plant/logs", "", 2, "plant/logs is not the address of a bucket. Write s3://", marks=pytest.mark.slow
+        ),
+        pytest.param({}, "s3://plant/a//b", "", 1, "s3://plant/a//b: .*empty path segment", marks=pytest.mark.slow),
+        pytest.param(
+            {"AWS_CA_BUNDLE": "/absent.pem"},
+            "",
+            "",
+            2,
+            "AWS_CA_BUNDLE=/absent.pem cannot be read",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_an_error_says_what_is_wrong_and_what_to_do(

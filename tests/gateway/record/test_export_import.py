@@ -17,6 +17,7 @@ from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Recording
 from protocol.log.reader import read
+from tests.examples import costly
 from tests.harness.twin.rig import Rig
 
 FORMATS: tuple[Format, ...] = ("csv", "mat", "parquet")
@@ -55,7 +56,7 @@ def write_log(path: Path, states: list[pb.State]) -> None:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=costly(40), deadline=None, derandomize=True)
 @given(states=flights())
 def test_what_was_exported_comes_back(form: Format, states: list[pb.State]) -> None:
     with tempfile.TemporaryDirectory() as folder:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import os
 import random
 from pathlib import Path
 
@@ -19,13 +18,10 @@ from gateway.record.tables.export import Format, export
 from gateway.record.tables.table_import import ImportReport, import_recording
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
-from protocol.campaign import CHANNELS, Channel, Column, Kind, Recording
+from protocol.campaign import CHANNELS, Column, Kind, Recording
 from protocol.errors import DataError
-from protocol.log.reader import LogReader, read
+from protocol.log.reader import read
 
-REPO = Path(__file__).parents[3]
-DATA = Path(os.environ.get("BOARD51_DATA", REPO.parent / "shared" / "data"))
-INTECO = DATA / "inteco-mls2em"
 FORMATS: tuple[Format, ...] = ("csv", "mat", "parquet")
 
 
@@ -349,69 +345,3 @@ def test_the_command_maps_columns(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert [s.u_c_v for s in states(tmp_path / "a.mcap")] == [0.0, 0.5]
     assert board51.main([*arguments, "--map", "y=gap"]) == 2
     assert "'y' is not one of t, u_c, i_c, x, x_ref" in capsys.readouterr().err
-
-
-_INTECO = """
-[plant]
-name = "Inteco MLS2EM"
-mass_kg = 0.0615
-travel_m = 0.02
-[[recording]]
-file = "inteco-mls2em/cl_step__LQI_KF.csv.gz"
-kind = "closed-loop"
-use = "judge"
-skip_s = 3.0
-columns = { t = "t_s", i_c = "i1_A", x = { column = "gap_meas_m", scale = -1.0, offset = 0.02 }, \
-x_ref = { column = "ref_m", scale = -1.0, offset = 0.02 }, \
-u_c = { column = "duty1", table = [[0.0, 0.043], [0.1, 0.613], [0.2, 1.768], [0.3, 2.93], [0.4, 4.10], [0.5, 5.26], \
-[0.6, 6.43], [0.7, 7.59], [0.8, 8.80], [0.9, 9.96], [1.0, 11.06]] } }
-[[recording]]
-file = "inteco-mls2em/force_01.csv.gz"
-kind = "sawtooth"
-use = "fit"
-columns = { t = "t_s", i_c = "i1_A", x = { column = "gap_m", scale = -1.0, offset = 0.02 } }
-"""
-
-
-def test_measured_recordings_import_by_their_campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    if not INTECO.is_dir():
-        pytest.skip(f"no recordings at {INTECO}")
-    shipped = REPO / "twin" / "campaigns" / "inteco.toml"
-    campaign = shipped if shipped.is_file() else tmp_path / "campaign.toml"
-    if campaign != shipped:
-        campaign.write_text(_INTECO)
-    logs = tmp_path / "logs"
-
-    only = ["--only", "cl_step__LQI_KF.csv.gz"]
-    code = board51.main(["import", "--campaign", str(campaign), "--data", str(DATA), "-o", str(logs), *only, "--json"])
-
-    report = json.loads(capsys.readouterr().out)[0]
-    assert code == 0
-    assert report["rows"] == 15001
-    assert report["sample_time_s"] == 0.001
-    assert report["gaps"] == report["irregular_steps"] == 0
-    log = logs / "cl_step__LQI_KF.mcap"
-    with gzip.open(INTECO / "cl_step__LQI_KF.csv.gz", "rt") as file:
-        rows = list(csv.DictReader(file))
-    found = states(log)
-    assert [s.i_c_a for s in found] == [float(row["i1_A"]) for row in rows]
-    assert [s.x_m for s in found] == pytest.approx([0.02 - float(row["gap_meas_m"]) for row in rows], abs=1e-12)
-    assert all(s.mode == pb.MODE_CLOSED_LOOP for s in found)
-    reader = LogReader(log)
-    assert sum(1 for _ in reader.raw()) == 15002
-    assert reader.metadata["import"]["file"] == "cl_step__LQI_KF.csv.gz"
-    assert len(reader.metadata["import"]["sha256"]) == 64
-
-
-def test_every_measured_recording_can_be_read(tmp_path: Path) -> None:
-    if not INTECO.is_dir():
-        pytest.skip(f"no recordings at {INTECO}")
-    gap = Column(column="gap_m", scale=-1.0, offset=0.02)
-    columns: dict[Channel, Column] = {"t": Column(column="t_s"), "i_c": Column(column="i1_A"), "x": gap}
-    for source in sorted(INTECO.glob("[fi]*_*0[1-3].csv.gz")):
-        recording = Recording(file=source.name, kind="free", use="fit", columns=columns)
-
-        report = import_recording(source, tmp_path / f"{source.name}.mcap", recording, board="rig")
-
-        assert report.sample_time_s == 0.005
-        assert report.gaps == 0

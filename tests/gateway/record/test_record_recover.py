@@ -21,6 +21,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import CHUNK_BYTES
 from protocol.errors import DataError
 from protocol.log.reader import LogReader, LogRecord, read
+from tests.examples import costly
 
 START_NS = 1_700_000_000_000_000_000
 TICKS = 400
@@ -78,7 +79,12 @@ def save(data: bytes, folder: Path) -> tuple[list[object], Path] | None:
     return [(r.key, r.data, r.time_ns) for r in reader.raw()], clean
 
 
-@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=costly(50),
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(data=st.data())
 def test_a_log_cut_anywhere_gives_its_beginning(
     intact: tuple[bytes, list[object]], tmp_path: Path, data: st.DataObject
@@ -96,7 +102,12 @@ def test_a_log_cut_anywhere_gives_its_beginning(
         assert cut < len(whole) / 5
 
 
-@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=costly(50),
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(ppm=st.integers(0, 999_999), noise=st.binary(min_size=1, max_size=64))
 def test_damaged_bytes_cost_their_chunk_and_never_give_wrong_data(
     intact: tuple[bytes, list[object]], tmp_path: Path, ppm: int, noise: bytes

@@ -111,6 +111,7 @@ def test_what_is_young_is_left_to_the_recorder(sites: tuple[Path, Path]) -> None
     assert list(plant.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_killed_fill_goes_on_where_it_was(sites: tuple[Path, Path], tmp_path: Path) -> None:
     lab, plant = sites
     records = flight(20_000)

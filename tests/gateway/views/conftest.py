@@ -10,6 +10,7 @@ from playwright.sync_api import Browser
 from gateway.access.roles import Role
 from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
+from tests.harness.gateway.api_peers import ApiServer, api_server
 from tests.harness.gateway.bus_peers import played_gateway
 from tests.harness.gateway.chromium import chromium
 from tests.harness.gateway.hmi_server import Server, hmi_with_logins
@@ -26,6 +27,12 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="package")
 def hmi_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     with hmi_with_logins(tmp_path_factory.mktemp("hmi")) as server:
+        yield server
+
+
+@pytest.fixture(scope="package")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServer]:
+    with api_server(tmp_path_factory.mktemp("api")) as server:
         yield server
 
 

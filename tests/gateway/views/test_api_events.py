@@ -4,57 +4,20 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
 from websockets.sync.client import ClientConnection
 
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.api_peers import Program, users_with_tokens
-from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
-from tests.harness.gateway.design_files import CAMPAIGN, GAINS, campaign, designed
+from tests.harness.gateway.api_peers import ApiServer
+from tests.harness.gateway.design_files import CAMPAIGN, GAINS
 from tests.harness.gateway.gateway_peers import wait_for
-from tests.harness.gateway.hmi_peers import hmi
 from tests.patience import HANG_S
 
 pytestmark = pytest.mark.xdist_group("hmi-api")
 ALARM = pb.Alarm(name="divergence-x", active=True, host_time_ns=7, text="x is off")
 MODEL = f"{CAMPAIGN}/model.json"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Server:
-    port: int
-    folder: Path  # of the campaign
-    gateway: PlayedGateway
-    tokens: dict[str, str]
-
-    def program(self, name: str) -> Program:
-        return Program(self.port, self.tokens[name])
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """With users and tokens, and a campaign with a model and a design."""
-    root = tmp_path_factory.mktemp("api-events")
-    users, tokens = users_with_tokens(root)
-    folder = campaign(root / "data")
-    designed(folder)
-    with played_gateway() as gateway, hmi(root, gateway.endpoint, "--users", str(users)) as (port, _):
-        server = Server(port=port, folder=folder, gateway=gateway, tokens=tokens)
-        program = server.program("vic")
-
-        def known() -> bool:
-            gateway.state()
-            gateway.parameters()
-            answer = program.get("/rigs/rig")
-            return answer.status_code == 200 and answer.json()["limits"] is not None
-
-        wait_for(known, "the board at the API")
-        yield server
 
 
 def until(stream: ClientConnection, kind: str, **wanted: object) -> dict[str, Any]:
@@ -66,10 +29,10 @@ def until(stream: ClientConnection, kind: str, **wanted: object) -> dict[str, An
             return found
 
 
-def test_events_are_listed_the_oldest_first(server: Server) -> None:
-    program = server.program("vic")
+def test_events_are_listed_the_oldest_first(api: ApiServer) -> None:
+    program = api.program("vic")
     for n in range(3):
-        server.gateway.send("event", pb.Event(name=f"made-{n}", host_time_ns=1500000000 + n, text="made", tick=n))
+        api.gateway.send("event", pb.Event(name=f"made-{n}", host_time_ns=1500000000 + n, text="made", tick=n))
     wait_for(
         lambda: (
             program.json("/rigs/rig/events", last=1)["events"][-1:]
@@ -84,22 +47,22 @@ def test_events_are_listed_the_oldest_first(server: Server) -> None:
     assert [program.get("/rigs/rig/events", last=last).status_code for last in (0, 201)] == [400, 400]
 
 
-def test_a_stream_tells_events_and_the_life_of_an_alarm(server: Server) -> None:
+def test_a_stream_tells_events_and_the_life_of_an_alarm(api: ApiServer) -> None:
     """It comes, an operator acknowledges it, it goes; a second reader that leaves takes nothing from the first."""
-    with server.program("vic").stream(what="events/stream") as stream:
-        with server.program("ben").stream(what="events/stream"):
-            server.gateway.send("twin/alarm", ALARM)
+    with api.program("vic").stream(what="events/stream") as stream:
+        with api.program("ben").stream(what="events/stream"):
+            api.gateway.send("twin/alarm", ALARM)
             came = until(stream, "alarm", name="divergence-x", active=True)
-        listed = server.program("vic").json("/rigs/rig/alarms")["alarms"]
-        forbidden = server.program("vic").command(command="acknowledge", alarm="divergence-x")
-        done = server.program("ben").command(command="acknowledge", alarm="divergence-x", comment="seen")
-        (_, command) = server.gateway.commands[-1]
+        listed = api.program("vic").json("/rigs/rig/alarms")["alarms"]
+        forbidden = api.program("vic").command(command="acknowledge", alarm="divergence-x")
+        done = api.program("ben").command(command="acknowledge", alarm="divergence-x", comment="seen")
+        (_, command) = api.gateway.commands[-1]
         reply = pb.CommandReply(accepted=True)
-        server.gateway.send("command/record", pb.CommandRecord(command=command, reply=reply, received_ns=9))
+        api.gateway.send("command/record", pb.CommandRecord(command=command, reply=reply, received_ns=9))
         quiet = until(stream, "alarm", name="divergence-x", acknowledged=True)
-        server.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=False, host_time_ns=11))
+        api.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=False, host_time_ns=11))
         over = until(stream, "alarm", name="divergence-x", active=False)
-        server.gateway.send("event", pb.Event(name="seen-live", source="gateway", severity="info"))
+        api.gateway.send("event", pb.Event(name="seen-live", source="gateway", severity="info"))
         event = until(stream, "event", name="seen-live")
 
     assert (came["severity"], came["acknowledged"], came["text"]) == ("warning", False, "x is off")
@@ -109,23 +72,23 @@ def test_a_stream_tells_events_and_the_life_of_an_alarm(server: Server) -> None:
     assert (quiet["active"], quiet["acknowledger"]) == (True, "ben")
     assert over["acknowledged"]
     assert (event["source"], event["severity"]) == ("gateway", "info")
-    assert "divergence-x" not in [alarm["name"] for alarm in server.program("vic").json("/rigs/rig/alarms")["alarms"]]
+    assert "divergence-x" not in [alarm["name"] for alarm in api.program("vic").json("/rigs/rig/alarms")["alarms"]]
 
 
-def test_an_alarm_is_shelved_and_brought_back(server: Server) -> None:
-    server.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=True, host_time_ns=7, text="high"))
-    ben = server.program("ben")
+def test_an_alarm_is_shelved_and_brought_back(api: ApiServer) -> None:
+    api.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=True, host_time_ns=7, text="high"))
+    ben = api.program("ben")
     about: dict[str, Any] = {"alarm": "innovation", "comment": "known"}
 
     def entry() -> dict[str, Any]:
-        listed = server.program("vic").json("/rigs/rig/alarms")["alarms"]
+        listed = api.program("vic").json("/rigs/rig/alarms")["alarms"]
         return next((alarm for alarm in listed if alarm["name"] == "innovation"), {})
 
     wait_for(entry, "the alarm")
-    forbidden = server.program("vic").command(command="shelve", shelve_s=600.0, **about)
+    forbidden = api.program("vic").command(command="shelve", shelve_s=600.0, **about)
     malformed = [ben.command(command="shelve", shelve_s=wrong, **about) for wrong in (0.0, -1.0, 90000.0)]
     shelved, during = ben.command(command="shelve", shelve_s=600.0, **about).json(), entry()
-    server.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=False, host_time_ns=11))
+    api.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=False, host_time_ns=11))
     wait_for(lambda: entry()["active"] is False, "its end, on the shelf")
     gone = entry()
     back = ben.command(command="unshelve", **about).json()
@@ -138,24 +101,24 @@ def test_an_alarm_is_shelved_and_brought_back(server: Server) -> None:
     assert entry() == {}
 
 
-def test_a_late_reader_is_told_the_alarms_that_stand(server: Server) -> None:
-    server.gateway.send("twin/alarm", pb.Alarm(name="divergence-i", active=True, host_time_ns=7, text="i is off"))
-    wait_for(lambda: "divergence-i" in server.program("vic").get("/rigs/rig/alarms").text, "the alarm")
+def test_a_late_reader_is_told_the_alarms_that_stand(api: ApiServer) -> None:
+    api.gateway.send("twin/alarm", pb.Alarm(name="divergence-i", active=True, host_time_ns=7, text="i is off"))
+    wait_for(lambda: "divergence-i" in api.program("vic").get("/rigs/rig/alarms").text, "the alarm")
 
-    with server.program("vic").stream(what="events/stream") as stream:
+    with api.program("vic").stream(what="events/stream") as stream:
         assert until(stream, "alarm", name="divergence-i")["active"]
-    assert server.program("vic").get("/rigs/rig/events/stream").status_code == 426
+    assert api.program("vic").get("/rigs/rig/events/stream").status_code == 426
 
 
-def test_a_capture_of_another_session_is_not_the_one_that_was_started(server: Server) -> None:
-    program = server.program("vic")
+def test_a_capture_of_another_session_is_not_the_one_that_was_started(api: ApiServer) -> None:
+    program = api.program("vic")
     assert program.get("/rigs/rig/capture").json()["code"] == "no-capture"
     record = pb.CaptureRecord(session=1, tick=50, sample_time_s=4e-5, u_from_v=1, u_to_v=2, step_index=1,
                               i_c_a=[0.25, 0.5])  # fmt: skip
-    server.gateway.send("capture", record)
+    api.gateway.send("capture", record)
     wait_for(lambda: program.get("/rigs/rig/capture").status_code == 200, "the capture")
     same = program.get("/rigs/rig/capture", from_tick=50, format="csv")
-    server.gateway.state(session=2)
+    api.gateway.state(session=2)
     wait_for(lambda: program.json("/rigs/rig/state")["session"] == 2, "the new session")
 
     assert same.text == "t_s,i_c_a,u_c_v\n-4e-05,0.25,1.0\n0.0,0.5,2.0\n"
@@ -163,15 +126,15 @@ def test_a_capture_of_another_session_is_not_the_one_that_was_started(server: Se
     assert program.json("/rigs/rig/capture")["i_c_a"] == [0.25, 0.5]
 
 
-def test_a_design_is_a_result_with_the_command_that_loads_it(server: Server) -> None:
-    result = server.program("vic").json("/rigs/rig/results/design")
-    sent = server.program("ana").command(**result["command"])
-    (_, command) = server.gateway.commands[-1]
+def test_a_design_is_a_result_with_the_command_that_loads_it(api: ApiServer) -> None:
+    result = api.program("vic").json("/rigs/rig/results/design")
+    sent = api.program("ana").command(**result["command"])
+    (_, command) = api.gateway.commands[-1]
 
     assert (result["is_loaded"], result["problem"], result["loops"][2]["phase_margin_deg"]) == (False, "", 24.5)
     assert sent.json()["executed"], sent.text
     assert list(command.set_gains.gains) == GAINS
-    assert server.program("vic").json("/rigs/rig/results/forecast", campaign=CAMPAIGN)["lost"] == 3
+    assert api.program("vic").json("/rigs/rig/results/forecast", campaign=CAMPAIGN)["lost"] == 3
 
 
 @pytest.mark.parametrize(
@@ -185,24 +148,24 @@ def test_a_design_is_a_result_with_the_command_that_loads_it(server: Server) -> 
     ],
 )
 def test_what_is_not_there_is_answered_with_a_remedy(
-    server: Server, path: str, query: dict[str, str], code: str
+    api: ApiServer, path: str, query: dict[str, str], code: str
 ) -> None:
-    answer = server.program("vic").get(path, **query)
+    answer = api.program("vic").get(path, **query)
 
     assert (answer.status_code, answer.json()["code"]) == (404, code)
     assert answer.json()["remedy"]
 
 
-def test_jobs_need_the_rights_that_the_page_asks_for(server: Server) -> None:
+def test_jobs_need_the_rights_that_the_page_asks_for(api: ApiServer) -> None:
     validate, hand_over = {"job": "validate"}, {"job": "hand-over", "model": MODEL}
     design = {"job": "design", "model": MODEL, "x_m": 2.85e-3}
-    refused = [server.program(who).post("/rigs/rig/jobs", body) for who in ("vic", "ben")
+    refused = [api.program(who).post("/rigs/rig/jobs", body) for who in ("vic", "ben")
                for body in (hand_over, design)]  # fmt: skip
 
     assert {answer.status_code for answer in refused} == {403}
-    assert server.program("vic").post("/rigs/rig/jobs", validate).status_code == 403
-    assert server.program("vic").post("/rigs/rig/jobs/stop", {"job": "validate"}).status_code == 403
-    assert server.program("vic").json("/rigs/rig/jobs") == {"jobs": []}
+    assert api.program("vic").post("/rigs/rig/jobs", validate).status_code == 403
+    assert api.program("vic").post("/rigs/rig/jobs/stop", {"job": "validate"}).status_code == 403
+    assert api.program("vic").json("/rigs/rig/jobs") == {"jobs": []}
 
 
 @pytest.mark.parametrize(
@@ -221,8 +184,8 @@ def test_jobs_need_the_rights_that_the_page_asks_for(server: Server) -> None:
         ({"job": "forecast", "campaign": CAMPAIGN}, "no-flight"),
     ],
 )
-def test_a_job_that_cannot_start_is_refused_in_words(server: Server, body: dict[str, object], code: str) -> None:
-    answer = server.program("ana").post("/rigs/rig/jobs", body).json()
+def test_a_job_that_cannot_start_is_refused_in_words(api: ApiServer, body: dict[str, object], code: str) -> None:
+    answer = api.program("ana").post("/rigs/rig/jobs", body).json()
 
     assert (answer["executed"], answer["code"]) == (False, code)
     assert answer["message"]
@@ -230,9 +193,9 @@ def test_a_job_that_cannot_start_is_refused_in_words(server: Server, body: dict[
 
 
 @pytest.mark.parametrize("kind", ["validate", "design", "hand-over"])
-def test_a_job_runs_and_its_end_is_told(server: Server, kind: str) -> None:
+def test_a_job_runs_and_its_end_is_told(api: ApiServer, kind: str) -> None:
     """The model of this campaign is not whole, and no twin runs: each ends with an error in a sentence."""
-    program = server.program("ana")
+    program = api.program("ana")
     more: dict[str, dict[str, object]] = {
         "validate": {},
         "design": {"model": MODEL, "x_m": 2.85e-3, "settling_s": 0.2},
@@ -254,9 +217,9 @@ def test_a_job_runs_and_its_end_is_told(server: Server, kind: str) -> None:
     assert program.post("/rigs/rig/jobs/stop", {"job": kind}).json()["code"] == "not-running"
 
 
-def test_a_job_can_be_started_by_a_form(server: Server) -> None:
+def test_a_job_can_be_started_by_a_form(api: ApiServer) -> None:
     form = {"job": "design", "model": MODEL, "x_m": "2.85", "settling_s": "0.2"}
 
-    answer = server.program("ana").http.post("/api/v1/rigs/rig/jobs", data=form)
+    answer = api.program("ana").http.post("/api/v1/rigs/rig/jobs", data=form)
 
     assert answer.json()["code"] == "out-of-range", "2.85 m: the numbers were read, and the act was asked"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -13,12 +12,14 @@ from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
-from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
+from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM
 from tests.harness.gateway.design_files import campaign, designed
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
 from tests.harness.gateway.npm import installed
+from tests.harness.gateway.page_scripts import CONTRASTS, PLACES, STRONG_COLOURS
+from tests.harness.gateway.seen_site import Site, raise_alarms, stop_turns_the_coil_off
 
 pytestmark = [
     pytest.mark.slow,
@@ -27,62 +28,6 @@ pytestmark = [
 ]
 SAID = '[data-live="stop-said"]'
 REPORT = "<!doctype html><body style='margin:0'><h1>air-gap-offset</h1><p style='height:2000px'>long</p>"
-STRONG_COLOURS = """() => {
-    // Of the plots below their legends: pixels in the full colour of a trace.
-    let count = 0;
-    for (const canvas of document.querySelectorAll('.plots canvas')) {
-        const top = Math.ceil(30 * devicePixelRatio);
-        const {data} = canvas.getContext('2d').getImageData(0, top, canvas.width, canvas.height - top);
-        for (let n = 0; n < data.length; n += 4)
-            if (data[n] === 0x0b && data[n + 1] === 0x57 && data[n + 2] === 0xa4 && data[n + 3] === 255) count += 1;
-    }
-    return count;
-}"""
-CONTRASTS = """() => {
-    // [ratio, text, colours] of everything that has text of its own, as WCAG 2 reckons it.
-    const parse = (text) => { const n = text.match(/[\\d.]+/g).map(Number); return n.length === 3 ? [...n, 1] : n; };
-    const over = (top, under) => [0, 1, 2].map((k) => top[k] * top[3] + under[k] * (1 - top[3])).concat(1);
-    const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
-    const light = (c) => [0, 1, 2].map((k) => linear(c[k] / 255))
-        .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
-    const ground = (element) => {
-        const layers = [];
-        for (let e = element; e; e = e.parentElement) layers.unshift(parse(getComputedStyle(e).backgroundColor));
-        return layers.reduce((under, top) => over(top, under), [255, 255, 255, 1]);
-    };
-    const found = [];
-    for (const element of document.body.querySelectorAll('*')) {
-        const own = [...element.childNodes].filter((n) => n.nodeType === 3).map((n) => n.textContent.trim()).join('');
-        const value = element.tagName === 'INPUT' && !['radio', 'range'].includes(element.type) ? element.value : '';
-        if (!(own || value) || !element.checkVisibility({ opacityProperty: true }) || element.closest('svg')) continue;
-        let ink = parse(getComputedStyle(element).color);
-        for (let e = element; e; e = e.parentElement) ink[3] *= Number(getComputedStyle(e).opacity);
-        const under = ground(element), a = light(over(ink, under)), b = light(under);
-        found.push([(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), own || value, element.className]);
-    }
-    return found;
-}"""
-PLACES = """() => [...document.querySelectorAll('[data-mode], [data-number], button.stop, .filled')].map((e) => {
-    const box = e.getBoundingClientRect();
-    return [box.x, box.y + scrollY, box.width, box.height].map(Math.round);
-})"""
-
-
-class Site:
-    """A played gateway with two boards, and the page's server."""
-
-    def __init__(self, gateway: PlayedGateway, port: int) -> None:
-        self.gateway, self.url = gateway, f"http://127.0.0.1:{port}"
-        self.mode: dict[str, int] = {"mode": pb.MODE_CLOSED_LOOP}
-
-    @contextmanager
-    def live(self) -> Iterator[None]:
-        with ticking(self.gateway, "rig", "two", values=lambda _: self.mode):
-            yield
-
-    def stopped(self) -> list[str]:
-        """The boards that got a STOP."""
-        return [key.split("/")[1] for key, command in self.gateway.commands if command.HasField("stop")]
 
 
 @pytest.fixture(scope="module")
@@ -114,25 +59,6 @@ def page(browser: Browser, site: Site) -> Iterator[Page]:
     yield page
     context.close()
     assert errors == []
-
-
-def stop_turns_the_coil_off(site: Site) -> None:
-    """As a board does it: samples say so. A STOP that comes after its test moves nothing of the next one."""
-    mode = site.mode
-
-    def answer(_: str, command: pb.Command) -> pb.CommandReply:
-        if command.HasField("stop"):
-            mode["mode"] = pb.MODE_IDLE
-        return pb.CommandReply(id=command.id, accepted=True, tick=site.gateway.tick + 1)
-
-    site.gateway.answer = answer
-
-
-def raise_alarms(site: Site, count: int) -> None:
-    for n in range(count):
-        site.gateway.send(
-            "twin/alarm", pb.Alarm(name=f"alarm-{n}", active=True, text="What is wrong, at some length. " * 3)
-        )
 
 
 @pytest.mark.parametrize("path", ["/", "/logs", "/replay/", "/replay/rig", "/report/0/one/report.html", "/rig/rig"])

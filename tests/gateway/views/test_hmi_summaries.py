@@ -18,6 +18,7 @@ from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.harness.gateway.summary_peers import Viewers, children, write_log
 from tests.patience import HANG_S
 
+pytestmark = pytest.mark.slow  # test_dispatch.py guards that a STOP waits for nobody, without a rig
 VIEWERS = 40  # more than asyncio has threads on a machine of 32 cores
 PATIENCE_S = 3.0  # of the operator's browser
 CLOSED = {"set_mode": {"mode": "MODE_CLOSED_LOOP"}}

@@ -106,7 +106,12 @@ async def acts(client: Client) -> dict[str, int]:
 
 
 @pytest.mark.parametrize(
-    "policy", [SecurityPolicyBasic256Sha256, SecurityPolicyAes128Sha256RsaOaep, SecurityPolicyAes256Sha256RsaPss]
+    "policy",
+    [
+        SecurityPolicyBasic256Sha256,
+        pytest.param(SecurityPolicyAes128Sha256RsaOaep, marks=pytest.mark.slow),
+        pytest.param(SecurityPolicyAes256Sha256RsaPss, marks=pytest.mark.slow),
+    ],
 )
 def test_an_operator_comes_in_by_password_over_each_policy(plant: Plant, policy: type[SecurityPolicy]) -> None:
     async def ask() -> dict[str, int]:

@@ -165,7 +165,7 @@ def make_campaign(
 
         bench = TextbookBench(rig, effects, seed=noise, believed=believed)
     else:
-        from tests.harness.diagnose.second_plant import SecondBench
+        from tests.harness.diagnose.second_bench import SecondBench
 
         now: Mapping[str, float] = {} if begins_with else effects
         bench = SecondBench(rig, now, seed=noise, believed=believed, outside=outside)

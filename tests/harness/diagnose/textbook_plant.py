@@ -21,6 +21,7 @@ from tests.harness.diagnose.hidden_campaign import (
     Signal,
     designed_gains,
 )
+from tests.harness.diagnose.second_bench import on_grid, wave
 from tests.harness.diagnose.second_plant import (
     CURRENT_ADC,
     INPUT_DAC,
@@ -32,8 +33,6 @@ from tests.harness.diagnose.second_plant import (
     FloatArray,
     convert,
     njit,
-    on_grid,
-    wave,
 )
 
 # In the order of `FORMS`.

@@ -6,6 +6,7 @@ import json
 import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,10 @@ from websockets.sync.client import ClientConnection, connect
 
 from gateway.access.roles import Role
 from gateway.access.users import User, set_token
-from tests.harness.gateway.hmi_peers import ROLES, users_file
+from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
+from tests.harness.gateway.design_files import campaign, designed
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.hmi_peers import ROLES, hmi, users_file
 from tests.patience import HANG_S
 
 
@@ -58,6 +62,46 @@ class Program:
             url, additional_headers={**self._headers, **headers}, open_timeout=HANG_S, close_timeout=1.0
         ) as socket:
             yield socket
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApiServer:
+    """A page with users and tokens; the gateway behind it accepts everything."""
+
+    port: int
+    users: Path
+    gateway: PlayedGateway
+    tokens: dict[str, str]
+
+    def program(self, name: str = "") -> Program:
+        """A program of this user."""
+        return Program(self.port, self.tokens.get(name, ""))
+
+    def let_know(self, program: Program) -> None:
+        """Send what a board sends, until the server of this program knows it."""
+
+        def known() -> bool:
+            self.gateway.state()
+            self.gateway.parameters()
+            self.gateway.status()
+            answer = program.get("/rigs/rig")
+            return answer.status_code == 200 and answer.json()["limits"] is not None
+
+        wait_for(known, "the board at the API")
+
+
+@contextmanager
+def api_server(folder: Path) -> Iterator[ApiServer]:
+    """Serve two files and a campaign with a model and a design."""
+    users, tokens = users_with_tokens(folder)
+    (folder / "logs").mkdir()
+    (folder / "logs" / "a.mcap").write_bytes(b"not a log")
+    (folder / "secret.mcap").write_bytes(b"not for you")
+    designed(campaign(folder / "data"))
+    with played_gateway() as gateway, hmi(folder, gateway.endpoint, "--users", str(users)) as (port, _):
+        server = ApiServer(port=port, users=users, gateway=gateway, tokens=tokens)
+        server.let_know(server.program("vic"))
+        yield server
 
 
 def users_with_tokens(folder: Path) -> tuple[Path, dict[str, str]]:

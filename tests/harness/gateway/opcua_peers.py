@@ -16,6 +16,7 @@ from asyncua.ua.uaerrors import UaStatusCodeError
 
 from gateway.views.feed import Feed
 from gateway.views.opcua.server import OpcuaSettings, serve
+from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, feed_of
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S
@@ -135,16 +136,17 @@ async def _connect(client: Client) -> None:
 
 
 async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, timeout_s: float = HANG_S) -> T:
-    """The first value of `look` that is not None; fails at the deadline."""
-    deadline_s = asyncio.get_running_loop().time() + timeout_s
-    while asyncio.get_running_loop().time() < deadline_s:
+    """The first value of `look` that is not None, asked ever more rarely; fails at the deadline."""
+    clock_s = asyncio.get_running_loop().time
+    start_s = clock_s()
+    while (waited_s := clock_s() - start_s) < timeout_s:
         try:
             value = await look()
         except UaStatusCodeError:
             value = None
         if value is not None:
             return value
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(min(0.1, 0.02 + 0.02 * waited_s))
     raise AssertionError(f"no {what} within {timeout_s:g} s")
 
 
@@ -229,3 +231,26 @@ async def received(notified: Notifications, path: str, count: int) -> None:
         return True if len(notified.values.get(path, [])) >= count else None
 
     await until(look, f"{count} values of {path}")
+
+
+EVENTS = [
+    ua.ObjectIds.AlarmConditionType, ua.ObjectIds.BaseEventType, ua.ObjectIds.RefreshStartEventType,
+    ua.ObjectIds.RefreshEndEventType,
+]  # fmt: skip
+
+
+def raise_alarm(server: Served, board: str, text: str = "x is off") -> None:
+    server.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text=text, value=9.0), board)
+
+
+async def condition(server: Served, client: Peer, notified: Notifications, board: str) -> Any:
+    """Subscribe at the Server, raise an alarm, and return its first event."""
+    await client.await_status(f"{board}/state/x_m", ua.StatusCodes.Good)
+    subscription = await client.client.create_subscription(50, notified)
+    await subscription.subscribe_alarms_and_conditions(evtypes=EVENTS)
+    raise_alarm(server, board)
+
+    async def came() -> Any:
+        return next(iter(notified.of(board)), None)
+
+    return await until(came, "condition")

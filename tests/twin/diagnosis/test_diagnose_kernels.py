@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.harness.twin.independent_plant import Ball, wandering
+from tests.harness.twin.true_theta import TRUE
 from twin.diagnosis.judge.prediction_gain import bootstrap
 from twin.diagnosis.search.candidate_starts import start_of
 from twin.diagnosis.search.score_test import screen
@@ -16,7 +17,7 @@ from twin.estimation.record import FloatArray
 from twin.evidence.gather import gather
 from twin.inference.fisher_scoring import climb
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import BASE, Theta, coordinates_of
+from twin.inference.theta import BASE, coordinates_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
 from twin.model.causes.cause import PLACES, Cause
 from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, Base, V, X, advance
@@ -32,16 +33,6 @@ BASE_NUMBERS = Base(
     gravity_m_s2=BALL.g,
     x_max_m=BALL.x_max,
     travel_m=BALL.travel,
-)
-TRUE = Theta(
-    K_A=BALL.K_A,
-    T_A=BALL.T_A,
-    K_c=BALL.K_c,
-    b=BALL.b,
-    sigma_i_c_a=BALL.sigma_i,
-    sigma_x_m=BALL.sigma_x,
-    process_i_c_a=1e-5,
-    process_a_m_s2=0.02,
 )
 
 

@@ -26,6 +26,7 @@ from tests.harness.diagnose.hidden_campaign import Grounded, PlantName, draw_rig
 from twin.identification.pipeline import identify
 from twin.readers.campaign import read_campaign
 
+pytestmark = pytest.mark.slow  # the campaigns are those of slow tests
 PLANTS: tuple[PlantName, ...] = ("emulator", "independent")
 SEED = 8675309
 DRAG = {"quadratic-drag": 4.0}
@@ -64,7 +65,6 @@ def test_the_folder_does_not_tell_effect_or_seed(none: Path, drag: Path, plant: 
         assert not any(word in text for word in ("drag", str(SEED), "effect", plant))
 
 
-@pytest.mark.slow
 def test_the_seed_gives_the_bytes(drag: Path, tmp_path: Path, plant: PlantName) -> None:
     for name, seed in (("again", SEED), ("other", 6)):
         make_campaign(tmp_path / name, effects=DRAG, seed=seed, plant=plant, quick=True)
@@ -77,7 +77,6 @@ def test_the_seed_gives_the_bytes(drag: Path, tmp_path: Path, plant: PlantName) 
     assert all(first[name] != other[name] for name in first)
 
 
-@pytest.mark.slow
 def test_without_an_effect_the_truth_comes_back(none: Path, plant: PlantName) -> None:
     rig = draw_rig(SEED, plant)
 
@@ -179,7 +178,6 @@ def test_composites_can_be_recorded(tmp_path: Path) -> None:
     assert load(tmp_path / "both").recordings
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("limit_a", "shown"), [(0.9, True), (1.5, False)])
 def test_a_limit_is_in_the_data_where_it_was_reached(tmp_path: Path, limit_a: float, shown: bool) -> None:
     hidden = Hidden(part="causes", seed=3, plant="emulator", effects={"current-limit": limit_a})

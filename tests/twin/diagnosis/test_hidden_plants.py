@@ -23,10 +23,11 @@ from tests.harness.diagnose.hidden_campaign import (
     play,
 )
 from tests.harness.diagnose.outside import OUTSIDE
-from tests.harness.diagnose.second_plant import NAMES, SecondBench
+from tests.harness.diagnose.second_bench import NAMES, SecondBench
 from tests.harness.diagnose.textbook_plant import TextbookBench
 from twin.model.causes.catalogue import BY_NAME
 
+pytestmark = pytest.mark.slow  # the rigs are those of slow tests
 RIG = replace(CE152, position_noise_m=1e-12, current_noise_a=1e-12)
 STEP, HIGH, LOOP_X, LOOP_I = "step", "step at the top stop", "x in closed loop", "i_c in closed loop"
 SMOOTH = 20  # samples: the loop hunts by a count or two of its converters, which i_c shows amplified
@@ -93,7 +94,6 @@ def test_both_plants_do_the_same(name: str | None, without: dict[str, FloatArray
         assert any(distance(other[r], without[r]) > 1.5 * tolerance[r] for r in TOLERANCE), "no trace"
 
 
-@pytest.mark.slow
 def test_the_textbook_rig_without_a_form_does_the_same(without: dict[str, FloatArray]) -> None:
     other = records("textbook", {})
 

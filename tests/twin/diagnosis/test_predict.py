@@ -30,18 +30,15 @@ from twin.readers.log import TwinLog
 NAMES = ("t", "u_c", "i_c", "x", "x_ref")
 AHEAD = 10
 # Every way in which a cause enters: drive, current, field, force, reading, sensor's state, delays, warmth, phase.
-CAUSES = (
+CAUSES = ("motional-emf", "actuation-delay", "coulomb-friction", "position-sensor-lag")
+MORE_CAUSES = (
     "amplifier-gain-drift",
     "amplifier-dead-zone",
-    "motional-emf",
-    "actuation-delay",
     "air-gap-offset",
     "core-saturation",
     "eddy-current-lag",
-    "coulomb-friction",
     "periodic-disturbance",
     "position-sensor-gain",
-    "position-sensor-lag",
     "sampling-delay",
 )
 
@@ -92,7 +89,7 @@ def run(*arguments: str | Path) -> int:
     return board51.main(["predict", *map(str, arguments)])
 
 
-@pytest.mark.parametrize("name", CAUSES)
+@pytest.mark.parametrize("name", [*CAUSES, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE_CAUSES)])
 def test_the_true_cause_brings_the_prediction_down_to_the_noise(name: str) -> None:
     """The floor is that of a rig without effects under its own model: 9 um, what the filter's estimate leaves.
 

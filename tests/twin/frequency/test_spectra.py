@@ -103,6 +103,7 @@ def test_bands_hold_the_truth_as_often_as_they_say(reference: str) -> None:
     assert 0.93 < held / total < 0.97
 
 
+@pytest.mark.slow  # a rate; the bands above are what it counts
 @pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("name", TESTED)
 def test_a_right_model_is_refused_as_often_as_stated(reference: str, name: Name) -> None:

@@ -15,7 +15,7 @@ import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from tests.harness.twin.independent_plant import Ball
-from tests.twin.validation.test_validate_verdicts import BALL, captured, controller_of, model_of, steps
+from tests.harness.twin.judged_ball import BALL, captured, controller_of, model_of, steps
 from twin.estimation.record import Record
 from twin.readers.log import TwinLog
 

@@ -3,78 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from protocol.campaign import Controller, OperatingPoint, Plant
-from tests.harness.twin.independent_plant import Ball
-from twin.estimation.record import Capture, Record
+from tests.harness.twin.judged_ball import BALL, TICKS, captured, controller_of, judged, model_of, steps
+from twin.estimation.record import Record
 from twin.estimation.step_figures import FIGURES, Compared, find_steps, measure, together
-from twin.model.parameters import PARAMETERS, Model, Noise, Parameter
-from twin.validation.ball import Ahead
-from twin.validation.figures import ahead_figure
 from twin.validation.report import to_html
-from twin.validation.source import Source, source_of
+from twin.validation.source import source_of
 from twin.validation.verdict import Validation, validate_sources
-
-BALL = Ball()
-TICKS = 8000
-
-
-def model_of(ball: Ball, **wrong: float) -> Model:
-    values = {name: getattr(ball, name) * wrong.get(name, 1.0) for name in PARAMETERS}
-    return Model(
-        plant=Plant(name="bench", mass_kg=ball.m, travel_m=ball.travel, x_max_m=ball.x_max, gravity_m_s2=ball.g),
-        parameters={name: Parameter(value=values[name], unit=PARAMETERS[name][0]) for name in PARAMETERS},
-        noise=Noise(sigma_x_m=ball.sigma_x, sigma_i_c_a=ball.sigma_i, process_a_m_s2=0.0, process_i_c_a=0.0),
-    )
-
-
-def controller_of(ball: Ball) -> Controller:
-    """The law that `Ball.closed_loop` runs."""
-    x = 0.5 * ball.travel
-    point = OperatingPoint(i_c_a=ball.current(x), x_m=x, u_c_v=ball.current(x) / ball.K_A)
-    return Controller(kind="lqi", gains=(0.49, 2000.0, 18.0, -17600.0), operating_point=point)
-
-
-def steps(seed: int) -> Callable[[int], float]:
-    """A reference that jumps every 0.5 s."""
-    levels = np.random.default_rng(seed).uniform(2.3e-3, 3.7e-3, TICKS // 250 + 1)
-    return lambda k: float(levels[k // 250])
-
-
-def captured(ball: Ball, seed: int) -> Record:
-    """A step of the amplifier at 25 kHz, from (1) alone."""
-    t = (np.arange(1000) - 200) * 40e-6
-    i = ball.K_A * (0.5 + np.where(t > 0, 1.5 * (1.0 - np.exp(-t / ball.T_A)), 0.0))
-    i = i + ball.sigma_i * np.random.default_rng(seed).normal(size=len(t))
-    capture = Capture(sample_time_s=40e-6, u_from_v=0.5, u_to_v=2.0, step_index=200, i_c_a=i)
-    empty = np.empty(0)
-    return Record(
-        name="step",
-        kind="amplifier-step",
-        use="judge",
-        t=empty,
-        u_c=empty,
-        i_c=empty,
-        x=empty,
-        x_ref=empty,
-        captures=(capture,),
-    )
 
 
 @pytest.fixture(scope="module")
 def records() -> list[Record]:
     flight = replace(BALL.closed_loop(steps(100), TICKS, seed=200), use="judge")
     return [captured(BALL, 5), flight]
-
-
-def judged(records: list[Record], model: Model, controller: Controller | None = None) -> Validation:
-    sources: list[Source] = [source_of(r, model, controller=controller or controller_of(BALL)) for r in records]
-    return validate_sources(sources, model)
 
 
 @pytest.fixture(scope="module")
@@ -256,20 +201,6 @@ def test_a_model_that_is_worse_than_x_stays_is_not_called_good(records: list[Rec
     assert any("it predicts nothing" in text for text in result.failures())
     page = to_html(result, title="t")
     assert page.count("<td>worse than a constant x</td>") == len(hidden)
-
-
-def test_a_horizon_alone_has_ticks_on_both_axes() -> None:
-    row = Ahead(
-        horizon_s=2e-3, rmse_m=7.0e-6, floor_m=6.9e-6, ratio=1.01, ratio_ci95=(0.9, 1.1), still_m=7.4e-6, count=100,
-        at_floor=True, beats_still=True,
-    )  # fmt: skip
-
-    (ax,) = ahead_figure([row]).axes
-
-    low, high = ax.get_ylim()
-    shown = [label.get_text() for label in ax.get_yticklabels() if low <= label.get_position()[1] <= high]
-    assert shown == ["5", "10"]
-    assert [label.get_text() for label in ax.get_xticklabels()] == ["2"]
 
 
 def test_a_controller_that_did_not_run_is_said(records: list[Record]) -> None:

@@ -224,6 +224,7 @@ def test_points_that_cannot_be_are_refused(x: list[float], i: list[float], says:
         points_of([record(x, i)], PLANT)
 
 
+@pytest.mark.slow
 def test_a_cause_without_an_unstable_pole_leaves_the_file_readable() -> None:
     records = [noisy(8, lambda x: balance(x, d_m=2e-3), sigma_a=1e-4, seed=1)]
     found = diagnose_points(campaign_of(PLANT), records, [])
