@@ -54,7 +54,7 @@ def fit_candidates(
     # Causes with the same effect on the samples share a fit.
     copies = {copy: original for copy, original in _SAME.items() if original in names and copy in names}
     scores = [score for score in scores if score.cause not in copies]
-    trials = criterion.each(partial(_start_trial, criterion, current), scores)
+    trials = criterion.each(partial(start_trial, criterion, current), scores)
     # The candidates with the best scores pass the first stage in any case: a poor start costs a fit more than a score.
     favourites = {score.cause for score in scores[: settings.SAFE_CANDIDATES]}
     # Successive halving: fits to the end of all candidates would spend most passes on those that are far behind.
@@ -101,7 +101,8 @@ def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) ->
     return trials
 
 
-def _start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
+def start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
+    """Fit the candidate of a score a little."""
     start = start_of(criterion.thinner, current.theta, score)
     fit = _with_exchanged_lags(criterion, approach(criterion, start, _with(current.free, score.cause)), score.cause)
     return Trial(cause=score.cause, fit=fit, gain=fit.loglik - current.loglik - score.chance)

@@ -21,6 +21,7 @@ from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import deserves_full_fit, refine, within_range
 from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Round, decide, forward
+from twin.diagnosis.search.pairs import join
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
 from twin.diagnosis.search.task import Search
 from twin.inference.budget import Spent
@@ -64,6 +65,10 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
         while len(selection.causes) < max_causes:
             for step_result in _add(search, selection):
                 yield (selection := step_result)
+            if selection.rounds[-1].selected:
+                continue
+            if len(selection.causes) + 2 <= max_causes and material(search, selection.fit):
+                yield (selection := _add_pair(search, selection))
             if not selection.rounds[-1].selected:
                 break
         # `_together` continues from a refused step; with MAX_CAUSES there is none.
@@ -93,6 +98,12 @@ def _refine_phases(search: Search, selection: Selection) -> Selection:
 def _add(search: Search, selection: Selection) -> Iterator[Selection]:
     """Make a forward step, then remove causes that are no longer needed; yields the selection after each part."""
     yield from _apply_step(search, selection, forward(search, selection.base, selection.fit))
+
+
+def _add_pair(search: Search, selection: Selection) -> Selection:
+    with search.criterion.budget.question("whether two causes explain together what neither explains alone"):
+        joined = join(search, selection)
+        return backward(search, joined) if joined is not selection else selection
 
 
 def _apply_step(search: Search, selection: Selection, step: Round) -> Iterator[Selection]:
