@@ -118,9 +118,9 @@ MIN_GAIN = 10.0
 # gains most (i_c, x, points of rest).  A significant but minor effect next to a large unexplained rest is typical of a
 # false name.
 MIN_SHARE = 0.2
-# Tuned.  The same for a cause that leaves, together with others, nothing but noise; and for the last of them.
-MIN_SHARE_TOGETHER = 0.05
-MIN_SHARE_LAST = 0.8
+# Tuned.  The same for two causes of which neither explains enough alone; and after a short fit of both.
+PAIR_SHARE = 0.8
+PAIR_PROMISE = 0.2
 # Tuned.  A smaller share is enough for a cause that removes this much of the mean square error of x, BENEFIT_HORIZON_S
 # ahead, over at least BENEFIT_PREDICTIONS predictions.
 MIN_BENEFIT = 0.5
@@ -130,9 +130,7 @@ BENEFIT_PREDICTIONS = 200
 MINOR_SHARE = 0.005
 # Tuned.  The same once hardly more than noise is left.
 MINOR_SHARE_AT_NOISE = 0.015
-# Reasoned.  Causes in one answer; causes that are asked to explain together what none explains alone.
-MAX_CAUSES = 4
-MAX_TOGETHER = 3
+MAX_CAUSES = 4  # reasoned: in one answer
 
 # --- Trade-offs: which parameters do these data not determine one by one? ---
 
@@ -211,8 +209,6 @@ STEEPNESS_DOUBT = 0.2  # share of the best gain that an early fit may be behind 
 SAFE_CANDIDATES = 2  # with the best scores: they pass the first halving in any case
 PAIR_CANDIDATES = 14  # of which any two are tried together where none explains enough alone
 PAIRS_FITTED = 3  # of these
-FIRST_SHARE = 0.7  # of the best gain: candidates that may be first where several explain a rest together
-FIRSTS = 4  # of these
 ROUND_TRIPS = 3  # forward and backward, while causes replace each other
 # Starts of a fit: the linear step, in probes (beyond the largest the signature changes), and its parts, as the whole
 # one overshoots where the likelihood is far from a parabola; sizes of a cause in the place of another, in probes.

@@ -57,7 +57,7 @@ VARIED = (
     "PARTLY_SHARE",
 )
 # Nothing that is asked with --quick.
-VARIED_FULL = ("MIN_SHARE_TOGETHER", "MIN_SHARE_LAST", "CHANGE_GAIN", "OUTLIER_GAIN")
+VARIED_FULL = ("PAIR_SHARE", "PAIR_PROMISE", "CHANGE_GAIN", "OUTLIER_GAIN")
 
 
 @contextmanager

@@ -175,7 +175,7 @@ def round_sentence(step: Round) -> str:
     if best is None:
         return "nothing in the catalogue gains anything"
     if not step.refusal:
-        return ("instead, " if step.on_trial else "") + f"log-likelihood +{best.gain:.0f}"
+        return (f"together with {step.partner}, " if step.partner else "") + f"log-likelihood +{best.gain:.0f}"
     because = {
         "chance": f", but its gain of {best.gain:.1f} may be chance",
         "outside its range": ", but outside its physical range",

@@ -155,11 +155,6 @@ def refine(criterion: Criterion, trial: Trial, passes: int = settings.PASSES, *,
     return replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
 
 
-def deserves_full_fit(trial: Trial, best: Trial) -> bool:
-    """Tell whether a trial is near enough to the best to be fitted to the end."""
-    return trial.gain >= settings.HALVING[-1][1] * best.gain
-
-
 def _expected(trial: Trial) -> float:
     """Return the gain expected at the maximum if the likelihood is a parabola."""
     return trial.gain if trial.fit.converged else trial.gain + trial.fit.ahead

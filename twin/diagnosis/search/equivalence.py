@@ -39,7 +39,7 @@ def find_classes(search: Search, selection: Selection) -> Selection:
     """
     criterion = search.criterion
     selection = replace(selection, classes={}, runner_up={})
-    if 1 < len(selection.causes) <= settings.MAX_TOGETHER and not search.quick:
+    if len(selection.causes) > 1 and not search.quick:
         selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection), selection.causes))
     for cause in selection.causes[::-1] if _doubtful(search, selection) else selection.causes:
         if search.quick and len(selection.causes) > 1 and _is_last(selection, cause):
@@ -81,8 +81,9 @@ def _refit_from_usual_forms(criterion: Criterion, fit: Fit, cause: str) -> Fit:
 
 
 def _is_last(selection: Selection, cause: str) -> bool:
-    """Tell whether `cause` was selected last: its rivals were then fitted together with all other causes."""
-    return next((step.selected == cause for step in reversed(selection.rounds) if step.selected), False)
+    """Tell whether `cause` was selected last, by itself: its rivals were then fitted with all other causes."""
+    last = next((step for step in reversed(selection.rounds) if step.selected), None)
+    return last is not None and last.selected == cause and not last.partner
 
 
 def _equals_at_selection(selection: Selection, cause: str, same: Collection[str]) -> list[Trial]:

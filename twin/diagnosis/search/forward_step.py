@@ -36,7 +36,7 @@ class Round:
     best: Trial | None = None  # the trial that was examined; None if nothing was fitted
     share: float = 1.0  # of what is missing, that the best explains (`_share`)
     refusal: Refusal = ""  # of the best
-    on_trial: bool = False  # selected on trial instead of a candidate that gains more
+    partner: str = ""  # the cause that was selected with it, as neither explains enough alone
 
 
 def forward(search: Search, base: Fit, current: Fit) -> Round:

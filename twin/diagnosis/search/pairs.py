@@ -42,25 +42,23 @@ def join(search: Search, selection: Selection) -> Selection:
         both = approach(criterion, start, current.free + coordinates_of(one.cause) + coordinates_of(two.cause))
         return one, Trial(cause=two.cause, fit=both, gain=both.loglik - current.loglik)
 
-    one, two = max(criterion.each(fit, order), key=lambda pair: pair[1].gain, default=(None, None))
-    if one is None or two is None or two.gain < settings.MIN_SHARE_TOGETHER * excess:
+    best = max(criterion.each(fit, order), key=lambda pair: pair[1].gain, default=None)
+    if best is None or best[1].gain < settings.PAIR_PROMISE * excess:
         return selection
-    two = refine(criterion, two)
+    one, two = best[0], refine(criterion, best[1])
     possible = within_range(two) and within_range(replace(two, cause=one.cause))
-    if not possible or two.gain < settings.MIN_SHARE_LAST * excess:
+    if not possible or two.gain < settings.PAIR_SHARE * excess:
         return selection
-    search.report(f"selected together: {one.cause}, {two.cause} (log-likelihood +{two.gain:.0f})")
-    second = replace(two, gain=two.fit.loglik - one.fit.loglik)
+    search.report(f"selected together: {one.cause} and {two.cause} (log-likelihood +{two.gain:.0f})")
     steps = [
-        replace(refused, trials=(first,), selected=first.cause, best=first, refusal="", on_trial=True)
-        for first in (one, second)
+        replace(refused, trials=(one, *refused.trials), selected=one.cause, best=two, refusal="", partner=two.cause),
+        replace(refused, scores=(), trials=(two,), selected=two.cause, best=two, refusal="", partner=one.cause),
     ]
-    gains = {**selection.gains, one.cause: one.gain, two.cause: second.gain}
     return replace(
         selection,
         causes=(*selection.causes, one.cause, two.cause),
         fit=two.fit,
-        gains=gains,
+        gains={**selection.gains, one.cause: two.gain, two.cause: two.gain},
         rounds=(*selection.rounds[:-1], *steps),
     ).with_fits([two.fit])
 

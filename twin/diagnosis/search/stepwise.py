@@ -1,6 +1,6 @@
 """Stepwise selection: which causes the model needs, by the likelihood of all recordings for fitting.
 
-    forward: add the best candidate if it meets rule 1
+    forward: add the best candidate if it meets rule 1; else a pair that explains nearly all (pairs.py)
     -> backward: remove causes that are no longer needed; repeat both
     -> find the causes that explain the data as well as each selected one (equivalence.py)
 
@@ -18,9 +18,8 @@ from dataclasses import replace
 from functools import partial
 
 from twin.diagnosis.search import periodic
-from twin.diagnosis.search.candidate_fits import deserves_full_fit, refine, within_range
 from twin.diagnosis.search.equivalence import find_classes
-from twin.diagnosis.search.forward_step import Round, decide, forward
+from twin.diagnosis.search.forward_step import forward
 from twin.diagnosis.search.pairs import join
 from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
 from twin.diagnosis.search.task import Search
@@ -71,9 +70,6 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
                 yield (selection := _add_pair(search, selection))
             if not selection.rounds[-1].selected:
                 break
-        # `_together` continues from a refused step; with MAX_CAUSES there is none.
-        if search.thorough and len(selection.causes) < max_causes and material(search, selection.fit):
-            yield (selection := _together(search, selection))
         if not classes:
             break
         before = set(selection.causes)
@@ -95,19 +91,16 @@ def _refine_phases(search: Search, selection: Selection) -> Selection:
         return replace(selection, fit=periodic.refine_phases(search.criterion, selection.fit, settings.PASSES))
 
 
-def _add(search: Search, selection: Selection) -> Iterator[Selection]:
-    """Make a forward step, then remove causes that are no longer needed; yields the selection after each part."""
-    yield from _apply_step(search, selection, forward(search, selection.base, selection.fit))
-
-
 def _add_pair(search: Search, selection: Selection) -> Selection:
+    """Add two causes that explain enough only together, then remove causes that are no longer needed."""
     with search.criterion.budget.question("whether two causes explain together what neither explains alone"):
         joined = join(search, selection)
         return backward(search, joined) if joined is not selection else selection
 
 
-def _apply_step(search: Search, selection: Selection, step: Round) -> Iterator[Selection]:
-    """Apply the result of a forward step; yields the selection after each part, unchanged if it selected nothing."""
+def _add(search: Search, selection: Selection) -> Iterator[Selection]:
+    """Make a forward step, then remove causes that are no longer needed; yields the selection after each part."""
+    step = forward(search, selection.base, selection.fit)
     criterion = search.criterion
     selection = replace(selection, rounds=(*selection.rounds, step))
     if not step.selected:
@@ -140,68 +133,6 @@ def _revived(criterion: Criterion, fit: Fit) -> Fit:
         return fit
     again = climb(criterion, start, fit.free)
     return again if again.loglik > fit.loglik else fit
-
-
-def _together(search: Search, selection: Selection) -> Selection:
-    """Add causes that explain too little alone but leave only noise together; otherwise return `selection`.
-
-    Two causes of similar size mask each other: without the second, the first may explain only a tenth.
-    """
-    refused = selection.rounds[-1]
-    if len(selection.causes) >= settings.MAX_TOGETHER:
-        return selection
-    excess = search.floor.under(search.criterion, selection.fit.theta).excess(selection.fit.loglik)
-    # All pairs and triples of the catalogue would be thousands of fits.  So only candidates that explain a little alone
-    # are starting points.
-    if not refused.trials or refused.trials[0].gain < settings.MIN_SHARE_TOGETHER * excess:
-        return selection
-    search.report("it explains too little alone; does it leave only noise together with others?")
-    with search.criterion.budget.question("whether several causes explain together what none explains alone"):
-        retried = _retry(search, selection, refused)
-        # A greedy search from a few first steps, not all combinations; the first set that leaves only noise ends it.
-        for first in _firsts(retried):
-            *_, more = _apply_step(search, replace(selection, rounds=selection.rounds[:-1]), first)
-            while more.rounds[-1].selected and len(more.causes) < settings.MAX_TOGETHER and material(search, more.fit):
-                *_, more = _add(replace(search, min_share=_share_together(more)), more)
-            # A set that leaves more than noise is worth less than none: its names could imitate an unknown cause.
-            if not material(search, more.fit):
-                return more
-            selection = replace(selection, smaller=more.smaller)
-    return selection
-
-
-def _share_together(selection: Selection) -> float:
-    """Return the share that the next of several causes must explain; the last must explain most of the rest."""
-    return settings.MIN_SHARE_TOGETHER if len(selection.causes) < settings.MAX_TOGETHER - 1 else settings.MIN_SHARE_LAST
-
-
-def _firsts(retried: Round) -> list[Round]:
-    """The step, and variants of it with another candidate of nearly the same gain, as a false one may lead narrowly."""
-    if not retried.selected:
-        return []
-    firsts = [retried]
-    for trial in retried.trials[1:]:
-        is_close = trial.gain > settings.FIRST_SHARE * retried.trials[0].gain and within_range(trial)
-        # Candidates of nearly equal gain are likely one class, and would lead to the same set.
-        if is_close and all(abs(trial.gain - first.trials[0].gain) > settings.EQUIVALENT_GAIN for first in firsts):
-            rest = tuple(other for other in retried.trials if other is not trial)
-            firsts.append(replace(retried, trials=(trial, *rest), selected=trial.cause, best=trial, on_trial=True))
-    return firsts[: settings.FIRSTS]
-
-
-def _retry(search: Search, selection: Selection, refused: Round) -> Round:
-    """The refused step with a smaller required share, its candidates fitted to the end."""
-    criterion = search.criterion
-    trials = [
-        trial
-        if trial.fit.converged or not deserves_full_fit(trial, refused.trials[0])
-        else refine(criterion, trial, settings.PASSES)
-        for trial in refused.trials
-    ]
-    trials.sort(key=lambda trial: -trial.gain)
-    under = search.floor.under(criterion, selection.fit.theta)
-    share = _share_together(selection)
-    return decide(criterion, selection.base, selection.fit, under, refused.scores, trials, share)
 
 
 def backward(search: Search, selection: Selection) -> Selection:

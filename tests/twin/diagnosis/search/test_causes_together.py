@@ -10,7 +10,6 @@ import pytest
 
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
-from tests.harness.diagnose.known_diagnosis import fit_of
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong, trusting
 from twin.diagnosis.report.sentences import round_sentence
 from twin.diagnosis.search import forward_step as forward
@@ -36,7 +35,7 @@ TRIED = tuple(BY_NAME[name] for name in (*HIDDEN, "constant-force"))
 
 
 @pytest.mark.slow
-def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
+def test_causes_that_hide_each_other_are_selected_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the rule of the benefit, which would take the first of these two by itself."""
@@ -50,36 +49,20 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
         base = climb(criterion, start, (*BASE, *STOPS))
         floor = floor_of(criterion, base.theta)
         task = Search(criterion=criterion, floor=floor, candidates=TRIED)
-        alone = search.select(replace(task, quick=True), base, classes=False)
         one = search.select(replace(task, candidates=(TRIED[1], TRIED[2])), base, classes=False)
-        both = search.select(task, base, classes=False)
+        both = search.select(replace(task, quick=True), base, classes=False)
         right = floor.under(criterion, both.fit.theta)
     finally:
         criterion.close()
 
-    assert alone.causes == ()
-    assert one.causes == ()  # the other is not among the candidates: nothing leaves noise
+    assert one.causes == ()  # the other is not among the candidates: no pair explains nearly all
     assert set(both.causes) == set(HIDDEN)
+    assert [(step.selected, step.partner) for step in both.rounds[:2]] == [both.causes, both.causes[::-1]]
+    assert round_sentence(both.rounds[0]).startswith(f"together with {both.causes[1]}, log-likelihood +")
     assert not right.material(both.fit.loglik)
     assert abs(right.excess(both.fit.loglik)) < right.tolerance
     assert both.fit.theta.value("quadratic-drag.c_n_s2_m2") == pytest.approx(2.0, rel=0.05)
     assert both.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
-
-
-def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several_too() -> None:
-    gains = {"air-gap-offset": 1000.0, "force-exponent": 999.0, "constant-force": 900.0, "quadratic-drag": 300.0}
-    trials = tuple(
-        Trial(cause=cause, fit=fit_of(strong(cause, BY_NAME[cause].strength.probes[0]), 0.0), gain=gain)
-        for cause, gain in gains.items()
-    )
-    again = forward.Round(scores=(), trials=trials, selected="air-gap-offset")
-
-    firsts = search._firsts(again)
-
-    # The second says the same as the leader: what stands in for one cause is not tried twice.
-    assert [first.selected for first in firsts] == ["air-gap-offset", "constant-force"]
-    assert all(first.trials[0].cause == first.selected and len(first.trials) == 4 for first in firsts)
-    assert search._firsts(replace(again, selected="")) == []
 
 
 @pytest.mark.slow
