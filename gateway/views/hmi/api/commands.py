@@ -7,40 +7,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from gateway.board.limits import MAX_SHELVE_S
 from gateway.client import commands
+from gateway.views.hmi.api.forms import Form
 from gateway.views.hmi.api.shapes import Mode
 from protocol.bus import board51_pb2 as pb
-from protocol.checked import Flag, Keys, Number, Whole, key
+from protocol.checked import Flag, Number, Whole, key
 from protocol.errors import DataError
 from protocol.plant import GRAVITY_M_S2, Plant
 
 _LARGEST = 2**32 - 1  # of a whole number on the bus
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetMode(Keys):
+class SetMode(Form):
     """Enter a mode; clears a fault whose cause is gone."""
 
     command: Literal["mode"]
     mode: Annotated[Mode, key("source of the input")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetReference(Keys):
+class SetReference(Form):
     """Set the position to hold."""
 
     command: Literal["reference"]
     x_ref_m: Annotated[Number, key("position, m, up from the sensor")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetGains(Keys):
+class SetGains(Form):
     """Set law, gains and operating point, all at one tick (eq. 16-19)."""
 
     command: Literal["gains"]
@@ -54,8 +51,7 @@ class SetGains(Keys):
     u_0_v: Annotated[Number, key("input at the operating point, V")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Excite(Keys):
+class Excite(Form):
     """Play a signal on u_c (open loop) or on the reference (closed loop); the shape none ends it."""
 
     command: Literal["excite"]
@@ -72,8 +68,7 @@ class Excite(Keys):
     seed: Annotated[Whole, key("of prbs and multisine", 0, _LARGEST)] = 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Capture(Keys):
+class Capture(Form):
     """Record i_c at 25 kHz around a step of u_c, into the log."""
 
     command: Literal["capture"]
@@ -83,16 +78,14 @@ class Capture(Keys):
     pre_s: Annotated[Number, key("time before the step, s")] = 0.004
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetStream(Keys):
+class SetStream(Form):
     """Make the board send every n-th tick."""
 
     command: Literal["stream"]
     divider: Annotated[Whole, key("n; 0: none", 0, _LARGEST)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetHostLoss(Keys):
+class SetHostLoss(Form):
     """Set what the board does without its host."""
 
     command: Literal["host-loss"]
@@ -100,16 +93,14 @@ class SetHostLoss(Keys):
     timeout_s: Annotated[Number, key("time without the host, s")] = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mark(Keys):
+class Mark(Form):
     """Write a remark into every log."""
 
     command: Literal["mark"]
     text: Annotated[str, key("the remark")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Acknowledge(Keys):
+class Acknowledge(Form):
     """Acknowledge an alarm, in every view and in the log."""
 
     command: Literal["acknowledge"]
@@ -117,8 +108,7 @@ class Acknowledge(Keys):
     comment: Annotated[str, key("the reason")] = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shelve(Keys):
+class Shelve(Form):
     """Keep an alarm quiet for a time, in every view, even if it goes and comes back."""
 
     command: Literal["shelve"]
@@ -127,8 +117,7 @@ class Shelve(Keys):
     comment: Annotated[str, key("the reason")] = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Unshelve(Keys):
+class Unshelve(Form):
     """Bring a shelved alarm back before its time; it is acknowledged then, as one that is not shelved."""
 
     command: Literal["unshelve"]
@@ -136,8 +125,7 @@ class Unshelve(Keys):
     comment: Annotated[str, key("the reason")] = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetPlant(Keys):
+class SetPlant(Form):
     """State the plant of the rig for its card; values that are unusual have to be confirmed."""
 
     command: Literal["plant"]
@@ -150,37 +138,16 @@ class SetPlant(Keys):
     confirmed: Annotated[Flag, key("unusual values are right")] = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stop(Keys):
+class Stop(Form):
     """Switch the coil off at once, as POST /rigs/{rig}/stop."""
 
     command: Literal["stop"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ping(Keys):
+class Ping(Form):
     """Ask the board for an answer."""
 
     command: Literal["ping"]
-
-
-Body = Annotated[
-    SetMode
-    | SetReference
-    | SetGains
-    | Excite
-    | Capture
-    | SetStream
-    | SetHostLoss
-    | Mark
-    | Acknowledge
-    | Shelve
-    | Unshelve
-    | SetPlant
-    | Stop
-    | Ping,
-    Field(discriminator="command"),
-]
 
 
 def _gains(body: SetGains) -> pb.Command:

@@ -5,16 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.views.hmi.gains import parse_gains
-from gateway.views.hmi.model.campaigns import BODE, COMPARISON, DIAGNOSIS, VALIDATION, CampaignFolder, read_table
+from gateway.views.hmi.model.campaigns import RESULT_FILES, CampaignFolder
 from gateway.views.hmi.model.designs import newest_design
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
-_FILES = {  # of the folder of a campaign
-    "validation": f"{VALIDATION}/validation.json", "diagnosis": f"{DIAGNOSIS}/diagnosis.json",
-    "comparison": f"{COMPARISON}/compare.json", "bode": f"{BODE}/bode.json",
-}  # fmt: skip
-RESULTS = (*_FILES, "design", "forecast")
+RESULTS = (*RESULT_FILES, "design", "forecast")
 
 
 def result_of(name: str, campaign: CampaignFolder, parameters: pb.Parameters | None) -> dict[str, Any]:
@@ -25,8 +21,8 @@ def result_of(name: str, campaign: CampaignFolder, parameters: pb.Parameters | N
         campaign: whose result.
         parameters: of the board, for which gains must fit.
     """
-    if name in _FILES:
-        return read_table(campaign.path / _FILES[name])
+    if name in RESULT_FILES:
+        return campaign.result(name)
     design = newest_design(campaign)
     if design is None or name == "forecast":
         return {} if design is None else design.forecast
