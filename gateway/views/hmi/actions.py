@@ -20,7 +20,6 @@ from pathlib import Path
 from gateway.access.roles import may, refusal_text
 from gateway.views.board_feed import UNSEEN_S
 from gateway.views.feed import Feed
-from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library, LibraryFile
 from gateway.views.hmi.refusals import RefusalError
@@ -166,16 +165,6 @@ class Actions:
         if not self.feed.remove(board):
             raise RefusalError("in-use", text_of("refusal.rig_in_use", minutes=f"{UNSEEN_S / 60:g}"))
         return pb.CommandReply(accepted=True, text=text_of("refusal.removed", rig=board[:32]))
-
-    def gains(self, board: str, data: bytes) -> tuple[pb.SetGains, list[dict[str, str]]]:
-        """Return what a file of gains would set on a board, and the table that shows it.
-
-        Raises:
-            DataError: of `parse_gains`.
-        """
-        parameters = self.feed.latest(board, pb.Parameters)
-        gains = parse_gains(data, parameters)
-        return gains, rows(gains, parameters)
 
     def start_recording(self, order: Order) -> pb.CommandReply:
         """Log this board's bus into files of their own, beside the gateway's log."""

@@ -68,10 +68,6 @@ class Rigs(Collector):
     def __init__(self, feed: Feed, release: str) -> None:
         self._feed, self._release = feed, release
 
-    def describe(self) -> Iterable[Metric]:
-        """Return nothing: names are not asked for before the first scrape."""
-        return ()
-
     def collect(self) -> Iterable[Metric]:
         """Yield the metrics as of now."""
         boards = self._feed.board_feeds()

@@ -24,7 +24,7 @@ import asyncio
 import json
 from collections.abc import Callable
 
-from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
+from google.protobuf.json_format import ParseDict, ParseError
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
@@ -33,9 +33,8 @@ from gateway.views.alarms import MAX_ALARMS
 from gateway.views.dispatch import EVERY_RIG, Wish
 from gateway.views.hmi.actions import Actions, Order
 from gateway.views.hmi.acts import Acts, status_of
-from gateway.views.hmi.downloads import download
-from gateway.views.hmi.library import LibraryFile
-from gateway.views.hmi.model.naming import delete, rename
+from gateway.views.hmi.gains import command_of, parse_gains, rows
+from gateway.views.hmi.library import LibraryFile, download
 from gateway.views.hmi.model.plant import judged
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.refusals import RefusalError
@@ -111,14 +110,14 @@ class Requests:
 
     async def gains(self, request: Request) -> Response:
         """Return the command that a file of gains gives."""
-        board, data = request.path_params["board"], await request.body()
+        parameters = self._actions.feed.latest(request.path_params["board"], pb.Parameters)
         try:
-            command, rows = await asyncio.to_thread(self._actions.gains, board, data)
+            gains = await asyncio.to_thread(parse_gains, await request.body(), parameters)
         except DataError as error:
             raise RefusalError("bad-file", str(error)) from None
-        sent = MessageToDict(command, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
-        law = "PID" if command.law == pb.LAW_PID else "LQI"
-        return JSONResponse({"accepted": True, "law": law, "rows": rows, "command": {"set_gains": sent}})
+        law = "PID" if gains.law == pb.LAW_PID else "LQI"
+        shown = {"law": law, "rows": rows(gains, parameters), "command": command_of(gains)}
+        return JSONResponse({"accepted": True, **shown})
 
     async def job(self, request: Request) -> Response:
         """Start or stop a job."""
@@ -149,8 +148,8 @@ class Requests:
         table, board = await _json(request), request.path_params["board"]
         name, title = str(table.get("name") or ""), str(table.get("title") or "")
         changes: dict[object, Callable[[LoginSession, Wish], pb.CommandReply]] = {
-            "rename": lambda session, _: rename(self._work, session, board, name, title),
-            "delete": lambda session, _: delete(self._work, session, board, name),
+            "rename": lambda session, _: self._work.rename(session, board, name, title),
+            "delete": lambda session, _: self._work.delete(session, board, name),
         }
         change = changes.get(table.get("act"))
         if change is None:

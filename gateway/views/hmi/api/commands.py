@@ -150,55 +150,45 @@ class Ping(Form):
     command: Literal["ping"]
 
 
-def _gains(body: SetGains) -> pb.Command:
-    point = commands.OperatingPoint(i_c_a=body.i_0_a, x_m=body.x_0_m, u_c_v=body.u_0_v)
-    return commands.set_gains(body.gains, point, law=body.law)
+def _gains(*, law: str, gains: list[float], i_0_a: float, x_0_m: float, u_0_v: float) -> pb.Command:
+    return commands.set_gains(gains, commands.OperatingPoint(i_c_a=i_0_a, x_m=x_0_m, u_c_v=u_0_v), law=law)
 
 
-def _excite(body: Excite) -> pb.Command:
-    if body.shape != "none" and body.duration_s is None and not body.endless:
-        raise DataError(f"The {body.shape} has no duration_s", remedy="Give duration_s, or endless = true")
-    return commands.excite(
-        body.shape,
-        on_reference=body.on_reference,
-        amplitude=body.amplitude,
-        offset=body.offset,
-        period_s=body.period_s,
-        period_end_s=body.period_end_s,
-        duration_s=math.inf if body.endless else body.duration_s,
-        seed=body.seed,
-    )
+def _excite(*, shape: str, duration_s: float | None, endless: bool, **how: Any) -> pb.Command:
+    if shape != "none" and duration_s is None and not endless:
+        raise DataError(f"The {shape} has no duration_s", remedy="Give duration_s, or endless = true")
+    return commands.excite(shape, duration_s=math.inf if endless else duration_s, **how)
 
 
-def _capture(body: Capture) -> pb.Command:
-    return commands.capture(u_from_v=body.u_from_v, u_to_v=body.u_to_v, duration_s=body.duration_s, pre_s=body.pre_s)
+def _shelve(*, alarm: str, shelve_s: float, comment: str) -> pb.Command:
+    return commands.shelve(alarm, shelve_s, comment=comment)
 
 
-def _plant(body: SetPlant) -> pb.Command:
-    plant = Plant(
-        name=body.name,
-        mass_kg=body.mass_kg,
-        travel_m=body.travel_m,
-        x_max_m=body.travel_m if body.x_max_m is None else body.x_max_m,
-        gravity_m_s2=body.gravity_m_s2,
-        ball_diameter_m=body.ball_diameter_m,
-    )
-    return commands.set_plant(plant, confirmed=body.confirmed)
+def _plant(*, travel_m: float, x_max_m: float | None, confirmed: bool, **stated: Any) -> pb.Command:
+    plant = Plant(travel_m=travel_m, x_max_m=travel_m if x_max_m is None else x_max_m, **stated)
+    return commands.set_plant(plant, confirmed=confirmed)
 
 
-KINDS: dict[str, tuple[type, Callable[[Any], pb.Command]]] = {  # of the key "command"
-    "mode": (SetMode, lambda body: commands.set_mode(body.mode)),
-    "reference": (SetReference, lambda body: commands.set_reference(body.x_ref_m)),
+KINDS: dict[str, tuple[type, Callable[..., pb.Command]]] = {  # of the key "command"; the function takes all other keys
+    "mode": (SetMode, commands.set_mode),
+    "reference": (SetReference, commands.set_reference),
     "gains": (SetGains, _gains),
     "excite": (Excite, _excite),
-    "capture": (Capture, _capture),
-    "stream": (SetStream, lambda body: commands.set_stream(body.divider)),
-    "host-loss": (SetHostLoss, lambda body: commands.set_host_loss(body.policy, timeout_s=body.timeout_s)),
-    "mark": (Mark, lambda body: commands.mark(body.text)),
-    "acknowledge": (Acknowledge, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
-    "shelve": (Shelve, lambda body: commands.shelve(body.alarm, body.shelve_s, comment=body.comment)),
-    "unshelve": (Unshelve, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
+    "capture": (Capture, commands.capture),
+    "stream": (SetStream, commands.set_stream),
+    "host-loss": (SetHostLoss, commands.set_host_loss),
+    "mark": (Mark, commands.mark),
+    "acknowledge": (Acknowledge, commands.acknowledge),
+    "shelve": (Shelve, _shelve),
+    "unshelve": (Unshelve, commands.acknowledge),
     "plant": (SetPlant, _plant),
-    "stop": (Stop, lambda _: commands.stop()),
-    "ping": (Ping, lambda _: commands.ping()),
+    "stop": (Stop, commands.stop),
+    "ping": (Ping, commands.ping),
 }
+
+
+def command_of(body: Form) -> pb.Command:
+    """Return the command of the bus that a body gives."""
+    keys = dict(vars(body))
+    _, make = KINDS[keys.pop("command")]
+    return make(**keys)

@@ -17,7 +17,7 @@ from gateway.views.hmi.api.forms import CaptureQuery, EventsQuery, StatesQuery, 
 from gateway.views.hmi.api.recent import Samples
 from gateway.views.hmi.api.resource import BINARY, CSV, JSON, BodyKinds, Call, Endpoint
 from gateway.views.hmi.api.rigs import Table
-from gateway.views.hmi.downloads import download
+from gateway.views.hmi.library import download
 from gateway.views.hmi.refusals import RefusalError
 from protocol.bus import board51_pb2 as pb
 
@@ -113,7 +113,7 @@ class Endpoints(Base):
         board, body = call.path("rig"), call.body
         if isinstance(body, commands.Stop):
             return await self.stop(call)
-        command = commands.KINDS[body.command][1](body)
+        command = commands.command_of(body)
         return await self._act(
             call, lambda session, wish: self._actions.command(session, board, command, issued_ns=wish.issued_ns)
         )

@@ -16,16 +16,18 @@ from gateway.views.hmi.api import shapes
 from gateway.views.hmi.api.base import ACT, RIG, Base
 from gateway.views.hmi.api.forms import JOBS, Design, Identify, ResultQuery, StartCampaign, StartRecording, StopJob
 from gateway.views.hmi.api.resource import JSON, BodyKinds, Call, Endpoint
-from gateway.views.hmi.api.results import RESULTS, result_of
 from gateway.views.hmi.api.rigs import Table
+from gateway.views.hmi.gains import parse_gains
 from gateway.views.hmi.jobs import Job
-from gateway.views.hmi.model.campaigns import MODEL, RESULT_FILES
+from gateway.views.hmi.model.campaigns import MODEL, RESULT_FILES, RESULTS, CampaignFolder
+from gateway.views.hmi.model.designs import newest_design
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.refusals import RefusalError
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.starts import STARTS
 from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError
 
 _JOB = BodyKinds("job", JOBS)
 
@@ -140,7 +142,7 @@ class WorkEndpoints(Base):
         campaign = await asyncio.to_thread(self._work.campaign, board, call.query.campaign)
         if campaign is None:
             raise RefusalError("no-campaign", text_of("refusal.no_campaign"), status=404)
-        result = await asyncio.to_thread(result_of, name, campaign, self._work.feed.latest(board, pb.Parameters))
+        result = await asyncio.to_thread(_result_of, name, campaign, self._work.feed.latest(board, pb.Parameters))
         if not result:
             raise RefusalError("no-result", f"{campaign.name} has no {name}", status=404)
         return result
@@ -164,3 +166,26 @@ class WorkEndpoints(Base):
 
 def _progress(job: Job) -> Table:
     return {"kind": job.kind, **snapshot.job(job)}
+
+
+def _result_of(name: str, campaign: CampaignFolder, parameters: pb.Parameters | None) -> dict[str, Any]:
+    """Return one of RESULTS of a campaign, of designs the newest; empty if there is none.
+
+    The gains of a design must fit to the parameters of the board.
+    """
+    if name in RESULT_FILES:
+        return campaign.result(name)
+    design = newest_design(campaign)
+    if design is None or name == "forecast":
+        return {} if design is None else design.forecast
+    if not design.analysis:
+        return {}
+    command, problem = None, ""
+    try:
+        gains = parse_gains(design.controller.read_bytes(), parameters)
+        point = {name: getattr(gains, name) for name in ("i_0_a", "x_0_m", "u_0_v")}
+        law = "pid" if gains.law == pb.LAW_PID else "lqi"
+        command = {"command": "gains", "law": law, "gains": list(gains.gains), **point}
+    except (DataError, OSError) as error:
+        problem = str(error)
+    return {"command": command, "problem": problem, "is_loaded": design.is_on(parameters), **design.analysis}

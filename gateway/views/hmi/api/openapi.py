@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 
 from gateway.views.hmi.api import shapes
 from gateway.views.hmi.api.resource import BINARY, CSV, JSON, SOFT, BodyKinds, Endpoint
-from gateway.views.hmi.api.results import RESULTS
+from gateway.views.hmi.model.campaigns import RESULTS
 from gateway.views.hmi.programs import VERSION
 from protocol.checked import keys_of
 

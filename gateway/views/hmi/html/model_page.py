@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from google.protobuf.json_format import MessageToDict
-
-from gateway.views.hmi.gains import parse_gains, rows
+from gateway.views.hmi.gains import command_of, parse_gains, rows
 from gateway.views.hmi.html.bode import bode_card
 from gateway.views.hmi.html.figure import errors_figure
 from gateway.views.hmi.library import Library
@@ -96,8 +94,7 @@ def _designed(
         return values
     try:
         gains = parse_gains(design.controller.read_bytes(), parameters)
-        sent = MessageToDict(gains, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
-        values |= {"load": {"set_gains": sent}, "rows": rows(gains, parameters)}
+        values |= {"load": command_of(gains), "rows": rows(gains, parameters)}
     except DataError as error:
         values["load_problem"] = str(error)
     except OSError as error:

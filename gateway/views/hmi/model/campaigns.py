@@ -36,6 +36,7 @@ RESULT_FILES = {  # JSON of the `board51` commands
     "validation": f"{VALIDATION}/validation.json", "diagnosis": f"{DIAGNOSIS}/diagnosis.json",
     "comparison": f"{COMPARISON}/compare.json", "bode": f"{BODE}/bode.json",
 }  # fmt: skip
+RESULTS = (*RESULT_FILES, "design", "forecast")  # the last two of the newest design
 RESULT_PAGES = {  # for people
     "validation": f"{VALIDATION}/report.html", "diagnosis": f"{DIAGNOSIS}/report.html",
     "comparison": f"{COMPARISON}/compare.html", "bode": f"{BODE}/bode.html",

@@ -1,11 +1,14 @@
 """Starts what a page asks for: campaigns, identification, diagnosis, hand-overs.  Each is a `board51` command.
 
+It renames and deletes campaigns, too.
+
 Blocking, as `Actions`, whose rules hold here: rights are checked for each act, a refusal is raised.
 """
 
 from __future__ import annotations
 
 import logging
+import shutil
 import time
 from pathlib import Path
 
@@ -15,6 +18,8 @@ from gateway.views.hmi.model.campaigns import (
     COMPARISON,
     DIAGNOSIS,
     MODEL,
+    TITLE,
+    TITLE_LENGTH,
     VALIDATION,
     CampaignFolder,
     campaigns_of,
@@ -201,6 +206,31 @@ class ModelWork:
         folder = folder if folder.parent == self._root else self._routes.data / "models" / order.board
         return self.start(order, words, folder, text_of("campaigns.handed_over", model=chosen.kind))
 
+    def rename(self, session: LoginSession, board: str, name: str, title: str) -> pb.CommandReply:
+        """Give a campaign the name that people call it by; an empty one takes it away.  Its folder stays."""
+        self.actions.check(session, "campaign")
+        chosen, title = self._named(board, name), " ".join(title.split())
+        if len(title) > TITLE_LENGTH or not title.isprintable():
+            raise RefusalError("bad-name", text_of("refusal.bad_name", limit=TITLE_LENGTH))
+        try:
+            (chosen.path / TITLE).write_text(title, encoding="utf-8")
+        except OSError as error:
+            raise RefusalError("failed", text_of("refusal.not_renamed", error=error.strerror)) from None
+        return pb.CommandReply(accepted=True, text=text_of("campaigns.renamed", title=title or chosen.name))
+
+    def delete(self, session: LoginSession, board: str, name: str) -> pb.CommandReply:
+        """Delete a campaign with its recordings, models and reports; never one that a job of its rig works on."""
+        self.actions.check(session, "delete_log")
+        chosen = self._named(board, name)
+        if any(job.running and job.title == name for job in self.actions.jobs.of(board)):
+            raise RefusalError("in-use", text_of("refusal.campaign_in_use"))
+        try:
+            shutil.rmtree(chosen.path)
+        except OSError as error:
+            raise RefusalError("failed", text_of("refusal.no_delete", error=error.strerror)) from None
+        _logger.info("%s deleted %s", session.name, chosen.path)
+        return pb.CommandReply(accepted=True, text=text_of("refusal.deleted", log=name))
+
     def start(self, order: Order, words: list[str], folder: Path, entry: str) -> pb.CommandReply:
         """Start a job, and record it as an act in a campaign's folder.
 
@@ -218,6 +248,12 @@ class ModelWork:
         except OSError as error:
             _logger.warning("%s: the act cannot be recorded (%s)", folder, error.strerror)
         return reply
+
+    def _named(self, board: str, name: str) -> CampaignFolder:
+        chosen = self.campaign(board, name) if name else None
+        if chosen is None:
+            raise RefusalError("no-campaign", text_of("refusal.no_campaign"))
+        return chosen
 
     def _new(self, board: str) -> Path:
         return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
