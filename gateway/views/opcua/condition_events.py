@@ -43,15 +43,10 @@ class ConditionNode:
     enabled: bool = True  # for the clients of this server
     comment: tuple[str, str] | None = None  # text, who: of AddComment, newer than that of the acknowledgement
     is_changed: bool = False  # by a client; not told yet
-    said: dict[str, tuple[object, datetime]] = field(default_factory=dict)  # by field: last value, and since when
+    states: dict[str, tuple[bool, datetime]] = field(default_factory=dict)  # what was said last, and since when
     severity: tuple[int, datetime] | None = None  # said last
+    sent_comment: tuple[str, datetime] | None = None  # comment, and since when
     unshelved_at: datetime | None = None  # end of its shelving
-
-    def since(self, name: str, value: object, now: datetime) -> datetime:
-        """Return since when a field has had this value, which is said now."""
-        if name not in self.said or self.said[name][0] != value:
-            self.said[name] = value, now
-        return self.said[name][1]
 
 
 def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now: datetime, *, retain: bool) -> Any:
@@ -94,8 +89,10 @@ def unshelve_time_ms(condition: ConditionNode, now: datetime) -> float:
 
 def _comment(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime) -> None:
     text, user = condition.comment or (alarm.comment, alarm.acknowledger)
+    if condition.sent_comment is None or condition.sent_comment[0] != text:
+        condition.sent_comment = text, now
     event.Comment, event.ClientUserId = ua.LocalizedText(text), user
-    _stamp(event, "Comment/SourceTimestamp", condition.since("Comment", text, now))
+    _stamp(event, "Comment/SourceTimestamp", condition.sent_comment[1])
 
 
 def _states(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime, *, retain: bool) -> None:
@@ -106,16 +103,16 @@ def _states(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime, *
         "ActiveState": ("Inactive", "Active"),
         "AckedState": ("Unacknowledged", "Acknowledged"),
     }
-    changes: list[datetime] = []
     for state, holds in flags.items():
+        if state not in condition.states or condition.states[state][0] != holds:
+            condition.states[state] = holds, now
         event.add_property(f"{state}/Id", holds, _V.Boolean)
         setattr(event, state, ua.LocalizedText(words[state][holds]))
-        changes.append(condition.since(state, holds, now))
-        _stamp(event, f"{state}/TransitionTime", changes[-1])
+        _stamp(event, f"{state}/TransitionTime", condition.states[state][1])
     effective = ", ".join(words[state][holds] for state, holds in flags.items() if state != "EnabledState")
     name = ua.LocalizedText(effective if condition.enabled else "Disabled")
     setattr(event, "EnabledState/EffectiveDisplayName", name)
-    _stamp(event, "EnabledState/EffectiveTransitionTime", max(changes))
+    _stamp(event, "EnabledState/EffectiveTransitionTime", max(since for _, since in condition.states.values()))
     # Nothing waits to be confirmed: what an operator has acknowledged is done.
     event.ConfirmedState = ua.LocalizedText("Confirmed")
     setattr(event, "ConfirmedState/Id", True)
