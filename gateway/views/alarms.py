@@ -18,20 +18,22 @@ Rule 5: an acknowledgement from any view applies to earlier alarms only; an alar
 Rule 6: `revision` rises with each change that a screen would show.
 Rule 7: a shelved alarm (ISA-18.2) is acknowledged until its time is over, even if it goes and comes back.  Then it
         is unacknowledged again if it is active.  A plain acknowledgement ends the shelving before that.
+Rule 8: the journal has what became of them; its oldest entry goes first.  `noted` rises with each entry, so that a view
+        knows without a look whether there are new ones.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD
 from gateway.board.faults import BOARD_FAULTS, COIL, FAULT, FAULT_TEXT
 from gateway.board.limits import MAX_SHELVE_S
-from gateway.views.journal import Entry, Journal
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 
-MAX_ALARMS = 64
+MAX_ALARMS, MAX_ENTRIES = 64, 200
 TWIN = "twin-gone"  # like LINK and LOG, a condition that the views judge themselves
 _REFUSED_BOARD = frozenset({"version-mismatch", "wrong-board", "bad-identity"})  # end when samples come
 
@@ -63,12 +65,26 @@ class Alarm:
         return self.shelved_until_ns > 0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """A line of the journal."""
+
+    at_ns: int  # Unix time
+    name: str  # of the alarm
+    what: str  # "came" | "went" | "acknowledged" | "shelved" | "unshelved"
+    severity: str
+    who: str = ""  # a person; empty where nobody did it
+    until_ns: int = 0  # of a shelving
+    text: str = ""
+
+
 class AlarmBook:
     """The alarms of one board."""
 
     def __init__(self, board: str) -> None:
         self.revision = 0
-        self.journal = Journal()
+        self.noted = 0
+        self.journal: deque[Entry] = deque(maxlen=MAX_ENTRIES)
         self._board = board
         self._alarms: dict[str, Alarm] = {}
         self._fault_at = (0, 0)  # session, tick
@@ -288,7 +304,8 @@ class AlarmBook:
     def _note(self, alarm: Alarm, what: str, at_ns: int, *, who: str = "", until_ns: int = 0, text: str = "") -> None:
         severity = alarm.severity
         entry = Entry(at_ns=at_ns, name=alarm.name, what=what, severity=severity, who=who, until_ns=until_ns, text=text)
-        self.journal.note(entry)
+        self.noted += 1
+        self.journal.append(entry)
 
     def _make_room(self) -> bool:
         ended = [alarm for alarm in self._alarms.values() if not alarm.active]

@@ -16,12 +16,12 @@ from typing import Any, Protocol, TypeVar
 from google.protobuf.message import Message
 
 from gateway.board.conditions import LINK
-from gateway.views.alarms import Alarm, AlarmBook
+from gateway.views.alarms import Alarm, AlarmBook, Entry
 from gateway.views.decimate import TopicBins
-from gateway.views.journal import Entry
 from protocol.bus import board51_pb2 as pb
 
 M = TypeVar("M", bound=Message)
+T = TypeVar("T")
 
 RETAINED_EVENTS = 200
 SILENT_S = 0.5  # a board without a state for this time (and three of its periods) is not live
@@ -77,6 +77,7 @@ class BoardFeed:
         self._events: deque[pb.Event] = deque(maxlen=RETAINED_EVENTS)
         self._commands: deque[pb.CommandRecord] = deque(maxlen=RETAINED_EVENTS)
         self._taps: dict[str, list[Tap]] = {}
+        self._companions: dict[Callable[[BoardFeed], object], Any] = {}
         self._book = AlarmBook(name)
         self.alive = True  # the gateway's token, before any time-out; until one was seen, its absence says nothing
         self._period_s = 0.0
@@ -130,7 +131,7 @@ class BoardFeed:
     def journal(self) -> tuple[int, tuple[Entry, ...]]:
         """Return (how many entries there were so far, the entries, the newest first)."""
         with self._lock:
-            return self._book.journal.count, self._book.journal.newest_first()
+            return self._book.noted, tuple(reversed(self._book.journal))
 
     def alarms_revision(self) -> int:
         """Return a number that rises with each change of `alarms()`."""
@@ -171,6 +172,13 @@ class BoardFeed:
         with self._lock:
             self._taps[message.DESCRIPTOR.full_name].remove(tap)
 
+    def companion(self, make: Callable[[BoardFeed], T]) -> T:
+        """Return what `make` makes of this board: made at the first call, kept as long as the board."""
+        if make not in self._companions:
+            self._companions[make] = make(self)
+        companion: T = self._companions[make]
+        return companion
+
     def take(self, message: Message, now_ns: int) -> None:
         """Process one message from the bus; the caller holds the feed's lock."""
         name = message.DESCRIPTOR.full_name
@@ -210,7 +218,7 @@ class BoardFeed:
             return self._book.waits(alarm, shelve=shelve)
 
     def acknowledge(self, what: pb.Acknowledge, who: str, now_ns: int) -> None:
-        """Acknowledge or shelve an alarm in this view only; see Feed.acknowledge."""
+        """Acknowledge or shelve an alarm in this view only; see Feed.command."""
         with self._lock:
             self._book.acknowledge(what.alarm, who, now_ns, what.comment, shelve_s=what.shelve_s)
 

@@ -8,7 +8,6 @@
                                        Divergence, TwinModel, CaptureRecord.  Do not change it.
     board.alarms(), board.events(), board.commands()
     tap = board.tap(pb.State, width_s=1 / 30)          bins with min / max of every channel; tap.take() now and then
-    feed.acknowledge("rig1", "divergence-x", who="eva", role="operator")           a command too: all views and the log
     feed.command("rig1", pb.Command(stop=pb.Stop()), who="eva", role="operator")    blocks up to 5 s: use a thread
 
 Rule 1: views poll the feed.  zenoh's thread receives the messages and runs no code of a view.  So a slow view only
@@ -32,9 +31,10 @@ from collections.abc import Callable
 import zenoh
 from google.protobuf.message import Message
 
+from gateway.access.roles import Role, may
 from gateway.client.connection import BusBoard, Subscription, send
 from gateway.record.replay import SESSIONS_PER_PASS
-from gateway.views.board_feed import BoardFeed
+from gateway.views.board_feed import BoardFeed, M
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import is_plausible, is_replayed, parse
@@ -97,6 +97,11 @@ class Feed:
         """Return a board, or None if no message of it has arrived."""
         return self._boards.get(name)
 
+    def latest(self, name: str, message: type[M]) -> M | None:
+        """Return the newest message of this type of a board, or None."""
+        board = self._boards.get(name)
+        return None if board is None else board.latest(message)
+
     def remove(self, name: str) -> bool:
         """Forget a board from which nothing has come for UNSEEN_S, until its next message; False for others."""
         with self._lock:
@@ -113,30 +118,6 @@ class Feed:
         board = self._boards.get(name)
         return -math.inf if board is None else board.stopped_s
 
-    def acknowledge(
-        self, board: str, alarm: str, *, who: str, role: str = "", comment: str = "", shelve_s: float = 0.0,
-        issued_ns: int = 0,
-    ) -> pb.CommandReply:  # fmt: skip
-        """Acknowledge an alarm by a command, so that every view and the log receive it; blocks like `command`.
-
-        With `shelve_s` it is shelved for that time; acknowledging a shelved alarm ends the shelving.
-
-        If there is no such alarm, the reply is refused by "view" with the reason "no-alarm".  Without a gateway the
-        acknowledgement counts in this view only, and `text` says so.  An operator must be able to silence the alarm
-        that reports the missing gateway.
-        """
-        feed = self._boards.get(board)
-        if feed is None or not feed.waits(alarm, shelve=shelve_s > 0.0):
-            text = "There is no such alarm, or it is already acknowledged."
-            return pb.CommandReply(refused_by="view", reason="no-alarm", text=text)
-        what = pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment, shelve_s=shelve_s))
-        reply = self.command(board, what, who=who, role=role, issued_ns=issued_ns)
-        if reply.reason == "not-delivered":
-            reply = pb.CommandReply(accepted=True, text="Acknowledged in this view only: no gateway answers.")
-        if reply.accepted:  # at once: the record may take a moment
-            feed.acknowledge(what.acknowledge, who, time.time_ns())
-        return reply
-
     def command(
         self, board: str, what: pb.Command, *, who: str, role: str = "", timeout_s: float = 5.0, issued_ns: int = 0
     ) -> pb.CommandReply:
@@ -145,15 +126,29 @@ class Feed:
         `issued_ns` is when it came to the view, Unix time (0: now): the gateway refuses what was issued before a STOP.
         `refused_by` is "link" if no gateway answered.  The caller has authenticated the user; on a guarded bus the
         gateway checks `role`.
+
+        An acknowledgement of an alarm that there is not is refused by "view" with the reason "no-alarm".  Without a
+        gateway it counts in this view only, and `text` says so.  An operator must be able to silence the alarm that
+        reports the missing gateway.
         """
+        feed, alarm, acknowledges = self._boards.get(board), what.acknowledge, what.HasField("acknowledge")
+        if acknowledges and (feed is None or not feed.waits(alarm.alarm, shelve=alarm.shelve_s > 0.0)):
+            text = "There is no such alarm, or it is already acknowledged."
+            return pb.CommandReply(refused_by="view", reason="no-alarm", text=text)
         command = pb.Command()
         command.CopyFrom(what)
         command.who = who
-        as_role = role if self.guarded else ""
-        return send(
-            BusBoard(self._session, self.site, board), command,
-            timeout_s=timeout_s, role=as_role, typed=False, since_ns=issued_ns,
+        reply = send(
+            BusBoard(self._session, self.site, board), command, timeout_s=timeout_s, typed=False, since_ns=issued_ns,
+            role=role if self.guarded else "",
         )  # fmt: skip
+        if not acknowledges or feed is None:
+            return reply
+        if reply.reason == "not-delivered" and (not role or may(Role[role.upper()], "acknowledge")):
+            reply = pb.CommandReply(accepted=True, text="Acknowledged in this view only: no gateway answers.")
+        if reply.accepted:  # at once: the record may take a moment
+            feed.acknowledge(alarm, who, time.time_ns())
+        return reply
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if is_replayed(sample.attachment) != self._replays:

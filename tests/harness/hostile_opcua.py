@@ -35,7 +35,7 @@ def _site() -> tuple[GuardedServer, Builder, RingHistory, ua.NodeId]:
         inner = GuardedServer(lambda *_: None, cast(Operations, None), secured=False)  # nobody calls a method
         server = Server(iserver=inner)
         await server.init()
-        inner.namespace = await server.register_namespace("urn:board51:test")
+        await server.register_namespace("urn:board51:test")
         inner.spaces = await register(server)
         history = inner.history_manager = RingHistory(inner)
         builder = Builder(inner, inner.spaces)

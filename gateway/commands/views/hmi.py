@@ -114,17 +114,16 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
     with listen("127.0.0.1", 0) as probe:  # a port that nobody has now
         replay = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     settings = HmiSettings(
-        site=args.site,
         users=users,
         guarded=identity is not None,
         certificate=certificate,
         key=key,
-        logs=args.log_dir,
         reports=tuple(args.reports) or (Path("diagnosis"), args.data),
         idle_s=args.idle_min * 60.0,
         lifetime_s=args.session_h * 3600.0,
         loopback=is_loopback(host),
         routes=Routes(
+            logs=args.log_dir,
             data=args.data,
             connect=args.connect,
             site=args.site,

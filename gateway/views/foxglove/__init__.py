@@ -1,5 +1,5 @@
 """The rigs in Foxglove, live and from logs.
 
-Reading order: `lines` and `scene` (what its Log and 3D panels show), `derived` (both, of all rigs), `server` (live),
-`panel_log` (of a log).
+Reading order: `scene` (what its 3D panel shows), `derived` (that, and the lines of its Log panel, of all rigs),
+`server` (live), `panel_log` (of a log).
 """

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from foxglove.messages import Log, SceneUpdate
+from foxglove.messages import Log, LogLevel, SceneUpdate
 from google.protobuf.message import Message
 
-from gateway.views.foxglove.lines import line_of
-from gateway.views.foxglove.scene import Scene
+from gateway.views.foxglove.scene import Scene, timestamp_of
+from protocol.bus import board51_pb2 as pb
 
 LOG, SCENE = "log", "scene"
 TOPICS = ("state", "event", "plant", "command/record", "twin/state", "twin/alarm")  # what they are derived from
+_LEVELS = {"info": LogLevel.Info, "warning": LogLevel.Warning, "fault": LogLevel.Error}
 
 
 class Derived:
@@ -35,3 +36,24 @@ class Derived:
         update = self._scenes.setdefault(rig, Scene(board)).take(message, time_ns)
         if update is not None:
             yield f"{rig}/{SCENE}", update
+
+
+def line_of(message: Message, time_ns: int) -> Log | None:
+    """Return the line of a message, None if it has none.
+
+    What repeats itself has none (`alarms`, `twin/alarms`): an event or `twin/alarm` says it once.
+    """
+    match message:
+        case pb.Event():
+            level, name = _LEVELS.get(message.severity, LogLevel.Unknown), message.source
+            text = f"{message.name}: {message.text}" if message.text else message.name
+        case pb.Alarm():
+            level, name = (LogLevel.Warning if message.active else LogLevel.Info), "twin"
+            text = f"alarm {message.name} {'raised' if message.active else 'over'}: {message.text}"
+        case pb.CommandRecord() if not message.reply.accepted:
+            level, name, reply = LogLevel.Warning, "command", message.reply
+            what = (message.command.WhichOneof("what") or "command").replace("_", "-")
+            text = f"{what} by {message.command.who or '?'} refused ({reply.refused_by}, {reply.reason}): {reply.text}"
+        case _:
+            return None
+    return Log(timestamp=timestamp_of(time_ns), level=level, name=name, message=text)

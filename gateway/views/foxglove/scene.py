@@ -25,13 +25,13 @@ from foxglove.messages import (
 from google.protobuf.message import Message
 
 from gateway.board.emulated import CE152
-from gateway.views.foxglove.lines import timestamp_of
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import card_plant
 from protocol.plant import steel_ball_m
 
 PERIOD_NS = 40_000_000  # 25 Hz: a picture is smooth, and a hundredth of the samples' bytes
 LIFETIME_S = 1
+_LATEST_S = (1 << 32) - 1  # of Foxglove's messages: February 2106
 TWIN_AGE_S = 0.5  # an older sample of the twin is not drawn
 _COIL, _CORE, _PLATE = (
     Color(r=0.72, g=0.45, b=0.2, a=0.5),
@@ -42,11 +42,7 @@ _BALL, _TWIN = Color(r=0.75, g=0.78, b=0.82, a=1.0), Color(r=1.0, g=0.5, b=0.05,
 
 
 class Scene:
-    """The picture of one rig.
-
-    Args:
-        frame: Name of the coordinate frame.
-    """
+    """The picture of one rig."""
 
     def __init__(self, frame: str) -> None:
         self._frame = frame
@@ -126,3 +122,8 @@ def _cylinder(diameter_m: float, bottom_m: float, height_m: float, color: Color)
         top_scale=1.0,
         color=color,
     )
+
+
+def timestamp_of(time_ns: int) -> Timestamp:
+    """Return a Unix time as Foxglove's; one that it cannot express, which no clock of a rig gives, as its latest."""
+    return Timestamp(min(time_ns // 10**9, _LATEST_S), time_ns % 10**9)

@@ -18,8 +18,9 @@ from collections.abc import Callable
 from starlette.requests import Request
 
 from gateway.views.dispatch import FRESH_S, Dispatch, Wish
-from gateway.views.hmi.actions import Actions, refusal
+from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import session_of
+from gateway.views.hmi.refusals import RefusalError
 from gateway.views.hmi.sessions import LoginSession
 from gateway.views.hmi.texts import text_of
 from gateway.views.hmi.turns import departure
@@ -30,11 +31,7 @@ _STATUS = {"not-allowed": 403, "session-over": 401, "no-board": 404, "not-delive
 
 
 class Acts:
-    """The threads of one server.
-
-    Args:
-        actions: checks rights, and acts.
-    """
+    """The threads of one server."""
 
     def __init__(self, actions: Actions) -> None:
         self._actions = actions
@@ -50,8 +47,6 @@ class Acts:
     ) -> pb.CommandReply:
         """Carry out a request whose body has been read; `board` is its rig, "" for none."""
         session, wish = session_of(request), Wish(board=board, arrived_s=_made_s(request))
-        if not abs(time.monotonic() - wish.arrived_s) <= FRESH_S:  # also NaN
-            return refusal("not-fresh", text_of("refusal.not_fresh"))
 
         def leave(_: asyncio.Task[None]) -> None:
             wish.has_left = True
@@ -59,7 +54,11 @@ class Acts:
         leaving = asyncio.create_task(departure(request))
         leaving.add_done_callback(leave)
         try:
+            if not abs(time.monotonic() - wish.arrived_s) <= FRESH_S:  # also NaN
+                raise RefusalError("not-fresh", text_of("refusal.not_fresh"))
             return await self._dispatch.act(wish, lambda: do(session, wish))
+        except RefusalError as refusal:
+            return refusal.reply
         finally:
             leaving.cancel()
 

@@ -29,18 +29,20 @@ from gateway.views.feed import Feed
 from gateway.views.hmi import metrics
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
 from gateway.views.hmi.acts import Acts
-from gateway.views.hmi.api.recent import LOOK_S
+from gateway.views.hmi.api.recent import LOOK_S, Samples
 from gateway.views.hmi.api.routes import Api, not_there, release
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Job, Jobs
 from gateway.views.hmi.library import Library
-from gateway.views.hmi.live import STUCK_S, Live, Snapshots
+from gateway.views.hmi.live import FRAME_S, STUCK_S, Live, follow
 from gateway.views.hmi.login_requests import LoginRequests
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.programs import Programs
+from gateway.views.hmi.refusals import RefusalError, refused
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
+from gateway.views.hmi.traces import Traces
 from protocol.bus.identity import login_name
 from protocol.ending import on_end_signal
 from protocol.errors import ServiceError
@@ -56,12 +58,10 @@ SEND_BUFFER = 16_384  # bytes that the system holds for a browser that does not 
 class HmiSettings:
     """The settings of one server."""
 
-    site: str
     users: Users | None  # None: every client is the local operator
     guarded: bool  # the bus has roles
     certificate: Path | None
     key: Path | None
-    logs: Path
     reports: tuple[Path, ...]
     idle_s: float
     lifetime_s: float
@@ -70,16 +70,9 @@ class HmiSettings:
 
 
 def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, replay_bus: zenoh.Session) -> None:
-    """Serve until SIGTERM or SIGINT.
-
-    Args:
-        settings: of the server.
-        listener: see `listen`.
-        bus: the live one.
-        replay_bus: where logs are replayed.
-    """
+    """Serve until SIGTERM or SIGINT."""
     jobs = Jobs()
-    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE, replays=True)
+    feeds = Feed(bus, settings.routes.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE, replays=True)
     config = uvicorn.Config(
         build(settings, *feeds, jobs),
         log_level="warning",
@@ -112,34 +105,37 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         feed,
         sessions,
         jobs=jobs,
-        logs=Library({"logs": settings.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"),
+        logs=Library(
+            {"logs": settings.routes.logs} | {name: data / name for name in ("recordings", "campaigns")}, "*.mcap"
+        ),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, *REPORTS),
         routes=settings.routes,
         replayed=replayed,
     )
-    live, replay = Snapshots(feed), Snapshots(replayed)
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        pumps = [asyncio.create_task(pump) for pump in (live.pump(), replay.pump(), api.recent.follow(LOOK_S))]
+        traced = (follow(source, FRAME_S, lambda board: board.companion(Traces).pump()) for source in (feed, replayed))
+        recent = follow(feed, LOOK_S, lambda board: board.companion(Samples))
+        pumps = [asyncio.create_task(pump) for pump in (*traced, recent)]
         yield
         for pump in pumps:
             pump.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await pump
 
-    work = ModelWork(actions, logs=settings.logs, routes=settings.routes)
+    work = ModelWork(actions)
     acts = Acts(actions)
     https = settings.certificate is not None
     requests, api = Requests(actions, acts, work), Api(actions, acts, work)
     logins = LoginRequests(sessions, https=https)
     static = Mount("/static", StaticFiles(directory=STATIC))
     pages = Pages(actions, work, api.document)
-    sockets = [*_frames("/live", live, sessions, jobs.of), *_frames(REPLAY, replay, sessions, lambda _: jobs.of("*"))]
+    sockets = [*_frames("/live", feed, sessions, jobs.of), *_frames(REPLAY, replayed, sessions, lambda _: jobs.of("*"))]
     endpoints = [route for part in (api, requests, logins, pages) for route in part.routes()]
     routes = [static, metrics.route(feed, release()), *sockets, *endpoints]
     return Guard(
-        Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there}),
+        Starlette(lifespan=lifespan, routes=routes, exception_handlers={404: not_there, RefusalError: refused}),
         sessions,
         Programs(sessions),
         newcomer=None if users is not None else lambda: _local(sessions),
@@ -148,10 +144,8 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     )
 
 
-def _frames(
-    prefix: str, snapshots: Snapshots, sessions: LoginSessions, jobs: Callable[[str], Sequence[Job]]
-) -> list[BaseRoute]:
-    readers = Live(snapshots, sessions, jobs)
+def _frames(prefix: str, feed: Feed, sessions: LoginSessions, jobs: Callable[[str], Sequence[Job]]) -> list[BaseRoute]:
+    readers = Live(feed, sessions, jobs)
     return [
         WebSocketRoute(prefix, readers.overview),
         WebSocketRoute(f"{prefix}/{{board}}", readers.board),

@@ -9,6 +9,8 @@ import math
 import sys
 from typing import Any
 
+from google.protobuf.json_format import MessageToDict
+
 from gateway.views.hmi.texts import text_of
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError
@@ -80,6 +82,12 @@ def rows(gains: pb.SetGains, parameters: pb.Parameters | None) -> list[dict[str,
         new, now = (math.nan if of is None else getattr(of, field) * scale for of in (gains, parameters))
         table.append({"name": name, "new": f"{new:.4g}", "now": f"{now:.4g}", "unit": unit})
     return table
+
+
+def command_of(gains: pb.SetGains) -> dict[str, Any]:
+    """Return the command that sets these gains, as protobuf's JSON: what the page shows is what it sends."""
+    sent = MessageToDict(gains, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
+    return {"set_gains": sent}
 
 
 def _table(data: bytes) -> dict[str, Any]:

@@ -21,15 +21,15 @@ from __future__ import annotations
 import hmac
 import time
 from collections.abc import Callable
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import quote, urlsplit
 
-from starlette.requests import ClientDisconnect, Request
-from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.views.hmi.problems import problem
 from gateway.views.hmi.programs import Programs, is_api
+from gateway.views.hmi.refusals import refusal
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.texts import text_of
 
@@ -86,7 +86,8 @@ class Guard:
             return
         scope["board51_arrived_s"] = time.monotonic()  # before the body, which a network may hold up
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        session = self._sessions.get(_cookie(headers), time.monotonic())
+        cookies = HTTPConnection(scope).cookies
+        session = self._sessions.get(cookies.get(cookie_name(headers.get("host", "")), ""), time.monotonic())
         if is_api(scope["path"]) and (session is None or "authorization" in headers):
             session = None if self._is_foreign(headers) else self._programs.session(headers, time.monotonic())
         if scope["type"] == "websocket":
@@ -216,11 +217,6 @@ def local_page(target: str) -> str:
     return target if is_local and target.isprintable() and "\\" not in target else "/"
 
 
-def refusal(status: int, reason: str, text: str) -> JSONResponse:
-    """Return the answer of a refused request."""
-    return JSONResponse({"accepted": False, "refused_by": "hmi", "reason": reason, "text": text}, status_code=status)
-
-
 def _refusal_of_program(status: int, code: str, text: str) -> Response:
     answer = problem(status, code, text)
     if status == 401:
@@ -243,16 +239,6 @@ def cookie_name(host: str) -> str:
     """
     port = host.rpartition(":")[2]
     return f"{COOKIE}_{port}" if port.isascii() and port.isdigit() else COOKIE
-
-
-def _cookie(headers: dict[str, str]) -> str:
-    name = cookie_name(headers.get("host", ""))
-    jar: SimpleCookie = SimpleCookie()
-    try:
-        jar.load(headers.get("cookie", ""))
-    except CookieError:
-        return ""
-    return jar[name].value if name in jar else ""
 
 
 def _bears_token(supplied: str, session: LoginSession | None) -> bool:

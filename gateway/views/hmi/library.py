@@ -3,6 +3,9 @@
 Rule 1: a name from a browser is looked up among the files of the scan, never joined to a path.  So `../`, absolute
         names, links out of the folder and hidden files do not exist for it.
 Rule 2: looking never changes a file; a file that vanishes in between is absent.
+Rule 3: of a log that is being written, as many bytes are sent as there were at the beginning.  starlette's FileResponse
+        sends what was written meanwhile, too, beyond the length that it has promised: the server then cuts the
+        connection.
 """
 
 from __future__ import annotations
@@ -13,10 +16,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
+from urllib.parse import quote
+
+from starlette.responses import Response, StreamingResponse
 
 from gateway.record.timeline import Extent, extent
 
 MAX_FILES = 500  # the newest are listed
+_PIECE = 1 << 18  # bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,3 +90,19 @@ class Library:
                 if path.is_file() and real.is_relative_to(root):
                     name = f"{root_name}/{relative.as_posix()}"
                     yield LibraryFile(name=name, path=real, bytes=stat.st_size, changed_s=stat.st_mtime)
+
+
+def download(entry: LibraryFile) -> Response:
+    """Return the response that sends a file of a library."""
+    headers = {
+        "content-length": str(entry.bytes),
+        "content-disposition": f"attachment; filename*=utf-8''{quote(entry.path.name)}",
+    }
+    return StreamingResponse(_pieces(entry.path, entry.bytes), media_type="application/octet-stream", headers=headers)
+
+
+def _pieces(path: Path, left: int) -> Iterator[bytes]:
+    with path.open("rb") as stream:
+        while data := stream.read(min(left, _PIECE)):
+            left -= len(data)
+            yield data

@@ -2,8 +2,8 @@
 
 Rule 1: the newest frame wins.  A frame is made when the last one has gone out, so a slow browser gets fewer frames and
         memory holds one.  Rows that it missed come with the next frame, as far as the ring of `traces.py` reaches.
-Rule 2: a browser that takes nothing for STUCK_S is cut off.
-Rule 3: a frame goes out only while the session is open.
+Rule 2: a client that takes nothing for STUCK_S is cut off.
+Rule 3: texts go out only while the session is open.
 Rule 4: a frame says when it was made, by this server's clock: with it a page dates what it sends, see requests.py.
 """
 
@@ -14,7 +14,7 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -25,7 +25,6 @@ from gateway.views.feed import Feed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.jobs import Job
-from gateway.views.hmi.per_board import PerBoard
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.traces import Traces
 from gateway.views.hmi.watch import Watch
@@ -43,34 +42,24 @@ MAX_READERS = 64
 _MARGIN = 1.1  # of the drawing above the highest reference, if the travel is not known
 
 
-class Snapshots:
-    """The traces of all boards of one feed, pumped once for any number of browsers.
+async def follow(feed: Feed, period_s: float, do: Callable[[BoardFeed], object]) -> None:
+    """Do something with every board of a feed, whether or not somebody looks; runs until it is cancelled."""
+    while True:
+        for board in feed.board_feeds():
+            do(board)
+        await asyncio.sleep(period_s)
 
-    Args:
-        feed: of one site.
-    """
 
-    def __init__(self, feed: Feed) -> None:
-        self.feed = feed
-        self.traces = PerBoard(feed, Traces)
-
-    async def pump(self) -> None:
-        """Follow every board; runs until it is cancelled."""
-        await self.traces.follow(FRAME_S, Traces.pump)
-
-    def rest(self, board: BoardFeed) -> dict[str, Any]:
-        """See snapshot.rest; with what the drawing needs."""
-        return snapshot.rest(board) | {"travel_m": self._travel_m(board)}
-
-    def _travel_m(self, board: BoardFeed) -> float | None:
-        plant = card_plant(board.latest(pb.PlantCard))
-        if plant is not None:
-            return plant.travel_m
-        model, parameters = board.latest(pb.TwinModel), board.latest(pb.Parameters)
-        travel_m = travel_of(model.model_json) if model is not None else math.nan
-        if math.isfinite(travel_m):
-            return travel_m
-        return None if parameters is None else parameters.x_ref_max_m * _MARGIN
+def travel_m(board: BoardFeed) -> float | None:
+    """Return the travel of the ball that a drawing of a board shows; None where nothing is known."""
+    plant = card_plant(board.latest(pb.PlantCard))
+    if plant is not None:
+        return plant.travel_m
+    model, parameters = board.latest(pb.TwinModel), board.latest(pb.Parameters)
+    model_travel_m = travel_of(model.model_json) if model is not None else math.nan
+    if math.isfinite(model_travel_m):
+        return model_travel_m
+    return None if parameters is None else parameters.x_ref_max_m * _MARGIN
 
 
 @lru_cache(maxsize=64)
@@ -87,13 +76,13 @@ class Live:
     """Serves the WebSockets of one feed.
 
     Args:
-        snapshots: what to show.
+        feed: what to show.
         sessions: who may look.
         jobs: of a rig; on pages of a recording, whose rig may have the name of a live one, those of the replay.
     """
 
-    def __init__(self, snapshots: Snapshots, sessions: LoginSessions, jobs: Callable[[str], Sequence[Job]]) -> None:
-        self._snapshots, self._sessions, self._jobs = snapshots, sessions, jobs
+    def __init__(self, feed: Feed, sessions: LoginSessions, jobs: Callable[[str], Sequence[Job]]) -> None:
+        self._feed, self._sessions, self._jobs = feed, sessions, jobs
         self._readers = 0
 
     async def board(self, socket: WebSocket) -> None:
@@ -105,20 +94,21 @@ class Live:
 
         def frame(now_s: float) -> dict[str, Any]:
             nonlocal board, cursor, looked_s, journal_count
-            known = self._snapshots.feed.board(name)
+            known = self._feed.board(name)
             if known is not board:  # it is new, or was removed and is back
                 board, cursor, looked_s, journal_count = known, 0, -math.inf, -1
                 sent.clear()
             if board is None:
                 return {"jobs": self._job_words(name)}
-            traces, first = self._snapshots.traces.of(board), cursor == 0
+            traces, first = board.companion(Traces), cursor == 0
             rows, cursor = traces.since(cursor)
             made: dict[str, Any] = {"now": snapshot.now(board), "rows": rows}
             if first and rows:
                 made["past"] = traces.past()
             if now_s - looked_s >= REST_S:
                 looked_s = now_s
-                for part, content in (("rest", self._snapshots.rest(board)), ("jobs", self._job_words(name))):
+                rest = snapshot.rest(board) | {"travel_m": travel_m(board)}
+                for part, content in (("rest", rest), ("jobs", self._job_words(name))):
                     text = json.dumps(content)
                     if text != sent.get(part):
                         sent[part], made[part] = text, content
@@ -136,7 +126,7 @@ class Live:
 
         def frame(_: float) -> dict[str, Any]:
             nonlocal watch
-            board = self._snapshots.feed.board(name)
+            board = self._feed.board(name)
             if watch is not None and watch.board is not board:
                 watch.close()
                 watch = None
@@ -152,15 +142,14 @@ class Live:
 
     async def overview(self, socket: WebSocket) -> None:
         """A line of each board."""
-        feed = self._snapshots.feed
         known: set[str] = set()
 
         def frame(_: float) -> dict[str, Any]:
-            boards = feed.board_feeds()
+            boards = self._feed.board_feeds()
             made = {"boards": [snapshot.summary(board) for board in boards], "jobs": self._job_words("")}
             new = [board for board in boards if board.name not in known]
             if new:  # the page makes the rest of its lines from the frames
-                made["sparks"] = {board.name: self._snapshots.traces.of(board).spark() for board in new}
+                made["sparks"] = {board.name: board.companion(Traces).spark() for board in new}
                 known.update(board.name for board in new)
             return made
 
@@ -174,31 +163,60 @@ class Live:
         if self._readers >= MAX_READERS:
             await socket.close(1013)
             return
+
+        def texts(now_s: float) -> list[str]:
+            made = frame(now_s)
+            made["at_s"] = round(now_s, 3)
+            made["left_s"] = round(self._sessions.left_s(session, now_s))
+            return [json.dumps(made, allow_nan=False)]
+
         await socket.accept(subprotocol=PROTOCOL)
         self._readers += 1
-        listener = asyncio.create_task(self._listen(socket, session))
-        due_s = time.monotonic()
         try:
-            while not listener.done():
-                begun_s = time.monotonic()
-                if not self._sessions.is_open(session, begun_s):
-                    await asyncio.wait_for(socket.close(SESSION_OVER), STUCK_S)
-                    return
-                made = frame(begun_s)
-                made["at_s"] = round(begun_s, 3)
-                made["left_s"] = round(self._sessions.left_s(session, begun_s))
-                await asyncio.wait_for(socket.send_text(json.dumps(made, allow_nan=False)), STUCK_S)
-                due_s = max(due_s + period_s, time.monotonic())  # a late frame does not make the next one late
-                await asyncio.sleep(due_s - time.monotonic())
-        except (WebSocketDisconnect, TimeoutError, RuntimeError):
-            pass  # the browser disconnected or does not read: only this reader ends
+            await pour(socket, self._sessions, texts, period_s, acts=True)  # a page sends "acted"
         finally:
             self._readers -= 1
-            listener.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                await listener
 
-    async def _listen(self, socket: WebSocket, session: LoginSession) -> None:
-        while True:
-            await socket.receive_text()  # "acted", whatever it says
-            self._sessions.acted(session, time.monotonic())
+
+async def pour(
+    socket: WebSocket,
+    sessions: LoginSessions,
+    texts: Callable[[float], Iterable[str]],
+    period_s: float,
+    *,
+    acts: bool = False,
+) -> None:
+    """Send until the client leaves.
+
+    Args:
+        socket: that was accepted.
+        sessions: tell whether its session is open.
+        texts: Returns what has come since the last call; takes the present monotonic time.
+        period_s: between two calls.
+        acts: whether a message of the client is an action of its user; any is dropped.
+    """
+    session: LoginSession = socket.scope["board51_session"]
+
+    async def listen() -> None:
+        while (await socket.receive())["type"] != "websocket.disconnect":
+            if acts:
+                sessions.acted(session, time.monotonic())
+
+    leaving = asyncio.create_task(listen())
+    due_s = time.monotonic()
+    try:
+        while not leaving.done():
+            now_s = time.monotonic()
+            if not sessions.is_open(session, now_s):
+                await asyncio.wait_for(socket.close(SESSION_OVER), STUCK_S)
+                return
+            for text in texts(now_s):
+                await asyncio.wait_for(socket.send_text(text), STUCK_S)
+            due_s = max(due_s + period_s, time.monotonic())  # a late frame does not make the next one late
+            await asyncio.wait({leaving}, timeout=due_s - time.monotonic())
+    except (WebSocketDisconnect, TimeoutError, RuntimeError):
+        pass  # the client left or does not read: only its socket ends
+    finally:
+        leaving.cancel()
+        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            await leaving

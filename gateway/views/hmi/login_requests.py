@@ -22,12 +22,7 @@ from gateway.views.hmi.texts import text_of
 
 
 class LoginRequests:
-    """The endpoints.
-
-    Args:
-        sessions: those that are open.
-        https: whether the server speaks TLS.
-    """
+    """The endpoints."""
 
     def __init__(self, sessions: LoginSessions, *, https: bool) -> None:
         self._sessions, self._https = sessions, https

@@ -63,19 +63,10 @@ _COUNTERS = (
 
 
 class Rigs(Collector):
-    """Makes the metrics of all boards of a feed.
-
-    Args:
-        feed: of the live site.
-        release: version of this software.
-    """
+    """Makes the metrics of all boards of a feed."""
 
     def __init__(self, feed: Feed, release: str) -> None:
         self._feed, self._release = feed, release
-
-    def describe(self) -> Iterable[Metric]:
-        """Return nothing: names are not asked for before the first scrape."""
-        return ()
 
     def collect(self) -> Iterable[Metric]:
         """Yield the metrics as of now."""

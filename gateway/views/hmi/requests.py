@@ -11,7 +11,7 @@ GET  /api/summary/<name>            summary of a log
 GET  /api/sessions?where=nis > 3    table of the sessions of the gateway's logs, see record/catalogue
 GET  /api/timeline/<name>           start, duration and marks of a log, see record/timeline.py
 GET  /api/<board>/plant?mass_g=8.28&...  what is wrong about the data of a plant, see model/plant.py; changes nothing
-GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see model/exports.py
+GET  /api/<board>/export/<name>?to=fmu   a model for another tool, see turns.py
 GET  /log/<name>, /report-file/<name>    a file that the lists name
 
 Rule: summaries and exports are one process at a time, which ends with its request (turns.py).  acts.py has the rules
@@ -24,26 +24,24 @@ import asyncio
 import json
 from collections.abc import Callable
 
-from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
+from google.protobuf.json_format import ParseDict, ParseError
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from gateway.views.alarms import MAX_ALARMS
 from gateway.views.dispatch import EVERY_RIG, Wish
-from gateway.views.hmi.actions import Actions
+from gateway.views.hmi.actions import Actions, Order
 from gateway.views.hmi.acts import Acts, status_of
-from gateway.views.hmi.downloads import download
-from gateway.views.hmi.guard import refusal
-from gateway.views.hmi.model.exports import FORMATS, exported
-from gateway.views.hmi.model.naming import delete, rename
+from gateway.views.hmi.gains import command_of, parse_gains, rows
+from gateway.views.hmi.library import LibraryFile, download
 from gateway.views.hmi.model.plant import judged
 from gateway.views.hmi.model.work import ModelWork
+from gateway.views.hmi.refusals import RefusalError
 from gateway.views.hmi.sessions import LoginSession
-from gateway.views.hmi.starts import starts
-from gateway.views.hmi.summaries import sessions, summary, timeline
+from gateway.views.hmi.starts import STARTS
 from gateway.views.hmi.texts import text_of
-from gateway.views.hmi.turns import Turns, departure
+from gateway.views.hmi.turns import FORMATS, Turns
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
@@ -57,17 +55,10 @@ _JOB_ACTS = ("start", "stop", "order")
 
 
 class Requests:
-    """The endpoints.
-
-    Args:
-        actions: carries out acts.
-        acts: runs them in threads.
-        work: on models.
-    """
+    """The endpoints."""
 
     def __init__(self, actions: Actions, acts: Acts, work: ModelWork) -> None:
         self._actions, self._acts = actions, acts
-        self._starts = starts(actions, work)
         self._work = work
         self._turns = Turns()
 
@@ -108,71 +99,61 @@ class Requests:
     async def command(self, request: Request) -> Response:
         """Send any command of the bus."""
         table = await _json(request)
-        if table is None:
-            return refusal(400, "malformed", "The body is not a JSON object.")
         if not set(table) <= set(_WHAT):
-            return refusal(400, "malformed", f"Give one of {', '.join(_WHAT)}.")
-        try:
-            command = ParseDict(table, pb.Command())
-        except (ParseError, TypeError, ValueError) as error:
-            return refusal(400, "malformed", f"The body is not a command: {str(error)[:200]}.")
+            raise _malformed(f"Give one of {', '.join(_WHAT)}.")
+        command = _parsed(table)
         if command.WhichOneof("what") is None:
-            return refusal(400, "empty-command", f"The command has no action; give one of {', '.join(_WHAT)}.")
+            text = f"The command has no action; give one of {', '.join(_WHAT)}."
+            raise RefusalError("empty-command", text, status=400)
         board = request.path_params["board"]
-
-        def do(session: LoginSession, wish: Wish) -> pb.CommandReply:
-            return self._actions.command(session, board, command, issued_ns=wish.issued_ns)
-
-        return await self._act(request, board, do)
+        return await self._command(request, board, command)
 
     async def gains(self, request: Request) -> Response:
         """Return the command that a file of gains gives."""
-        board, data = request.path_params["board"], await request.body()
+        parameters = self._actions.feed.latest(request.path_params["board"], pb.Parameters)
         try:
-            command, rows = await asyncio.to_thread(self._actions.gains, board, data)
+            gains = await asyncio.to_thread(parse_gains, await request.body(), parameters)
         except DataError as error:
-            return refusal(409, "bad-file", str(error))
-        sent = MessageToDict(command, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
-        law = "PID" if command.law == pb.LAW_PID else "LQI"
-        return JSONResponse({"accepted": True, "law": law, "rows": rows, "command": {"set_gains": sent}})
+            raise RefusalError("bad-file", str(error)) from None
+        law = "PID" if gains.law == pb.LAW_PID else "LQI"
+        shown = {"law": law, "rows": rows(gains, parameters), "command": command_of(gains)}
+        return JSONResponse({"accepted": True, **shown})
 
     async def job(self, request: Request) -> Response:
         """Start or stop a job."""
-        table = await _json(request) or {}
-        kind, act, board = str(table.get("kind")), table.get("act"), request.path_params["board"]
-        if kind not in self._starts or act not in _JOB_ACTS:
-            kinds = " | ".join(f'"{kind}"' for kind in self._starts)
-            return refusal(
-                400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.'
-            )  # "order": of a replay
+        table, board = await _json(request), request.path_params["board"]
+        kind, act = str(table.get("kind")), table.get("act")
+        if kind not in STARTS or act not in _JOB_ACTS:
+            kinds = " | ".join(f'"{kind}"' for kind in STARTS)
+            raise _malformed(f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.')  # "order": of a replay
 
         def do(session: LoginSession, _wish: Wish) -> pb.CommandReply:
             if act == "order":
                 return self._actions.order_replay(session, str(table.get("order")))
             if act == "stop":
                 return self._actions.stop_job(session, kind, "*" if kind == "replay" else board)
-            return self._starts[kind](session, board, table)
+            return STARTS[kind](self._work, Order(session=session, kind=kind, board=board, table=table))
 
         return await self._act(request, board if act == "start" and board != EVERY_RIG else "", do)
 
     async def delete(self, request: Request) -> Response:
         """Delete a log."""
-        name = (await _json(request) or {}).get("log")
+        name = (await _json(request)).get("log")
         if not isinstance(name, str):
-            return refusal(400, "malformed", 'Give {"log": "..."}.')
+            raise _malformed('Give {"log": "..."}.')
         return await self._act(request, "", lambda session, _: self._actions.delete_log(session, name))
 
     async def campaign(self, request: Request) -> Response:
         """Rename or delete a campaign."""
-        table, board = await _json(request) or {}, request.path_params["board"]
+        table, board = await _json(request), request.path_params["board"]
         name, title = str(table.get("name") or ""), str(table.get("title") or "")
         changes: dict[object, Callable[[LoginSession, Wish], pb.CommandReply]] = {
-            "rename": lambda session, _: rename(self._actions, self._work, session, board, name, title),
-            "delete": lambda session, _: delete(self._actions, self._work, session, board, name),
+            "rename": lambda session, _: self._work.rename(session, board, name, title),
+            "delete": lambda session, _: self._work.delete(session, board, name),
         }
         change = changes.get(table.get("act"))
         if change is None:
-            return refusal(400, "malformed", 'Give {"name": "...", "act": "rename" | "delete", "title": "..."}.')
+            raise _malformed('Give {"name": "...", "act": "rename" | "delete", "title": "..."}.')
         return await self._act(request, "", change)
 
     async def remove(self, request: Request) -> Response:
@@ -182,7 +163,7 @@ class Requests:
 
     async def acknowledge(self, request: Request) -> Response:
         """Acknowledge or shelve an alarm, or acknowledge several."""
-        table, board = await _json(request) or {}, request.path_params["board"]
+        table, board = await _json(request), request.path_params["board"]
         name, names, shelve_s = table.get("name"), table.get("names"), table.get("shelve_s", 0.0)
         if isinstance(names, list) and 0 < len(names) <= MAX_ALARMS and all(isinstance(name, str) for name in names):
             several = [str(name) for name in names]
@@ -192,69 +173,57 @@ class Requests:
                 ),
             )  # fmt: skip
         if not isinstance(name, str) or not isinstance(shelve_s, int | float):
-            return refusal(400, "malformed", 'Give {"name": "...", "shelve_s": 600} or {"names": ["...", ...]}.')
+            raise _malformed('Give {"name": "...", "shelve_s": 600} or {"names": ["...", ...]}.')
 
-        def do(session: LoginSession, wish: Wish) -> pb.CommandReply:
-            return self._actions.acknowledge(session, board, name, shelve_s=shelve_s, issued_ns=wish.issued_ns)
-
-        return await self._act(request, board, do)
+        command = _parsed({"acknowledge": {"alarm": name, "shelve_s": shelve_s}})
+        return await self._command(request, board, command)
 
     async def log(self, request: Request) -> Response:
         """Return one MCAP file."""
-        entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
-        if entry is None:
-            return refusal(404, "no-log", text_of("refusal.no_log"))
-        return download(entry)
+        return download(await self._log(request))
 
     async def report(self, request: Request) -> Response:
         """Return one report of a diagnosis."""
-        entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
-        if entry is None:
-            return refusal(404, "no-report", text_of("refusal.no_report"))
+        entry = await asyncio.to_thread(self._actions.report, request.path_params["name"])
         headers = {"content-security-policy": _REPORT_POLICY, "x-frame-options": "SAMEORIGIN"}
         return FileResponse(entry.path, media_type="text/html", headers=headers)
 
     async def summary(self, request: Request) -> Response:
         """Return the summary of a log as text."""
-        entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
-        if entry is None:
-            return refusal(404, "no-log", text_of("refusal.no_log"))
-        return _text_answer(await summary(self._turns, entry, departure(request)))
+        return _text_answer(await self._turns.summary(request, await self._log(request)))
 
     async def sessions(self, request: Request) -> Response:
         """Return the sessions in the gateway's logs that satisfy a condition, as text."""
         condition = request.query_params.get("where", "")[:MAX_CONDITION]
-        return _text_answer(await sessions(self._turns, self._actions.logs.folders[0], condition, departure(request)))
+        return _text_answer(await self._turns.sessions(request, self._actions.logs.folders[0], condition))
 
     async def timeline(self, request: Request) -> Response:
         """Return start, duration and marks of a log."""
-        entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
-        if entry is None:
-            return refusal(404, "no-log", text_of("refusal.no_log"))
-        text = await timeline(self._turns, entry, departure(request))
-        if text is None:
-            return refusal(503, "busy", text_of("replay.no_marks"))
+        text = await self._turns.timeline(request, await self._log(request))
         return Response(text, media_type="application/json")
 
     async def plant(self, request: Request) -> Response:
         """Return what is wrong or unusual about the data of a plant."""
-        parameters = self._work.parameters(request.path_params["board"])
+        parameters = self._work.feed.latest(request.path_params["board"], pb.Parameters)
         return JSONResponse(judged(request.query_params, parameters))
 
     async def export(self, request: Request) -> Response:
         """Return a model as a file for another tool."""
         board, name, to = *request.path_params.values(), request.query_params.get("to", "")
-        models = await asyncio.to_thread(self._work.models, board)
-        model = next((file for file in models if file.name == name), None)
-        if model is None or to not in FORMATS:
-            return refusal(404, "no-model", text_of("refusal.no_model"))
-        download = await exported(self._turns, model, to, departure(request))
-        if download is None:
-            return refusal(503, "busy", text_of("library.busy"))
-        if download.problem:
-            return refusal(409, "not-exported", download.problem)
+        if to not in FORMATS:
+            raise RefusalError("no-model", text_of("refusal.no_model"), status=404)
+        model = await asyncio.to_thread(self._work.model, board, name)
+        download = await self._turns.export(request, model, to)
         headers = {"content-disposition": f'attachment; filename="{download.name}"'}
         return Response(download.data, media_type="application/octet-stream", headers=headers)
+
+    async def _log(self, request: Request) -> LibraryFile:
+        return await asyncio.to_thread(self._actions.log, request.path_params["name"])
+
+    async def _command(self, request: Request, board: str, what: pb.Command) -> Response:
+        return await self._act(
+            request, board, lambda session, wish: self._actions.command(session, board, what, issued_ns=wish.issued_ns)
+        )
 
     async def _act(self, request: Request, board: str, do: Callable[[LoginSession, Wish], pb.CommandReply]) -> Response:
         return _answer(await self._acts.act(request, board, do))
@@ -271,16 +240,32 @@ def _answer(reply: pb.CommandReply) -> JSONResponse:
     return JSONResponse(_body(reply), status_code=status_of(reply))
 
 
-def _text_answer(text: str | None) -> JSONResponse:
-    """Return the answer of a command that a request ran; `text` is None if too many wait."""
-    if text is None:
-        return refusal(503, "busy", text_of("library.busy"))
+def _text_answer(text: str) -> JSONResponse:
+    """Return the answer of a command that a request ran."""
     return JSONResponse({"accepted": True, "text": text})
 
 
-async def _json(request: Request) -> dict[str, object] | None:
+def _parsed(table: dict[str, object]) -> pb.Command:
+    try:
+        return ParseDict(table, pb.Command())
+    except (ParseError, TypeError, ValueError, OverflowError) as error:
+        raise _malformed(f"The body is not a command: {str(error)[:200]}.") from None
+
+
+def _malformed(text: str) -> RefusalError:
+    return RefusalError("malformed", text, status=400)
+
+
+async def _json(request: Request) -> dict[str, object]:
+    """Return the keys of a body.
+
+    Raises:
+        RefusalError: it is not a JSON object.
+    """
     try:
         table = json.loads(await request.body())
     except (ValueError, RecursionError):
-        return None
-    return table if isinstance(table, dict) else None
+        table = None
+    if not isinstance(table, dict):
+        raise _malformed("The body is not a JSON object.")
+    return table

@@ -13,14 +13,13 @@ from typing import Any
 
 from gateway.board.faults import COIL
 from gateway.board.reference import reference_range_mm
-from gateway.views.alarms import TWIN, Alarm
+from gateway.views.alarms import TWIN, Alarm, Entry
 from gateway.views.board_feed import TWIN_TIMEOUT_S, BoardFeed
 from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.model.numbers import SPOKEN, in_numbers
 from gateway.views.hmi.model.plant import stated_ms
 from gateway.views.hmi.texts import text_of, texts_of
 from gateway.views.hmi.traces import number
-from gateway.views.journal import Entry
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import word_of
 from protocol.bus.plant_card import plant_of
@@ -102,7 +101,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
         "plant_ms": stated_ms(board.latest(pb.PlantCard)),
         "alarms": [
             {
-                **_fields(a, "name", "severity", "active", "acknowledged", "times"),
+                **fields(a, "name", "severity", "active", "acknowledged", "times"),
                 "text": sentences.get(a.name, a.text),
                 "group": _group(a),
                 "until": _clock(a.shelved_until_ns)[:5],
@@ -118,7 +117,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
             {
                 "at": _moment(e.host_time_ns),
                 "at_s": round(e.host_time_ns / 1e9, 3),
-                **_fields(e, "source", "severity", "name", "text"),
+                **fields(e, "source", "severity", "name", "text"),
             }
             for e in board.events()[: -MAX_EVENTS - 1 : -1]
         ],
@@ -177,7 +176,7 @@ def _named(board: BoardFeed) -> str:
 def job(running: Job) -> dict[str, Any]:
     """Return the lines that a page shows of a job; columns of a table do not fit into a card, so dots separate them."""
     lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-MAX_LINES:]]
-    return {**_fields(running, "title", "who", "running", "standing", "failed", "progress"), "lines": lines}
+    return {**fields(running, "title", "who", "running", "standing", "failed", "progress"), "lines": lines}
 
 
 def summary(board: BoardFeed) -> dict[str, Any]:
@@ -216,7 +215,8 @@ def _coil(board: BoardFeed, state: pb.State) -> str:
     return "off" if state.mode == pb.MODE_IDLE else "on"
 
 
-def _fields(source: object, *names: str) -> dict[str, Any]:
+def fields(source: object, *names: str) -> dict[str, Any]:
+    """Return the values of these names."""
     return {name: getattr(source, name) for name in names}
 
 
@@ -225,7 +225,7 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
     if status is None:
         return None
     return {
-        **_fields(status, "port", "to_board", "reconnects", "log_state", "log_file", "log_dropped"),
+        **fields(status, "port", "to_board", "reconnects", "log_state", "log_file", "log_dropped"),
         "age_s": round(board.age_s(pb.Status)),
         "samples_per_s": round(status.samples_per_s),
         "lost": status.samples_lost,

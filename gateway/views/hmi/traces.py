@@ -32,11 +32,7 @@ Row = list[object]
 
 
 class Traces:
-    """The traces of one board.
-
-    Args:
-        board: its messages from the bus.
-    """
+    """The traces of one board."""
 
     def __init__(self, board: BoardFeed) -> None:
         self.board = board

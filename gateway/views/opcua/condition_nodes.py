@@ -21,14 +21,7 @@ _MANDATORY = ua.NodeId(_O.ModellingRule_Mandatory)
 
 
 class ConditionObject:
-    """Builds and updates the nodes of one condition.
-
-    Args:
-        space: where they are.
-        builder: of the site's namespace.
-        rig: to which the condition belongs.
-        event: the first event of the condition.
-    """
+    """Builds and updates the nodes of one condition."""
 
     def __init__(self, space: AddressSpace, builder: Builder, rig: ua.NodeId, event: Any) -> None:
         self._space, self._builder = space, builder

@@ -82,7 +82,7 @@ class Conditions:
 
     async def _report(self, alarm: Alarm, *, retain: bool, came: bool = False, switched: bool = False) -> None:
         """Send the event of a condition; for a disabled one only if it was just disabled."""
-        node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
+        node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.spaces.site)
         condition = self._server.conditions.setdefault(node, ConditionNode(alarm.board, alarm.name))
         self._known[alarm.name] = condition, alarm
         if came:  # its earlier events and comments are over

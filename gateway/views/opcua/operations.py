@@ -89,12 +89,9 @@ class Operations:
         wish = Wish(board=board)
 
         def send() -> pb.CommandReply:
-            head: dict[str, Any] = {"who": visitor.name, "role": visitor.role.word, "issued_ns": wish.issued_ns}
-            if act == "acknowledge" and may(visitor.role, act):  # it may count without a gateway, too
-                acknowledgement = command.acknowledge
-                span: dict[str, Any] = {"comment": acknowledgement.comment, "shelve_s": acknowledgement.shelve_s}
-                return self._feed.acknowledge(board, acknowledgement.alarm, **span, **head)
-            return self._feed.command(board, command, timeout_s=TIMEOUT_S, **head)
+            return self._feed.command(
+                board, command, who=visitor.name, role=visitor.role.word, timeout_s=TIMEOUT_S, issued_ns=wish.issued_ns
+            )
 
         if act == "stop":
             return await self._dispatch.stop([board], send)

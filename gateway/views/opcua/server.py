@@ -106,7 +106,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
         server.set_security_policy(list(_OPEN))
     server.set_identity_tokens(tokens)
     await describe(server, POLICIES if security is not None else _OPEN, tokens, 1000.0 / settings.rate_hz)
-    inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
+    await server.register_namespace(NAMESPACE.format(site=feed.site))
     inner.spaces = await register(server)
     history = inner.history_manager = RingHistory(inner)
     try:

@@ -90,7 +90,6 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         self._identify = identify
         self.peer_host = ""  # of the session that is being activated; asyncua does not say it to a user manager
         self.operations, self.secured = operations, secured
-        self.namespace = 0
         self.spaces = Namespaces(site=0, types=0, di=0, machinery=0)  # until they are registered
         self.conditions: dict[ua.NodeId, ConditionNode] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
@@ -236,7 +235,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
 
     def _address_of(self, node: ua.NodeId) -> tuple[str, str]:
         """Return (board, path) of a node of the site, ("", "") of any other."""
-        if node.NamespaceIndex != self.iserver.namespace or not isinstance(node.Identifier, str):
+        if node.NamespaceIndex != self.iserver.spaces.site or not isinstance(node.Identifier, str):
             return "", ""
         board, _, path = node.Identifier.partition("/")
         return board, path
@@ -268,7 +267,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         if request.MethodId in _OF_CONDITIONS:
             return _result(*await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs))
         board, name = self._method(request.ObjectId, request.MethodId)
-        is_ours = request.MethodId in self.aspace and request.ObjectId == ua.NodeId(board, self.iserver.namespace)
+        is_ours = request.MethodId in self.aspace and request.ObjectId == ua.NodeId(board, self.iserver.spaces.site)
         if not is_ours or name not in _METHODS:
             return _result(S.BadMethodInvalid)
         command = called(_METHODS[name], inputs)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD
-from gateway.views.alarms import MAX_ALARMS, TWIN, AlarmBook
-from gateway.views.journal import MAX_ENTRIES
+from gateway.views.alarms import MAX_ALARMS, MAX_ENTRIES, TWIN, AlarmBook
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 
@@ -290,7 +289,7 @@ def test_a_shelved_alarm_is_quiet_until_its_time_is_over_and_calls_again_then() 
     assert names(book) == [("divergence-x", True, False)]
     assert shelf() == []
     assert not book.acknowledge("divergence-x", "eva", 20 * S, shelve_s=60.0, now_ns=81 * S)  # the gateway repeats it
-    assert [(e.what, e.who) for e in book.journal.newest_first()] == [
+    assert [(e.what, e.who) for e in reversed(book.journal)] == [
         ("unshelved", ""), ("came", ""), ("went", ""), ("shelved", "eva"), ("came", ""),
     ]  # fmt: skip
 
@@ -348,5 +347,5 @@ def test_the_journal_is_bounded() -> None:
         book.twin_alarm(divergence(active=n % 2 == 0), n)
     book.twin_alarm(divergence(active=True), MAX_ENTRIES)
 
-    assert len(book.journal.newest_first()) == MAX_ENTRIES
-    assert book.journal.count == MAX_ENTRIES + 1
+    assert len(book.journal) == MAX_ENTRIES
+    assert book.noted == MAX_ENTRIES + 1

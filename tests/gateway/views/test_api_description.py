@@ -6,7 +6,7 @@ import argparse
 import ast
 import re
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 import pytest
 
@@ -14,10 +14,10 @@ import gateway
 from gateway.client import commands as client
 from gateway.client.commands import HostLoss, Law, Shape
 from gateway.commands import send
-from gateway.views.hmi.actions import _ENDED_AS
-from gateway.views.hmi.api import commands, endpoints, job_bodies, job_endpoints, openapi, rigs, shapes
+from gateway.views.hmi.api import commands, endpoints, forms, job_endpoints, openapi, rigs, shapes
 from gateway.views.hmi.html.api_page import operations
 from gateway.views.hmi.problems import REMEDIES
+from gateway.views.hmi.starts import STARTS
 from protocol.checked import keys_of, plain_of
 from protocol.wire.messages import Reason
 
@@ -67,8 +67,8 @@ def test_the_commands_are_those_of_send(document: dict[str, Any]) -> None:
 def test_every_kind_of_job_can_be_named_and_interrupted(document: dict[str, Any]) -> None:
     (schema,) = document["paths"]["/rigs/{rig}/jobs"]["post"]["requestBody"]["content"].values()
 
-    assert set(schema["schema"]["discriminator"]["mapping"]) == set(job_bodies.KINDS)
-    assert set(get_args(job_bodies.Kind)) == set(_ENDED_AS) - {"replay"}
+    assert set(schema["schema"]["discriminator"]["mapping"]) == set(forms.JOBS)
+    assert set(get_args(forms.Kind)) == set(STARTS) - {"replay"}
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_words_of_a_body_are_those_of_the_bus(hint: Any, words: Any) -> None:
 
 
 def test_the_columns_are_the_fields_of_a_sample() -> None:
-    assert list(keys_of(shapes.States)) == list(keys_of(shapes.State)) == rigs.HEADER.split(",")
+    assert list(get_type_hints(shapes.States)) == list(get_type_hints(shapes.State)) == rigs.HEADER.split(",")
 
 
 def test_every_reason_for_a_refusal_of_a_command_has_a_remedy() -> None:
@@ -102,16 +102,16 @@ def test_every_reason_for_a_refusal_of_a_command_has_a_remedy() -> None:
 
 
 def test_the_page_lists_every_operation_with_its_keys(document: dict[str, Any]) -> None:
-    shown = operations(document)
+    shown = list(operations(document))
 
     assert len(shown) == sum(map(len, document["paths"].values()))
-    command = next(operation for operation in shown if operation.path.endswith("/commands"))
-    assert len(command.bodies) == len(commands.KINDS)
-    rig = next(operation for operation in shown if operation.path.endswith("/rigs/{rig}"))
-    assert rig.answer is not None
-    assert {"alarms.name", "divergence.nis_mean", "limits.gains"} <= {row.name for row in rig.answer.rows}
-    states = next(operation for operation in shown if operation.path.endswith("/states"))
-    assert [(row.name, row.kind) for row in states.query[1:]] == [
+    command = next(operation for operation in shown if operation["name"].endswith("/commands"))
+    assert len(command["bodies"]) == len(commands.KINDS)
+    rig = next(operation for operation in shown if operation["name"].endswith("/rigs/{rig}"))
+    ((_, keys),) = rig["answers"]
+    assert {"alarms.name", "divergence.nis_mean", "limits.gains"} <= {row.name for row in keys}
+    states = next(operation for operation in shown if operation["name"].endswith("/states"))
+    assert [(row.name, row.kind) for row in states["query"][1:]] == [
         ("last_s", "number 0 .. 60"),
         ("format", '"json" | "csv"'),
     ]

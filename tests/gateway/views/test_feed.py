@@ -162,18 +162,22 @@ def test_channels_are_the_numbers_of_the_message() -> None:
     assert {"x_m.error", "i_c_a.normalised", "nis"} <= set(divergence.channels)
 
 
+def acknowledgement(alarm: str, comment: str = "") -> pb.Command:
+    return pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment))
+
+
 def test_alarms_of_twin_and_board_are_listed_and_acknowledged(feed: Feed, gateway: PlayedGateway) -> None:
     rig = heard(feed, gateway)
 
     gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text="off"))
     wait_for(rig.alarms, "alarm")
-    done = feed.acknowledge("rig", "divergence-x", who="eva")
+    done = feed.command("rig", acknowledgement("divergence-x"), who="eva")
 
     assert done.accepted
     assert [(a.name, a.acknowledger) for a in rig.alarms() if a.name != LINK] == [("divergence-x", "eva")]
     assert gateway.commands[0][1].acknowledge.alarm == "divergence-x"
-    assert feed.acknowledge("rig", "divergence-x", who="eva").reason == "no-alarm"
-    assert feed.acknowledge("nobody", "divergence-x", who="eva").reason == "no-alarm"
+    assert feed.command("rig", acknowledgement("divergence-x"), who="eva").reason == "no-alarm"
+    assert feed.command("nobody", acknowledgement("divergence-x"), who="eva").reason == "no-alarm"
 
 
 def test_what_is_seen_in_one_view_is_seen_in_all_and_in_those_that_come_later() -> None:
@@ -192,7 +196,7 @@ def test_what_is_seen_in_one_view_is_seen_in_all_and_in_those_that_come_later() 
 
             wait_for(arrived, "alarm")
 
-            reply = feeds[0].acknowledge("rig", "divergence-x", who="eva", comment="known")
+            reply = feeds[0].command("rig", acknowledgement("divergence-x", "known"), who="eva")
             seen = wait_for(lambda: [a for a in boards[1].alarms() if a.acknowledged], "acknowledgement elsewhere")
             feeds.append(Feed(elsewhere.session))
             late = wait_for(lambda: feeds[2].board("rig"), "board")
@@ -218,7 +222,7 @@ def test_the_alarm_that_there_is_no_gateway_can_be_acknowledged_without_one(gate
         now_s[0] += 4.0
         assert [a.name for a in rig.alarms()] == [LINK]
 
-        reply = feed.acknowledge("rig", LINK, who="eva")
+        reply = feed.command("rig", acknowledgement(LINK), who="eva")
 
         assert (reply.accepted, "this view only" in reply.text) == (True, True)
         assert [(a.name, a.acknowledger) for a in rig.alarms()] == [(LINK, "eva")]

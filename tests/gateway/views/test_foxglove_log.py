@@ -17,8 +17,8 @@ import board51
 from gateway.commands.views.foxglove import layout
 from gateway.emulator.serve import Emulator
 from gateway.record.replay import DEFAULT_TOPICS, contents
-from gateway.views.foxglove.lines import line_of, timestamp_of
-from gateway.views.foxglove.scene import PERIOD_NS, Scene
+from gateway.views.foxglove.derived import line_of
+from gateway.views.foxglove.scene import PERIOD_NS, Scene, timestamp_of
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.plant_card import plant_message
 from protocol.log.reader import LogReader

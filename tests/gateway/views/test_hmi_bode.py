@@ -37,8 +37,8 @@ def test_gain_and_phase_stand_beside_the_model() -> None:
     card = bode_card(answer())
 
     assert card is not None
-    assert (card.answer, card.explains, card.notes) == ("It does not.", False, ["a note"])
-    ((mm, (gain, phase)),) = card.heights
+    assert (card["answer"], card["explains"], card["notes"]) == ("It does not.", False, ["a note"])
+    ((mm, (gain, phase)),) = card["heights"]
     assert mm == "2.85"
     assert len(gain.points) == len(gain.line) == 2, "where the interval holds 0 nothing was measured"
     labels = {text: y for y, text in gain.grid}

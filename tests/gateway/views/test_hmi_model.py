@@ -86,7 +86,7 @@ def test_who_did_what_is_kept_in_order_and_a_damaged_line_is_left_out(tmp_path: 
 
     acts = acts_of(tmp_path / "new")
 
-    assert [(act.who, act.what) for act in acts] == [("ana", "began a campaign"), ("ben", "identified")]
+    assert [(act["who"], act["what"]) for act in acts] == [("ana", "began a campaign"), ("ben", "identified")]
     assert acts_of(tmp_path) == ()
 
 

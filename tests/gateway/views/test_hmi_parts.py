@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from starlette.requests import Request
 
 import board51
 from gateway.access.roles import Role
@@ -24,9 +25,8 @@ from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import travel_of
 from gateway.views.hmi.sessions import MAX_SESSIONS, LoginSessions
 from gateway.views.hmi.snapshot import describe, rest
-from gateway.views.hmi.summaries import MAX_BYTES, timeline
 from gateway.views.hmi.traces import MAX_ROWS, Traces
-from gateway.views.hmi.turns import Turns
+from gateway.views.hmi.turns import MAX_BYTES, Turns
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError
 from tests.harness.gateway.bus_peers import feed_of, played_gateway
@@ -260,8 +260,10 @@ def test_a_job_that_cannot_go_on_says_its_error_and_one_that_counts_steps_its_pr
 
 
 def test_a_job_is_on_the_bus_as_the_person_who_started_it(tmp_path: Path) -> None:
-    open_bus = Routes(data=tmp_path, connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=None)
-    guarded = Routes(data=tmp_path, connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=tmp_path)
+    open_bus = Routes(
+        logs=tmp_path, data=tmp_path, connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=None
+    )
+    guarded = replace(open_bus, identities=tmp_path)
 
     assert open_bus.live("ana") == ["--connect", "tcp/h:1", "--site", "s"]
     assert guarded.live("ana")[-2:] == ["--identity", str(tmp_path / "ana")]
@@ -361,15 +363,12 @@ def test_a_port_in_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_log_that_takes_too_long_to_read_has_a_timeline_without_marks(tmp_path: Path) -> None:
-    async def leave() -> None:
-        raise AssertionError("nobody waits")
-
     writer = LogWriter(tmp_path / "flight.mcap")
     for at_s in (0, 60):
         writer.write("board51/rig/state", pb.State(tick=at_s).SerializeToString(), (1_700_000_000 + at_s) * 10**9)
     writer.close()
     (entry,) = Library({"logs": tmp_path}, "*.mcap").entries()
 
-    known = json.loads(asyncio.run(timeline(Turns(), replace(entry, bytes=MAX_BYTES + 1), leave())) or "")
+    known = json.loads(asyncio.run(Turns().timeline(Request({"type": "http"}), replace(entry, bytes=MAX_BYTES + 1))))
 
     assert known == {"start_s": 1.7e9, "duration_s": 60.0, "marks": []}

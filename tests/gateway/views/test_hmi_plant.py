@@ -28,9 +28,9 @@ def answers(typed: Mapping[str, str], parameters: pb.Parameters | None = BOARD) 
 def test_the_page_has_the_values_in_mm_and_g_and_sends_si() -> None:
     card = plant_card(pb.PlantCard(plant=HEAVY, who="ana", stated_ns=10**18), "rig")
 
-    assert (card.name, card.who, card.emulated, card.stated_ms) == ("heavy", "ana", False, 10**12)
-    assert dict(card.fields) == {name: text for name, text in TYPED.items() if name in FIELDS}
-    sent = judged({"name": card.name, **card.fields}, BOARD)
+    assert (card["name"], card["who"], card["emulated"], card["stated_ms"]) == ("heavy", "ana", False, 10**12)
+    assert dict(card["fields"]) == {name: text for name, text in TYPED.items() if name in FIELDS}
+    sent = judged({"name": card["name"], **card["fields"]}, BOARD)
     plant = sent["command"]["set_plant"]["plant"]
     assert sent["answers"] == []
     assert {name: plant[name] for name in plant if name != "name"} == pytest.approx(
@@ -41,9 +41,9 @@ def test_the_page_has_the_values_in_mm_and_g_and_sends_si() -> None:
 def test_a_card_that_nobody_stated_and_one_that_has_not_come_are_told_apart() -> None:
     nobody, absent = plant_card(pb.PlantCard(), "rig"), plant_card(None, "rig")
 
-    assert (nobody.stated_ms, absent.stated_ms, stated_ms(pb.PlantCard())) == (0, -1, 0)
-    assert (nobody.name, nobody.fields["mass_g"], nobody.fields["gravity"]) == ("rig", "", "9.81")
-    assert plant_card(pb.PlantCard(plant=HEAVY, who=EMULATED, stated_ns=1), "rig").emulated
+    assert (nobody["stated_ms"], absent["stated_ms"], stated_ms(pb.PlantCard())) == (0, -1, 0)
+    assert (nobody["name"], nobody["fields"]["mass_g"], nobody["fields"]["gravity"]) == ("rig", "", "9.81")
+    assert plant_card(pb.PlantCard(plant=HEAVY, who=EMULATED, stated_ns=1), "rig")["emulated"]
 
 
 @pytest.mark.parametrize(

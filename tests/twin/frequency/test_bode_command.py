@@ -58,7 +58,7 @@ def test_a_right_model_gives_a_page_with_the_answer_first(tmp_path: Path, capsys
     (height,) = numbers["heights"]
     card = bode_card(numbers)
     assert card is not None
-    assert len(card.heights[0][1]) == 4, "the control room draws gain and phase of plant and loop"
+    assert len(card["heights"][0][1]) == 4, "the control room draws gain and phase of plant and loop"
     assert set(height["measured"]) == {"amplifier", "ball", "plant", "loop", "S", "T"}
     for name in ("phase_deg", "modulus"):
         measured, model = height["margins"][name], height["model_margins"][name]

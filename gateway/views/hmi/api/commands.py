@@ -7,40 +7,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from gateway.board.limits import MAX_SHELVE_S
 from gateway.client import commands
+from gateway.views.hmi.api.forms import Form
 from gateway.views.hmi.api.shapes import Mode
 from protocol.bus import board51_pb2 as pb
-from protocol.checked import Flag, Keys, Number, Whole, key
+from protocol.checked import Flag, Number, Whole, key
 from protocol.errors import DataError
 from protocol.plant import GRAVITY_M_S2, Plant
 
 _LARGEST = 2**32 - 1  # of a whole number on the bus
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetMode(Keys):
+class SetMode(Form):
     """Enter a mode; clears a fault whose cause is gone."""
 
     command: Literal["mode"]
     mode: Annotated[Mode, key("source of the input")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetReference(Keys):
+class SetReference(Form):
     """Set the position to hold."""
 
     command: Literal["reference"]
     x_ref_m: Annotated[Number, key("position, m, up from the sensor")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetGains(Keys):
+class SetGains(Form):
     """Set law, gains and operating point, all at one tick (eq. 16-19)."""
 
     command: Literal["gains"]
@@ -54,8 +51,7 @@ class SetGains(Keys):
     u_0_v: Annotated[Number, key("input at the operating point, V")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Excite(Keys):
+class Excite(Form):
     """Play a signal on u_c (open loop) or on the reference (closed loop); the shape none ends it."""
 
     command: Literal["excite"]
@@ -72,8 +68,7 @@ class Excite(Keys):
     seed: Annotated[Whole, key("of prbs and multisine", 0, _LARGEST)] = 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Capture(Keys):
+class Capture(Form):
     """Record i_c at 25 kHz around a step of u_c, into the log."""
 
     command: Literal["capture"]
@@ -83,16 +78,14 @@ class Capture(Keys):
     pre_s: Annotated[Number, key("time before the step, s")] = 0.004
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetStream(Keys):
+class SetStream(Form):
     """Make the board send every n-th tick."""
 
     command: Literal["stream"]
     divider: Annotated[Whole, key("n; 0: none", 0, _LARGEST)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetHostLoss(Keys):
+class SetHostLoss(Form):
     """Set what the board does without its host."""
 
     command: Literal["host-loss"]
@@ -100,16 +93,14 @@ class SetHostLoss(Keys):
     timeout_s: Annotated[Number, key("time without the host, s")] = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mark(Keys):
+class Mark(Form):
     """Write a remark into every log."""
 
     command: Literal["mark"]
     text: Annotated[str, key("the remark")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Acknowledge(Keys):
+class Acknowledge(Form):
     """Acknowledge an alarm, in every view and in the log."""
 
     command: Literal["acknowledge"]
@@ -117,8 +108,7 @@ class Acknowledge(Keys):
     comment: Annotated[str, key("the reason")] = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shelve(Keys):
+class Shelve(Form):
     """Keep an alarm quiet for a time, in every view, even if it goes and comes back."""
 
     command: Literal["shelve"]
@@ -127,8 +117,7 @@ class Shelve(Keys):
     comment: Annotated[str, key("the reason")] = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Unshelve(Keys):
+class Unshelve(Form):
     """Bring a shelved alarm back before its time; it is acknowledged then, as one that is not shelved."""
 
     command: Literal["unshelve"]
@@ -136,8 +125,7 @@ class Unshelve(Keys):
     comment: Annotated[str, key("the reason")] = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetPlant(Keys):
+class SetPlant(Form):
     """State the plant of the rig for its card; values that are unusual have to be confirmed."""
 
     command: Literal["plant"]
@@ -150,88 +138,57 @@ class SetPlant(Keys):
     confirmed: Annotated[Flag, key("unusual values are right")] = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stop(Keys):
+class Stop(Form):
     """Switch the coil off at once, as POST /rigs/{rig}/stop."""
 
     command: Literal["stop"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ping(Keys):
+class Ping(Form):
     """Ask the board for an answer."""
 
     command: Literal["ping"]
 
 
-Body = Annotated[
-    SetMode
-    | SetReference
-    | SetGains
-    | Excite
-    | Capture
-    | SetStream
-    | SetHostLoss
-    | Mark
-    | Acknowledge
-    | Shelve
-    | Unshelve
-    | SetPlant
-    | Stop
-    | Ping,
-    Field(discriminator="command"),
-]
+def _gains(*, law: str, gains: list[float], i_0_a: float, x_0_m: float, u_0_v: float) -> pb.Command:
+    return commands.set_gains(gains, commands.OperatingPoint(i_c_a=i_0_a, x_m=x_0_m, u_c_v=u_0_v), law=law)
 
 
-def _gains(body: SetGains) -> pb.Command:
-    point = commands.OperatingPoint(i_c_a=body.i_0_a, x_m=body.x_0_m, u_c_v=body.u_0_v)
-    return commands.set_gains(body.gains, point, law=body.law)
+def _excite(*, shape: str, duration_s: float | None, endless: bool, **how: Any) -> pb.Command:
+    if shape != "none" and duration_s is None and not endless:
+        raise DataError(f"The {shape} has no duration_s", remedy="Give duration_s, or endless = true")
+    return commands.excite(shape, duration_s=math.inf if endless else duration_s, **how)
 
 
-def _excite(body: Excite) -> pb.Command:
-    if body.shape != "none" and body.duration_s is None and not body.endless:
-        raise DataError(f"The {body.shape} has no duration_s", remedy="Give duration_s, or endless = true")
-    return commands.excite(
-        body.shape,
-        on_reference=body.on_reference,
-        amplitude=body.amplitude,
-        offset=body.offset,
-        period_s=body.period_s,
-        period_end_s=body.period_end_s,
-        duration_s=math.inf if body.endless else body.duration_s,
-        seed=body.seed,
-    )
+def _shelve(*, alarm: str, shelve_s: float, comment: str) -> pb.Command:
+    return commands.shelve(alarm, shelve_s, comment=comment)
 
 
-def _capture(body: Capture) -> pb.Command:
-    return commands.capture(u_from_v=body.u_from_v, u_to_v=body.u_to_v, duration_s=body.duration_s, pre_s=body.pre_s)
+def _plant(*, travel_m: float, x_max_m: float | None, confirmed: bool, **stated: Any) -> pb.Command:
+    plant = Plant(travel_m=travel_m, x_max_m=travel_m if x_max_m is None else x_max_m, **stated)
+    return commands.set_plant(plant, confirmed=confirmed)
 
 
-def _plant(body: SetPlant) -> pb.Command:
-    plant = Plant(
-        name=body.name,
-        mass_kg=body.mass_kg,
-        travel_m=body.travel_m,
-        x_max_m=body.travel_m if body.x_max_m is None else body.x_max_m,
-        gravity_m_s2=body.gravity_m_s2,
-        ball_diameter_m=body.ball_diameter_m,
-    )
-    return commands.set_plant(plant, confirmed=body.confirmed)
-
-
-KINDS: dict[str, tuple[type, Callable[[Any], pb.Command]]] = {  # of the key "command"
-    "mode": (SetMode, lambda body: commands.set_mode(body.mode)),
-    "reference": (SetReference, lambda body: commands.set_reference(body.x_ref_m)),
+KINDS: dict[str, tuple[type, Callable[..., pb.Command]]] = {  # of the key "command"; the function takes all other keys
+    "mode": (SetMode, commands.set_mode),
+    "reference": (SetReference, commands.set_reference),
     "gains": (SetGains, _gains),
     "excite": (Excite, _excite),
-    "capture": (Capture, _capture),
-    "stream": (SetStream, lambda body: commands.set_stream(body.divider)),
-    "host-loss": (SetHostLoss, lambda body: commands.set_host_loss(body.policy, timeout_s=body.timeout_s)),
-    "mark": (Mark, lambda body: commands.mark(body.text)),
-    "acknowledge": (Acknowledge, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
-    "shelve": (Shelve, lambda body: commands.shelve(body.alarm, body.shelve_s, comment=body.comment)),
-    "unshelve": (Unshelve, lambda body: commands.acknowledge(body.alarm, comment=body.comment)),
+    "capture": (Capture, commands.capture),
+    "stream": (SetStream, commands.set_stream),
+    "host-loss": (SetHostLoss, commands.set_host_loss),
+    "mark": (Mark, commands.mark),
+    "acknowledge": (Acknowledge, commands.acknowledge),
+    "shelve": (Shelve, _shelve),
+    "unshelve": (Unshelve, commands.acknowledge),
     "plant": (SetPlant, _plant),
-    "stop": (Stop, lambda _: commands.stop()),
-    "ping": (Ping, lambda _: commands.ping()),
+    "stop": (Stop, commands.stop),
+    "ping": (Ping, commands.ping),
 }
+
+
+def command_of(body: Form) -> pb.Command:
+    """Return the command of the bus that a body gives."""
+    keys = dict(vars(body))
+    _, make = KINDS[keys.pop("command")]
+    return make(**keys)

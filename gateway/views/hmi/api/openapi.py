@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
 from pydantic import TypeAdapter
 
 from gateway.views.hmi.api import shapes
-from gateway.views.hmi.api.resource import BINARY, CSV, JSON, SOFT, Endpoint
-from gateway.views.hmi.api.results import RESULTS
+from gateway.views.hmi.api.resource import BINARY, CSV, JSON, SOFT, BodyKinds, Endpoint
+from gateway.views.hmi.model.campaigns import RESULTS
 from gateway.views.hmi.programs import VERSION
 from protocol.checked import keys_of
 
 _REF = "#/components/schemas/{model}"
+Schemas = Mapping[tuple[str, Any], dict[str, Any]]
 _PARTS = {
     "rig": "name of the rig",
     "model": "name of the model; may contain /",
@@ -32,14 +33,8 @@ _ALL = {400: "a value or key is not valid", 401: "no valid token", 403: "from a 
 
 
 def document(endpoints: Sequence[Endpoint], *, release: str, has_users: bool) -> dict[str, Any]:
-    """Return the description.
-
-    Args:
-        endpoints: all of them.
-        release: version of the software.
-        has_users: whether a program needs a token.
-    """
-    schemas = _Schemas(endpoints)
+    """Return the description."""
+    definitions, schemas = _schemas(endpoints)
     paths: dict[str, dict[str, Any]] = {}
     for endpoint in endpoints:
         paths.setdefault(endpoint.path, {})[endpoint.method.lower()] = _operation(endpoint, schemas)
@@ -61,33 +56,27 @@ def document(endpoints: Sequence[Endpoint], *, release: str, has_users: bool) ->
                     "description": "of `board51 security add-token`; not needed where the page has no login",
                 }
             },
-            "schemas": schemas.definitions,
+            "schemas": definitions,
         },
     }
 
 
-class _Schemas:
-    """The JSON schemas of all types that endpoints name."""
-
-    def __init__(self, endpoints: Iterable[Endpoint]) -> None:
-        kinds: dict[tuple[str, Any], TypeAdapter[Any]] = {("out", shapes.Problem): TypeAdapter(shapes.Problem)}
-        for endpoint in endpoints:
-            for way, kind in (("out", endpoint.answer), ("in", endpoint.body_type)):
-                if kind is not None:
-                    kinds.setdefault((way, kind), TypeAdapter(kind))
-        made, defined = TypeAdapter.json_schemas(
-            [(key, "serialization" if key[0] == "out" else "validation", adapter) for key, adapter in kinds.items()],
-            ref_template=_REF,
-        )
-        self.definitions: dict[str, Any] = defined["$defs"]
-        self._by_kind = {key: schema for (key, _), schema in made.items()}
-
-    def of(self, way: str, kind: Any) -> dict[str, Any]:
-        """Return the schema of a type, as it goes "in" or "out"."""
-        return self._by_kind[(way, kind)]
+def _schemas(endpoints: Iterable[Endpoint]) -> tuple[dict[str, Any], Schemas]:
+    """Return the definitions of all types that endpoints name, and the schema of each by its way, "in" or "out"."""
+    kinds: dict[tuple[str, Any], TypeAdapter[Any]] = {("out", shapes.Problem): TypeAdapter(shapes.Problem)}
+    for endpoint in endpoints:
+        for way, kind in (("out", endpoint.answer), ("in", endpoint.body)):
+            if kind is not None:
+                whole = kind.annotated if isinstance(kind, BodyKinds) else kind
+                kinds.setdefault((way, kind), TypeAdapter(whole))
+    made, defined = TypeAdapter.json_schemas(
+        [(key, "serialization" if key[0] == "out" else "validation", adapter) for key, adapter in kinds.items()],
+        ref_template=_REF,
+    )
+    return defined["$defs"], {key: schema for (key, _), schema in made.items()}
 
 
-def _operation(endpoint: Endpoint, schemas: _Schemas) -> dict[str, Any]:
+def _operation(endpoint: Endpoint, schemas: Schemas) -> dict[str, Any]:
     name = re.sub(r"[^a-z]+", "-", f"{endpoint.method} {endpoint.path}".lower()).strip("-")
     operation: dict[str, Any] = {
         "operationId": name,
@@ -96,8 +85,8 @@ def _operation(endpoint: Endpoint, schemas: _Schemas) -> dict[str, Any]:
         "parameters": _parameters(endpoint),
         "responses": _responses(endpoint, schemas),
     }
-    if endpoint.body_type is not None:
-        body = {"schema": schemas.of("in", endpoint.body_type)}
+    if endpoint.body is not None:
+        body = {"schema": schemas["in", endpoint.body]}
         operation["requestBody"] = {"content": {JSON: body}}
     return operation
 
@@ -119,18 +108,18 @@ def _parameters(endpoint: Endpoint) -> list[dict[str, Any]]:
     return parameters
 
 
-def _responses(endpoint: Endpoint, schemas: _Schemas) -> dict[str, Any]:
+def _responses(endpoint: Endpoint, schemas: Schemas) -> dict[str, Any]:
     content = {
-        JSON: {"schema": schemas.of("out", endpoint.answer) if endpoint.answer is not None else {}},
+        JSON: {"schema": schemas["out", endpoint.answer] if endpoint.answer is not None else {}},
         CSV: {"schema": {"type": "string"}},
         BINARY: {"schema": {"type": "string", "format": "binary"}},
     }
     responses: dict[str, Any] = {
         "200": {"description": "done", "content": {media: content[media] for media in endpoint.media}}
     }
-    error = schemas.of("out", shapes.Problem)
+    error = schemas["out", shapes.Problem]
     if endpoint.answer is shapes.Reply:
-        error = {"anyOf": [error, schemas.of("out", shapes.Reply)]}
+        error = {"anyOf": [error, schemas["out", shapes.Reply]]}
     for status, words in (_ALL | dict(endpoint.statuses)).items():
         responses[str(status)] = {"description": words, "content": {JSON: {"schema": error}}}
     return responses

@@ -17,11 +17,7 @@ LOOK_S = 0.25  # a new board is noticed so soon
 
 
 class Samples:
-    """The newest samples of one board.
-
-    Args:
-        board: its messages from the bus.
-    """
+    """The newest samples of one board."""
 
     def __init__(self, board: BoardFeed) -> None:
         self.board = board

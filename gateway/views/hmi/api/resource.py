@@ -11,18 +11,19 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cache
-from typing import Any
+from typing import Annotated, Any, Union
 from urllib.parse import parse_qsl
 
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from gateway.views.hmi.api.shapes import Reply
 from gateway.views.hmi.problems import problem
+from gateway.views.hmi.refusals import RefusalError
 from protocol.checked import checked, keys_of, plain_of
 from protocol.errors import Board51Error, DataError
 from protocol.files import parse_json
@@ -32,14 +33,6 @@ JSON, CSV, BINARY = "application/json", "text/csv", "application/octet-stream"
 _UNDONE = {"executed": False, "refused_by": "hmi", "tick": 0}
 _FORM = "application/x-www-form-urlencoded"
 _logger = logging.getLogger("gateway.hmi")
-
-
-class ProblemError(Exception):
-    """A request has no other answer; see problems.py for the codes."""
-
-    def __init__(self, status: int, code: str, message: str, *, remedy: str = "") -> None:
-        super().__init__(message)
-        self.status, self.code, self.message, self.remedy = status, code, message, remedy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +48,33 @@ class Call:
         return str(self.request.path_params[name])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyKinds:
+    """Bodies of several types, which one key tells apart."""
+
+    key: str
+    kinds: Mapping[str, type]  # by the value of the key
+
+    def kind(self, table: Mapping[str, object]) -> type:
+        """Return the type of a body.
+
+        Raises:
+            RefusalError: the key is absent or has another value.
+        """
+        word = table.get(self.key)
+        kind = self.kinds.get(str(word))
+        if kind is None:
+            what = f"{self.key} is missing" if word is None else f"{self.key} is {str(word)[:40]!r}"
+            raise RefusalError("malformed", what, status=400, remedy=f"Give one of {', '.join(self.kinds)}")
+        return kind
+
+    @property
+    def annotated(self) -> Any:
+        """Return the type of them all, for the description."""
+        return Annotated[Union[tuple(self.kinds.values())], Field(discriminator=self.key)]  # noqa: UP007
+
+
+@dataclass(frozen=True, slots=True)
 class Endpoint:
     """A method of a path; its description is that of `run`."""
 
@@ -64,20 +83,16 @@ class Endpoint:
     run: Callable[[Call], Awaitable[object]]  # returns a value of `answer`, or a response
     answer: Any  # dataclass or annotated type; None: bytes
     tag: str
+    _: KW_ONLY
     query: type | None = None
-    body: Callable[[Mapping[str, object], bool], Any] | None = None  # (table, whether it is a form) -> body
-    body_type: Any = None  # its annotated type, for the description
+    body: type | BodyKinds | None = None
     media: tuple[str, ...] = (JSON,)
     statuses: Mapping[int, str] = field(default_factory=dict)  # beside 200 and those that every endpoint has
     unchecked: bool = False  # act whatever query and body are: STOP
 
 
 class Resource:
-    """The ASGI application of one path.
-
-    Args:
-        endpoints: one for each method.
-    """
+    """The ASGI application of one path."""
 
     def __init__(self, endpoints: Sequence[Endpoint]) -> None:
         self._endpoints = {endpoint.method: endpoint for endpoint in endpoints}
@@ -101,8 +116,8 @@ class Resource:
         more: dict[str, Any] = _UNDONE if endpoint.answer is Reply else {}
         try:
             return await _run(endpoint, request)
-        except ProblemError as error:
-            return problem(error.status, error.code, error.message, remedy=error.remedy, **more)
+        except RefusalError as error:
+            return problem(error.status, error.reply.reason, error.reply.text, remedy=error.remedy, **more)
         except Board51Error as error:
             return problem(400, "malformed", error.problem, remedy=error.remedy, **more)
         except ClientDisconnect:
@@ -119,7 +134,8 @@ async def _run(endpoint: Endpoint, request: Request) -> Response:
         query = checked_form(endpoint.query, pairs, where="query")
         if endpoint.body is not None:
             table, is_form = await _table(request)
-            body = endpoint.body(table, is_form)
+            kind = endpoint.body.kind(table) if isinstance(endpoint.body, BodyKinds) else endpoint.body
+            body = _checked_body(kind, table, is_form)
     answer = await endpoint.run(Call(request=request, query=query, body=body))
     if isinstance(answer, Response):
         return answer
@@ -150,7 +166,7 @@ def checked_form(kind: type | None, pairs: Sequence[tuple[str, str]], *, where: 
     return checked(kind, table, where=where, error=DataError)
 
 
-def checked_body(kind: type, table: Mapping[str, object], is_form: bool) -> Any:  # the endpoints' type
+def _checked_body(kind: type, table: Mapping[str, object], is_form: bool) -> Any:  # the endpoints' type
     """Return a body as `kind`.
 
     Raises:
@@ -176,20 +192,20 @@ async def _table(request: Request) -> tuple[Mapping[str, object], bool]:
     try:
         text = data.decode("utf-8").strip()
     except UnicodeDecodeError:
-        raise ProblemError(400, "malformed", "The body is not UTF-8 text") from None
+        raise RefusalError("malformed", "The body is not UTF-8 text", status=400) from None
     if not text:
         return {}, False
     if media not in ("", JSON, _FORM):
-        raise ProblemError(415, "media-type", f"The body is {media[:80]}")
+        raise RefusalError("media-type", f"The body is {media[:80]}", status=415)
     if media in ("", _FORM) and not text.startswith(("{", "[")):
         pairs = parse_qsl(text, keep_blank_values=True)
         if len(dict(pairs)) < len(pairs):
-            raise ProblemError(400, "malformed", "A key of the form appears twice")
+            raise RefusalError("malformed", "A key of the form appears twice", status=400)
         return dict(pairs), True
     try:
         table = parse_json(text, where="body")
     except Board51Error as error:
-        raise ProblemError(400, "malformed", error.problem) from None
+        raise RefusalError("malformed", error.problem, status=400) from None
     if not isinstance(table, dict):
-        raise ProblemError(400, "malformed", "The body is not a JSON object")
+        raise RefusalError("malformed", "The body is not a JSON object", status=400)
     return table, False

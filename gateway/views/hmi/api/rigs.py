@@ -1,4 +1,4 @@
-"""The answers about rigs, from what the bus says of them."""
+"""The answers about rigs, from what the bus says of them: values of the types in shapes.py."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from gateway.views.hmi.api import shapes
 from gateway.views.hmi.problems import remedy_of, sentence
 from protocol.bus import board51_pb2 as pb
 
-_STATES = TypeAdapter(shapes.States)
+_STATES: TypeAdapter[Any] = TypeAdapter(shapes.States)
+Table = dict[str, Any]
 _MODES = {mode: word.replace(" ", "-") for mode, word in snapshot.MODES.items()}
 
 
@@ -42,15 +43,15 @@ _VALUES: dict[str, Callable[[pb.State], Any]] = {
 HEADER = ",".join(_VALUES)  # of CSV
 
 
-def state(message: pb.State, *, lost: int | None = None) -> shapes.State:
+def state(message: pb.State, *, lost: int | None = None) -> Table:
     """Return a sample; `lost` replaces the samples missing before it."""
     values = {name: value_of(message) for name, value_of in _VALUES.items()}
-    return shapes.State(**values if lost is None else values | {"lost_before": lost})
+    return values if lost is None else values | {"lost_before": lost}
 
 
 def json_columns(messages: Sequence[pb.State]) -> bytes:
     """Return samples as columns, in JSON."""
-    return _STATES.dump_json(shapes.States(**_columns(messages)))
+    return _STATES.dump_json(_columns(messages))
 
 
 def csv_table(messages: Sequence[pb.State]) -> str:
@@ -59,9 +60,9 @@ def csv_table(messages: Sequence[pb.State]) -> str:
     return "".join(f"{line}\n" for line in (HEADER, *rows))
 
 
-def csv_line(sample: shapes.State) -> str:
+def csv_line(sample: Table) -> str:
     """Return a line of CSV without its end."""
-    return _line(getattr(sample, name) for name in _VALUES)
+    return _line(sample.values())
 
 
 def _line(cells: Iterable[object]) -> str:
@@ -72,72 +73,63 @@ def _columns(messages: Sequence[pb.State]) -> dict[str, list[Any]]:
     return {name: [value_of(message) for message in messages] for name, value_of in _VALUES.items()}
 
 
-def entry(board: BoardFeed) -> shapes.RigEntry:
+def entry(board: BoardFeed) -> Table:
     """Return a line of the list of rigs."""
     line = snapshot.summary(board)
-    return shapes.RigEntry(
-        name=board.name,
-        alarms=line["alarms"],
-        fault=line["fault"],
-        x_m=line.get("x_m"),
-        **_now(line),
-    )
+    return {"name": board.name, "alarms": line["alarms"], "fault": line["fault"], "x_m": line.get("x_m"), **_now(line)}
 
 
-def rig(board: BoardFeed) -> shapes.Rig:
+def rig(board: BoardFeed) -> Table:
     """Return the status of a rig."""
     now, model, status = snapshot.now(board), board.latest(pb.TwinModel), board.latest(pb.Status)
-    return shapes.Rig(
-        name=board.name,
-        reason=now["reason"],
-        flags=now.get("flags", []),
-        alarms=alarms(board),
-        twin=now["twin"],
-        divergence=_divergence(now) if "nis_mean" in now else None,
-        model=shapes.TwinModel(name=model.name, sha256=model.sha256, who=model.who) if model is not None else None,
-        limits=_limits(board.latest(pb.Parameters)),
-        log_state=status.log_state if status is not None else "",
+    return {
+        "name": board.name,
+        "reason": now["reason"],
+        "flags": now.get("flags", []),
+        "alarms": alarms(board),
+        "twin": now["twin"],
+        "divergence": _divergence(now) if "nis_mean" in now else None,
+        "model": snapshot.fields(model, "name", "sha256", "who") if model is not None else None,
+        "limits": _limits(board.latest(pb.Parameters)),
+        "log_state": status.log_state if status is not None else "",
         **_now(now),
-    )
+    }
 
 
-def alarms(board: BoardFeed) -> list[shapes.AlarmEntry]:
+def alarms(board: BoardFeed) -> list[Table]:
     """Return the alarms of a rig."""
     return [
-        shapes.AlarmEntry(
-            name=alarm.name,
-            severity="fault" if alarm.severity == "fault" else "warning",
-            text=alarm.text,
-            active=alarm.active,
-            acknowledged=alarm.acknowledged,
-            acknowledger=alarm.acknowledger,
-            since_s=alarm.since_ns / 1e9,
-            times=alarm.times,
-            shelved_until_s=alarm.shelved_until_ns / 1e9 if alarm.is_shelved else None,
-        )
+        {
+            **snapshot.fields(alarm, "name", "text", "active", "acknowledged", "acknowledger", "times"),
+            "severity": "fault" if alarm.severity == "fault" else "warning",
+            "since_s": alarm.since_ns / 1e9,
+            "shelved_until_s": alarm.shelved_until_ns / 1e9 if alarm.is_shelved else None,
+        }
         for alarm in board.all_alarms()
     ]
 
 
-def event(message: pb.Event) -> shapes.EventEntry:
+def event(message: pb.Event) -> Table:
     """Return an event."""
-    names = ("tick", "session", "source", "severity", "name", "text")
-    return shapes.EventEntry(host_time_s=message.host_time_ns / 1e9, **{name: getattr(message, name) for name in names})
+    whole = snapshot.fields(message, "tick", "session", "source", "severity", "name", "text")
+    return {"host_time_s": message.host_time_ns / 1e9, **whole}
 
 
-def capture(record: pb.CaptureRecord) -> shapes.CaptureSamples:
+def capture(record: pb.CaptureRecord) -> Table:
     """Return a capture."""
-    names = ("session", "tick", "sample_time_s", "u_from_v", "u_to_v")
-    t_s = [round((n - record.step_index) * record.sample_time_s, 9) for n in range(len(record.i_c_a))]
-    return shapes.CaptureSamples(**{name: getattr(record, name) for name in names}, t_s=t_s, i_c_a=list(record.i_c_a))
+    return {
+        **snapshot.fields(record, "session", "tick", "sample_time_s", "u_from_v", "u_to_v"),
+        "t_s": [round((n - record.step_index) * record.sample_time_s, 9) for n in range(len(record.i_c_a))],
+        "i_c_a": list(record.i_c_a),
+    }
 
 
 def capture_csv(record: pb.CaptureRecord) -> str:
     """Return the samples of a capture as CSV with a header; u_c is the input that was asked for."""
     made = capture(record)
     rows = (
-        _line((t_s, i_c_a, made.u_from_v if n < record.step_index else made.u_to_v))
-        for n, (t_s, i_c_a) in enumerate(zip(made.t_s, made.i_c_a, strict=True))
+        _line((t_s, i_c_a, record.u_from_v if n < record.step_index else record.u_to_v))
+        for n, (t_s, i_c_a) in enumerate(zip(made["t_s"], made["i_c_a"], strict=True))
     )
     return "".join(f"{line}\n" for line in ("t_s,i_c_a,u_c_v", *rows))
 
@@ -145,51 +137,43 @@ def capture_csv(record: pb.CaptureRecord) -> str:
 def reply(answer: pb.CommandReply) -> shapes.Reply:
     """Return the outcome of an act."""
     code = "" if answer.accepted else answer.reason
-    return shapes.Reply(
-        executed=answer.accepted,
-        code=code,
-        message=sentence(answer.text),
-        remedy=remedy_of(code) if code else "",
-        refused_by=answer.refused_by,
-        tick=answer.tick,
-    )
-
-
-def _now(now: dict[str, Any]) -> dict[str, Any]:
-    mode = now.get("mode")
     return {
-        "link": now["link"],
-        "age_s": now["age_s"],
-        "mode": mode.replace(" ", "-") if mode is not None else None,
-        "coil": now.get("coil"),
-        "x_ref_m": now.get("x_ref_m"),
+        "executed": answer.accepted,
+        "code": code,
+        "message": sentence(answer.text),
+        "remedy": remedy_of(code) if code else "",
+        "refused_by": answer.refused_by,
+        "tick": answer.tick,
     }
 
 
-def _divergence(now: dict[str, Any]) -> shapes.Divergence:
-    return shapes.Divergence(
-        error_x_m=now["error_x_m"],
-        error_x_sigma=now["error_x"],
-        error_i_c_a=now["error_i_a"],
-        nis_mean=now["nis_mean"],
-        nis_on=now["nis_on"],
-    )
+def _now(now: Table) -> Table:
+    mode = now.get("mode")
+    return {
+        **{name: now.get(name) for name in ("link", "age_s", "coil", "x_ref_m")},
+        "mode": mode.replace(" ", "-") if mode is not None else None,
+    }
 
 
-def _limits(parameters: pb.Parameters | None) -> shapes.Limits | None:
+def _divergence(now: Table) -> shapes.Divergence:
+    return {
+        "error_x_m": now["error_x_m"],
+        "error_x_sigma": now["error_x"],
+        "error_i_c_a": now["error_i_a"],
+        "nis_mean": now["nis_mean"],
+        "nis_on": now["nis_on"],
+    }
+
+
+def _limits(parameters: pb.Parameters | None) -> Table | None:
     if parameters is None:
         return None
     low_m, high_m = reference_range(parameters)
-    return shapes.Limits(
-        x_ref_min_m=low_m,
-        x_ref_max_m=high_m,
-        x_ref_step_max_m=parameters.x_ref_step_max_m,
-        u_max_v=parameters.u_max_v,
-        sample_time_s=parameters.sample_time_s,
-        law="pid" if parameters.law == pb.LAW_PID else "lqi",
-        gains=list(parameters.gains),
-        i_0_a=parameters.i_0_a,
-        x_0_m=parameters.x_0_m,
-        u_0_v=parameters.u_0_v,
-        firmware=parameters.firmware,
-    )
+    same = ("x_ref_step_max_m", "u_max_v", "sample_time_s", "i_0_a", "x_0_m", "u_0_v", "firmware")
+    return {
+        **snapshot.fields(parameters, *same),
+        "x_ref_min_m": low_m,
+        "x_ref_max_m": high_m,
+        "law": "pid" if parameters.law == pb.LAW_PID else "lqi",
+        "gains": list(parameters.gains),
+    }

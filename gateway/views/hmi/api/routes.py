@@ -16,11 +16,9 @@ from gateway.views.hmi.acts import Acts
 from gateway.views.hmi.api.endpoints import Endpoints
 from gateway.views.hmi.api.job_endpoints import WorkEndpoints
 from gateway.views.hmi.api.openapi import document
-from gateway.views.hmi.api.recent import Samples
 from gateway.views.hmi.api.resource import Endpoint, Resource
 from gateway.views.hmi.api.stream import Streams
 from gateway.views.hmi.model.work import ModelWork
-from gateway.views.hmi.per_board import PerBoard
 from gateway.views.hmi.problems import problem
 from gateway.views.hmi.programs import VERSION
 
@@ -28,20 +26,12 @@ _DEEP = re.compile(r"{(model|log)}")  # names that may contain a slash
 
 
 class Api:
-    """The API of one server.
-
-    Args:
-        actions: checks rights, and acts.
-        acts: runs acts.
-        work: on models.
-    """
+    """The API of one server."""
 
     def __init__(self, actions: Actions, acts: Acts, work: ModelWork) -> None:
         self._has_users = actions.sessions.users is not None
-        self.recent = PerBoard(actions.feed, Samples)
         self._streams = Streams(actions.feed, actions.sessions)
-        work_endpoints = WorkEndpoints(actions, acts, work)
-        self._endpoints = [*Endpoints(actions, acts, self.recent).table(), *work_endpoints.table()]
+        self._endpoints = [*Endpoints(actions, acts).table(), *WorkEndpoints(actions, acts, work).table()]
 
     @cached_property
     def document(self) -> dict[str, Any]:

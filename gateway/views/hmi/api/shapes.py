@@ -1,12 +1,13 @@
-"""The answers of the API, as dataclasses: their fields are the keys of the JSON and the rows of its description.
+"""The answers of the API: their fields are the keys of the JSON and the rows of its description.
 
 SI units, the unit is the end of a name.  Position is up from the sensor.  What is not known is null.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_type_hints
+
+from typing_extensions import TypedDict
 
 from protocol.checked import key
 from protocol.wire.messages import Flag
@@ -16,8 +17,7 @@ _FLAGS = ", ".join(f"{flag.value} {str(flag.name).lower()}" for flag in Flag)
 Mode = Literal["idle", "open-loop", "closed-loop"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class State:
+class State(TypedDict):
     """A sample of the board.  What was not measured is null."""
 
     t_s: Annotated[float, key("time on the board's clock since its reset, s")]
@@ -33,48 +33,38 @@ class State:
     lost_before: Annotated[int, key("samples missing directly before this one; in a stream: since the one before")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class States:
-    """Samples as columns, the oldest first: one array of equal length for each field of a sample."""
-
-    t_s: list[float]
-    tick: list[int]
-    session: list[int]
-    host_time_s: list[float]
-    i_c_a: list[Real]
-    x_m: list[Real]
-    u_c_v: list[Real]
-    x_ref_m: list[Real]
-    mode: list[Mode]
-    flags: list[int]
-    lost_before: list[int]
+_COLUMNS: Any = {name: list[hint] for name, hint in get_type_hints(State).items()}  # type: ignore[valid-type]
+States: Any = TypedDict("States", _COLUMNS)  # type: ignore[misc]
+States.__doc__ = "Samples as columns, the oldest first: one array of equal length for each field of a sample."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigEntry:
-    """A rig in the list of all rigs."""
+class RigNow(TypedDict):
+    """The state of a rig, in the list and by itself."""
 
     name: str
     link: Annotated[str, key("live; connecting, handshake, streaming, silent, absent; no-gateway")]
     age_s: Annotated[Real, key("age of the newest sample, s")]
     mode: Mode | None
     coil: Annotated[Literal["on", "off", "in-doubt"] | None, key("whether the coil is driven")]
-    x_m: Annotated[Real, key("position of the ball, m")]
     x_ref_m: Annotated[Real, key("reference, m")]
+
+
+class RigEntry(RigNow):
+    """A rig in the list of all rigs."""
+
+    x_m: Annotated[Real, key("position of the ball, m")]
     alarms: Annotated[int, key("active alarms")]
     fault: Annotated[bool, key("whether one of them is a fault")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rigs:
+class Rigs(TypedDict):
     """All rigs of the site of which a message has come."""
 
     site: str
     rigs: list[RigEntry]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AlarmEntry:
+class AlarmEntry(TypedDict):
     """An alarm that is active, not acknowledged or shelved."""
 
     name: Annotated[str, key("kebab-case, stable; for the command acknowledge")]
@@ -88,15 +78,13 @@ class AlarmEntry:
     shelved_until_s: Annotated[float | None, key("Unix time, s; null: it is not shelved")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alarms:
+class Alarms(TypedDict):
     """The alarms of a rig, the most urgent first."""
 
     alarms: list[AlarmEntry]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventEntry:
+class EventEntry(TypedDict):
     """An event: it happened at one moment."""
 
     host_time_s: Annotated[float, key("Unix time, s")]
@@ -108,23 +96,20 @@ class EventEntry:
     text: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Events:
+class Events(TypedDict):
     """The newest events of a rig, the oldest first."""
 
     events: list[EventEntry]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Notice:
+class Notice(TypedDict):
     """A message of the stream of events: either of the two."""
 
-    event: EventEntry | None = None
-    alarm: Annotated[AlarmEntry | None, key("as it is now; neither active nor to be acknowledged: it is over")] = None
+    event: EventEntry | None
+    alarm: Annotated[AlarmEntry | None, key("as it is now; neither active nor to be acknowledged: it is over")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureSamples:
+class CaptureSamples(TypedDict):
     """The coil current around a step of the input, at 25 kHz."""
 
     session: Annotated[int, key("as in a sample")]
@@ -136,8 +121,7 @@ class CaptureSamples:
     i_c_a: Annotated[list[float], key("coil current, A")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Divergence:
+class Divergence(TypedDict):
     """The rig minus its twin, as in the newest message of the twin."""
 
     error_x_m: Annotated[Real, key("measured minus modelled position, m")]
@@ -147,8 +131,7 @@ class Divergence:
     nis_on: Annotated[Real, key("what nis_mean must exceed for the alarm")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TwinModel:
+class TwinModel(TypedDict):
     """The model on which the twin runs."""
 
     name: str
@@ -156,8 +139,7 @@ class TwinModel:
     who: Annotated[str, key("who handed it over; empty: the twin was started with it")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class Limits(TypedDict):
     """The limits of a board, and the gains that it has."""
 
     x_ref_min_m: Annotated[float, key("lowest reference, m")]
@@ -173,17 +155,10 @@ class Limits:
     firmware: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rig:
+class Rig(RigNow):
     """The status of one rig."""
 
-    name: str
-    link: Annotated[str, key("live; connecting, handshake, streaming, silent, absent; no-gateway")]
     reason: Annotated[str, key("why no samples arrive; empty where live")]
-    age_s: Annotated[Real, key("age of the newest sample, s")]
-    mode: Mode | None
-    coil: Annotated[Literal["on", "off", "in-doubt"] | None, key("whether the coil is driven")]
-    x_ref_m: Annotated[Real, key("reference, m")]
     flags: Annotated[list[str], key("in words, such as position-clipped")]
     alarms: Annotated[list[AlarmEntry], key("the most urgent first")]
     twin: Annotated[str, key("none, stale, in-step, settling or out-of-step")]
@@ -193,8 +168,7 @@ class Rig:
     log_state: Annotated[str, key("writing, off, disk-full, or failed with the reason; empty: not known")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reply:
+class Reply(TypedDict):
     """The outcome of a command or of another act."""
 
     executed: Annotated[bool, key("whether the board, or who is responsible, accepted it")]
@@ -205,8 +179,7 @@ class Reply:
     tick: Annotated[int, key("tick from which it is in force; 0 where that has no meaning")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
+class Problem(TypedDict):
     """The answer of a request that failed."""
 
     code: Annotated[str, key("kebab-case, stable")]
@@ -214,8 +187,7 @@ class Problem:
     remedy: Annotated[str, key("what to do")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Work:
+class Work(TypedDict):
     """A job that runs, or the latest of its kind that ran."""
 
     kind: Annotated[str, key("record, campaign, identify, validate, design ...")]
@@ -228,15 +200,13 @@ class Work:
     lines: Annotated[list[str], key("the newest lines that it printed")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Jobs:
+class Jobs(TypedDict):
     """The latest job of each kind of a rig."""
 
     jobs: list[Work]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Campaign:
+class Campaign(TypedDict):
     """A campaign of a rig."""
 
     name: str
@@ -247,16 +217,14 @@ class Campaign:
     has_diagnosis: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Campaigns:
+class Campaigns(TypedDict):
     """The campaigns of a rig, the newest first, and the progress of the latest."""
 
     work: Work | None
     campaigns: list[Campaign]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModelEntry:
+class ModelEntry(TypedDict):
     """A model of a rig."""
 
     name: str
@@ -266,16 +234,14 @@ class ModelEntry:
     in_use: Annotated[bool, key("whether the twin runs on it")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Models:
+class Models(TypedDict):
     """The models of a rig, those of the newest campaign first, and the progress of the latest identification."""
 
     work: Work | None
     models: list[ModelEntry]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogEntry:
+class LogEntry(TypedDict):
     """A log or recording: an MCAP file."""
 
     name: str
@@ -283,8 +249,7 @@ class LogEntry:
     changed_s: Annotated[float, key("time of the last change, Unix time, s")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Logs:
+class Logs(TypedDict):
     """The logs and recordings, the newest first."""
 
     logs: list[LogEntry]

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 Schema = Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """A key of a query, a body or an answer."""
 
     name: str
@@ -19,62 +17,30 @@ class Row:
     needed: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
-    """The keys of one object."""
-
-    text: str
-    rows: list[Row]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Operation:
-    """A method of a path."""
-
-    method: str
-    path: str
-    text: str
-    query: list[Row]
-    bodies: list[Table]
-    answer: Table | None
-
-
-def operations(document: Schema) -> list[Operation]:
-    """Return what the page shows of an OpenAPI document."""
+def operations(document: Schema) -> Iterator[dict[str, Any]]:
+    """Yield what the page shows of each operation of an OpenAPI document."""
     base, schemas = document["servers"][0]["url"], document["components"]["schemas"]
-    shown = []
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
-            body = _content(operation.get("requestBody", {}))
-            shown.append(
-                Operation(
-                    method=method.upper(),
-                    path=base + path,
-                    text=operation["summary"],
-                    query=[_parameter(parameter) for parameter in operation["parameters"]],
-                    bodies=list(_tables(body, schemas)),
-                    answer=next(_tables(_content(operation["responses"]["200"]), schemas), None),
-                )
-            )
-    return shown
+            yield {
+                "name": f"{method.upper()} {base}{path}",
+                "text": operation["summary"],
+                "query": [
+                    Row(part["name"], _kind(part["schema"]), part["description"], part["required"])
+                    for part in operation["parameters"]
+                ],
+                "bodies": list(_tables(operation.get("requestBody", {}), schemas)),
+                "answers": list(_tables(operation["responses"]["200"], schemas)),
+            }
 
 
-def _content(holder: Schema) -> Schema:
-    schema: Schema = holder.get("content", {}).get("application/json", {}).get("schema", {})
-    return schema
-
-
-def _parameter(parameter: Schema) -> Row:
-    schema = parameter["schema"]
-    return Row(name=parameter["name"], kind=_kind(schema), text=parameter["description"], needed=parameter["required"])
-
-
-def _tables(schema: Schema, schemas: Schema) -> Iterator[Table]:
+def _tables(holder: Schema, schemas: Schema) -> Iterator[tuple[str, list[Row]]]:
+    """Yield description and keys of each object that a body may be."""
+    schema = holder.get("content", {}).get("application/json", {}).get("schema", {})
     for option in schema.get("oneOf", [schema]):
         whole = schemas[option["$ref"].rpartition("/")[2]] if "$ref" in option else option
-        if "properties" not in whole:
-            continue
-        yield Table(text=whole.get("description", ""), rows=list(_rows(whole, schemas, "")))
+        if "properties" in whole:
+            yield whole.get("description", ""), list(_rows(whole, schemas, ""))
 
 
 def _rows(table: Schema, schemas: Schema, prefix: str) -> Iterator[Row]:
@@ -83,7 +49,7 @@ def _rows(table: Schema, schemas: Schema, prefix: str) -> Iterator[Row]:
         options = [part, part.get("items", {}), *part.get("anyOf", [])]
         inner: Schema = next((schemas[option["$ref"].rpartition("/")[2]] for option in options if "$ref" in option), {})
         text = part.get("description") or inner.get("description", "")
-        yield Row(name=prefix + name, kind=_kind(part), text=text, needed=name in table.get("required", []))
+        yield Row(prefix + name, _kind(part), text, name in table.get("required", []))
         if "properties" in inner:
             yield from _rows(inner, schemas, f"{prefix}{name}.")
 

@@ -33,25 +33,18 @@ class Panel:
     line: list[_Row]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BodeCard:
-    """The parts of a bode.json that the page shows."""
+def bode_card(table: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the parts of a bode.json that the page shows; None where it is none.
 
-    answer: str
-    explains: bool | None  # None: no flight is excited
-    heights: list[tuple[str, list[Panel]]]  # in mm
-    notes: list[str]
-
-
-def bode_card(table: Mapping[str, Any]) -> BodeCard | None:
-    """Read a bode.json; None where it is none."""
+    `explains` is None where no flight is excited; `heights` are in mm, each with its pictures.
+    """
     try:
-        return BodeCard(
-            answer=str(table["answer"]),
-            explains=table["explains"],
-            heights=[(f"{height['x_m'] * 1e3:.2f}", list(_panels(height))) for height in table["heights"]],
-            notes=[str(note) for note in table["notes"]],
-        )
+        return {
+            "answer": str(table["answer"]),
+            "explains": table["explains"],
+            "heights": [(f"{height['x_m'] * 1e3:.2f}", list(_panels(height))) for height in table["heights"]],
+            "notes": [str(note) for note in table["notes"]],
+        }
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError):
         return None
 

@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from protocol.diagnosis import Ahead, Interval
 
 _MIN_ERROR_M = 1e-9  # an error of 0 has no logarithm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figure:
-    """A picture for the template, in units of its view box."""
+def errors_figure(ahead: Sequence[Ahead]) -> dict[str, Any] | None:
+    """Return the picture of the rms error of x on the judge recordings; None where there is none.
 
-    grid: list[tuple[float, str]]  # y of each decade, and its label
-    ticks: list[tuple[float, str]]  # x of each horizon, and its label
-    curves: dict[str, list[tuple[float, float, float, float]]]  # x, y, and the interval in y
-    width: float = 560.0
-    height: float = 260.0
-    left: float = 62.0
-    right: float = 548.0
-    middle: float = 311.0  # of the axis of the horizons
-
-
-def errors_figure(ahead: Sequence[Ahead]) -> Figure | None:
-    """Return the rms error of x on the judge recordings; None where there is none."""
+    `grid` has y and label of each decade, `ticks` x and label of each horizon; a curve has x, y and the interval in y.
+    """
     if not ahead:
         return None
     values = [max(v, _MIN_ERROR_M) for error in ahead for v in (*error.before, *error.after, error.noise_floor)]
@@ -45,15 +34,15 @@ def errors_figure(ahead: Sequence[Ahead]) -> Figure | None:
             (x(e.horizon_s), y(at), y(bottom), y(top)) for e, (at, bottom, top) in zip(ahead, intervals, strict=True)
         ]
 
-    return Figure(
-        grid=[
+    return {
+        "grid": [
             (y(10.0**k), f"{10.0**k * 1e3:g} mm" if k >= -3 else f"{10.0**k * 1e6:g} \u00b5m")
             for k in range(low, high + 1)
         ],
-        ticks=[(x(error.horizon_s), f"{error.horizon_s * 1e3:.0f}") for error in ahead],
-        curves={
+        "ticks": [(x(error.horizon_s), f"{error.horizon_s * 1e3:.0f}") for error in ahead],
+        "curves": {
             "noise": curve([(error.noise_floor,) * 3 for error in ahead]),
             "before": curve([error.before for error in ahead]),
             "after": curve([error.after for error in ahead]),
         },
-    )
+    }

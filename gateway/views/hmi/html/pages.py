@@ -19,7 +19,7 @@ from starlette.routing import Route
 
 from gateway.access.roles import MINIMUM_ROLE
 from gateway.views.hmi.actions import Actions
-from gateway.views.hmi.guard import refusal, session_of
+from gateway.views.hmi.guard import session_of
 from gateway.views.hmi.html.api_page import operations
 from gateway.views.hmi.html.model_page import shown
 from gateway.views.hmi.html.render import render
@@ -33,13 +33,7 @@ MAX_REPORTS = 20
 
 
 class Pages:
-    """The pages of one server.
-
-    Args:
-        actions: tells who may do what.
-        work: on models.
-        api: the description of the API in OpenAPI.
-    """
+    """The pages of one server."""
 
     def __init__(self, actions: Actions, work: ModelWork, api: Mapping[str, Any]) -> None:
         self._actions, self._work, self._api = actions, work, api
@@ -118,9 +112,7 @@ class Pages:
 
     async def report(self, request: Request) -> Response:
         """Return a report within a page that has STOP; the report itself runs no script."""
-        entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
-        if entry is None:
-            return refusal(404, "no-report", text_of("refusal.no_report"))
+        entry = await asyncio.to_thread(self._actions.report, request.path_params["name"])
         rig, live, title = rig_of(entry), "/live", text_of("title.report", date=entry.changed)
         if self._actions.feed.board(rig) is None:  # of a rig that is not here: its STOP would stop nothing
             rig = ""

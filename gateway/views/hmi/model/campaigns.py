@@ -31,17 +31,18 @@ MAX_ACTS = 20
 _TAIL_BYTES = 65_536  # of the end of the file that is read
 MAX_CAMPAIGNS = 50  # the newest
 MODEL, DIAGNOSIS, VALIDATION, BODE, COMPARISON = "model.json", "diagnosis", "validation", "bode", "comparison"
+EXTENDED_MODEL = f"{DIAGNOSIS}/extended_model.json"
+RESULT_FILES = {  # JSON of the `board51` commands
+    "validation": f"{VALIDATION}/validation.json", "diagnosis": f"{DIAGNOSIS}/diagnosis.json",
+    "comparison": f"{COMPARISON}/compare.json", "bode": f"{BODE}/bode.json",
+}  # fmt: skip
+RESULTS = (*RESULT_FILES, "design", "forecast")  # the last two of the newest design
+RESULT_PAGES = {  # for people
+    "validation": f"{VALIDATION}/report.html", "diagnosis": f"{DIAGNOSIS}/report.html",
+    "comparison": f"{COMPARISON}/compare.html", "bode": f"{BODE}/bode.html",
+}  # fmt: skip
 TITLE, TITLE_LENGTH = "name.txt", 60
 _NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Act:
-    """An act: one line of the file."""
-
-    at: str  # for people
-    who: str
-    what: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,43 +58,22 @@ class CampaignFolder:
     left: tuple[str, ...]  # experiments that an interrupted run has not made
     quick: bool  # of its latest run
     investigation: bool  # an interrupted one
-    acts: tuple[Act, ...]  # the oldest first
+    acts: tuple[dict[str, str], ...]  # see acts_of
 
-    @property
-    def model(self) -> Path | None:
-        """Return the model of `identify`."""
-        return _file(self.path / MODEL)
+    def file(self, name: str) -> Path | None:
+        """Return a file below the folder; None where it is absent."""
+        path = self.path / name
+        return path if path.is_file() else None
 
-    @property
-    def extended_model(self) -> Path | None:
-        """Return the extended model of `diagnose`."""
-        return _file(self.path / DIAGNOSIS / "extended_model.json")
-
-    @property
-    def diagnosis(self) -> Path | None:
-        """Return the diagnosis.json."""
-        return _file(self.path / DIAGNOSIS / "diagnosis.json")
-
-    @property
-    def validation(self) -> dict[str, Any]:
-        """Return the content of validation.json; empty if it is missing or damaged."""
-        return read_table(self.path / VALIDATION / "validation.json")
-
-    @property
-    def bode(self) -> dict[str, Any]:
-        """Return the content of bode.json; empty if it is missing or damaged."""
-        return read_table(self.path / BODE / "bode.json")
-
-    @property
-    def comparison(self) -> Path | None:
-        """Return the compare.json."""
-        return _file(self.path / COMPARISON / "compare.json")
+    def result(self, name: str) -> dict[str, Any]:
+        """Return the content of one of RESULT_FILES; empty if it is missing or damaged."""
+        return read_table(self.path / RESULT_FILES[name])
 
     @property
     def toml(self) -> Path | None:
         """Return the campaign.toml; None before the campaign has recorded anything."""
         recorded = sorted((self.path / DIAGNOSIS).glob("live-*/campaign.toml"))
-        return _file(self.path / "campaign.toml") or (recorded[-1] if recorded else None)
+        return self.file("campaign.toml") or (recorded[-1] if recorded else None)
 
     @property
     def interrupted(self) -> bool:
@@ -194,10 +174,6 @@ def _title(path: Path) -> str:
         return ""
 
 
-def _file(path: Path) -> Path | None:
-    return path if path.is_file() else None
-
-
 def write_act(folder: Path, *, who: str, what: str) -> None:
     """Append a line.  Raises OSError where the folder cannot be written."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -206,8 +182,8 @@ def write_act(folder: Path, *, who: str, what: str) -> None:
         stream.write(line + "\n")
 
 
-def acts_of(folder: Path) -> tuple[Act, ...]:
-    """The newest acts, in their order; lines that are none are left out."""
+def acts_of(folder: Path) -> tuple[dict[str, str], ...]:
+    """The newest acts, in their order: `at` (for people), `who`, `what`; lines that are none are left out."""
     try:
         with (folder / ACTS).open("rb") as stream:
             stream.seek(max(0, stream.seek(0, 2) - _TAIL_BYTES))
@@ -217,9 +193,9 @@ def acts_of(folder: Path) -> tuple[Act, ...]:
     return tuple(act for act in map(_act, lines[-MAX_ACTS:]) if act is not None)
 
 
-def _act(line: str) -> Act | None:
+def _act(line: str) -> dict[str, str] | None:
     try:
         table = json.loads(line)
-        return Act(at=str(table["at"]), who=str(table["who"]), what=str(table["what"]))
+        return {name: str(table[name]) for name in ("at", "who", "what")}
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.views.hmi.model.campaigns import CampaignFolder, parse_table, read_table
+from gateway.views.hmi.model.campaigns import EXTENDED_MODEL, MODEL, CampaignFolder, parse_table, read_table
 from gateway.views.hmi.texts import text_of, texts_of
 from protocol.bus import board51_pb2 as pb
 
@@ -120,8 +120,8 @@ def keep(data: Path, running: pb.TwinModel, board: str) -> Path:
 def _files(data: Path, board: str, campaigns: list[CampaignFolder]) -> Iterator[tuple[str, Path, str, str]]:
     for campaign in campaigns:
         for path, kind in (
-            (campaign.extended_model, text_of("models.extended", date=campaign.made)),
-            (campaign.model, text_of("models.identified", date=campaign.made)),
+            (campaign.file(EXTENDED_MODEL), text_of("models.extended", date=campaign.made)),
+            (campaign.file(MODEL), text_of("models.identified", date=campaign.made)),
         ):
             if path is not None:
                 yield f"{campaign.name}/{path.name}", path, kind, _changed(path)

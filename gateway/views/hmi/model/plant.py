@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from gateway.views.hmi.texts import text_of
@@ -32,34 +31,22 @@ def stated_ms(card: pb.PlantCard | None) -> int:
     return -1 if card is None else card.stated_ns // 1_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlantCard:
-    """The card of one rig for its page."""
-
-    stated_ms: int  # Unix time; 0: nobody stated it, -1: no card has arrived
-    emulated: bool  # stated by the build of an emulated board
-    who: str
-    when: str  # for people
-    name: str
-    fields: Mapping[str, str]  # values in the units of the page; empty where nobody stated them
-
-
-def plant_card(card: pb.PlantCard | None, board: str) -> PlantCard:
-    """Return the card for the page of a board."""
+def plant_card(card: pb.PlantCard | None, board: str) -> dict[str, Any]:
+    """Return the card for the page of a board, in the units of the page; empty texts where nobody stated a value."""
     plant = card_plant(card)
     fields = dict.fromkeys(FIELDS, "") | {"gravity": f"{GRAVITY_M_S2:g}"}
     if plant is not None:
         values = {field: getattr(plant, name) for field, (name, _) in FIELDS.items()}
         fields = {field: "" if value is None else f"{value / FIELDS[field][1]:.6g}" for field, value in values.items()}
     seconds = card.stated_ns / 1e9 if card is not None else 0.0
-    return PlantCard(
-        stated_ms=stated_ms(card),
-        emulated=card is not None and card.who == EMULATED,
-        who=card.who if card is not None else "",
-        when=time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds)) if seconds else "",
-        name=plant.name if plant is not None else board,
-        fields=fields,
-    )
+    return {
+        "stated_ms": stated_ms(card),
+        "emulated": card is not None and card.who == EMULATED,  # stated by the build of an emulated board
+        "who": card.who if card is not None else "",
+        "when": time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds)) if seconds else "",
+        "name": plant.name if plant is not None else board,
+        "fields": fields,
+    }
 
 
 def judged(typed: Mapping[str, str], parameters: pb.Parameters | None) -> dict[str, Any]:

@@ -26,12 +26,7 @@ class Namespaces:
 
 
 class Builder:
-    """Adds nodes to the namespace of the site.
-
-    Args:
-        server: asyncua's.
-        spaces: indices of all namespaces.
-    """
+    """Adds nodes to the namespace of the site."""
 
     def __init__(self, server: InternalServer, spaces: Namespaces) -> None:
         self._server, self.spaces = server, spaces
