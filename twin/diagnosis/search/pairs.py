@@ -31,41 +31,50 @@ def join(search: Search, selection: Selection) -> Selection:
     scores = [score for score in scores if score.cause not in fitted and score.cause != periodic.CAUSE.name]
     scores = scores[: max(settings.PAIR_CANDIDATES - len(fitted), 0)]
     trials = [*refused.trials, *criterion.each(partial(start_trial, criterion, current), scores)]
-    pairs = [(one, two) for one, two in combinations(trials, 2) if two.cause not in same_as(one.cause)]
-    starts = [start for one, two in pairs for start in (_both(one, two), _both(two, one))]
+    pairs = [(first, second) for first, second in combinations(trials, 2) if second.cause not in same_as(first.cause)]
+    starts = [start for first, second in pairs for start in (_merged(first, second), _merged(second, first))]
     values = criterion.thinner.values(starts)
     order = sorted(range(len(pairs)), key=lambda n: -max(values[2 * n : 2 * n + 2]))[: settings.PAIRS_FITTED]
 
-    def fit(n: int) -> tuple[Trial, Trial]:
-        one, two = pairs[n]
+    def short_fit(n: int) -> tuple[Trial, Trial]:
+        first, second = pairs[n]
         start = starts[2 * n] if values[2 * n] >= values[2 * n + 1] else starts[2 * n + 1]
-        both = approach(criterion, start, current.free + coordinates_of(one.cause) + coordinates_of(two.cause))
-        return one, Trial(cause=two.cause, fit=both, gain=both.loglik - current.loglik)
+        fit = approach(criterion, start, current.free + coordinates_of(first.cause) + coordinates_of(second.cause))
+        return first, Trial(cause=second.cause, fit=fit, gain=fit.loglik - current.loglik)
 
-    best = max(criterion.each(fit, order), key=lambda pair: pair[1].gain, default=None)
+    best = max(criterion.each(short_fit, order), key=lambda pair: pair[1].gain, default=None)
     if best is None or best[1].gain < settings.PAIR_PROMISE * excess:
         return selection
-    one, two = best[0], refine(criterion, best[1])
-    possible = within_range(two) and within_range(replace(two, cause=one.cause))
-    if not possible or two.gain < settings.PAIR_SHARE * excess:
+    first, second = best[0], refine(criterion, best[1])
+    possible = within_range(second) and within_range(replace(second, cause=first.cause))
+    if not possible or second.gain < settings.PAIR_SHARE * excess:
         return selection
-    search.report(f"selected together: {one.cause} and {two.cause} (log-likelihood +{two.gain:.0f})")
+    search.report(f"selected together: {first.cause} and {second.cause} (log-likelihood +{second.gain:.0f})")
     steps = [
-        replace(refused, trials=(one, *refused.trials), selected=one.cause, best=two, refusal="", partner=two.cause),
-        replace(refused, scores=(), trials=(two,), selected=two.cause, best=two, refusal="", partner=one.cause),
+        replace(
+            refused,
+            trials=(first, *refused.trials),
+            selected=first.cause,
+            best=second,
+            refusal="",
+            partner=second.cause,
+        ),
+        replace(
+            refused, scores=(), trials=(second,), selected=second.cause, best=second, refusal="", partner=first.cause
+        ),
     ]
     return replace(
         selection,
-        causes=(*selection.causes, one.cause, two.cause),
-        fit=two.fit,
-        gains={**selection.gains, one.cause: two.gain, two.cause: two.gain},
+        causes=(*selection.causes, first.cause, second.cause),
+        fit=second.fit,
+        gains={**selection.gains, first.cause: second.gain, second.cause: second.gain},
         rounds=(*selection.rounds[:-1], *steps),
-    ).with_fits([two.fit])
+    ).with_fits([second.fit])
 
 
-def _both(one: Trial, two: Trial) -> Theta:
-    """Return the model of `one` with the cause of `two`."""
-    theta = one.fit.theta
-    for name in coordinates_of(two.cause):
-        theta = theta.having(name, two.fit.theta.value(name))
+def _merged(first: Trial, second: Trial) -> Theta:
+    """Return the model of `first` with the cause of `second`."""
+    theta = first.fit.theta
+    for name in coordinates_of(second.cause):
+        theta = theta.having(name, second.fit.theta.value(name))
     return theta

@@ -16,8 +16,8 @@ from twin.settings import diagnosis as settings
 class Search:
     """The task of a search for causes.
 
-    A share below `settings.MIN_SHARE` selects more causes, too.  `quick` skips combinations of causes that explain too
-    little alone, and most of the class search where several causes were found.
+    A share below `settings.MIN_SHARE` selects more causes, too.  `quick` skips most of the class search where several
+    causes were found.
     """
 
     criterion: Criterion  # of the recordings for fitting
