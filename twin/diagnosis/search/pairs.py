@@ -4,7 +4,8 @@ Two strong causes mask each other.  A limited rate looks like a long T_A, and be
 nothing: alone the two removed 2 and 5 % of what a model lacked, together 88 %.  So where no candidate explains a fair
 share, each is fitted a little, and any two are tried with the values that they have alone.
 
-Rule: a pair must explain nearly all.  Two names that explain less may imitate an unknown cause.
+Rule 1: a pair must explain nearly all.  Two names that explain less may imitate an unknown cause.
+Rule 2: pairs are tried while more is missing than is explained.  A smaller rest does not hide strong causes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ from twin.settings import diagnosis as settings
 def join(search: Search, selection: Selection) -> Selection:
     """Add the best pair after a refused step; returns `selection` if no pair explains nearly all that is left."""
     criterion, current, refused = search.criterion, selection.fit, selection.rounds[-1]
-    excess = search.floor.under(criterion, current.theta).excess(current.loglik)
+    floor = search.floor.under(criterion, current.theta)
+    excess = floor.excess(current.loglik)
+    if not floor.material(current.loglik) or excess < current.loglik - selection.base.loglik:
+        return selection
     fitted = {trial.cause for trial in refused.trials}
     scores = [score for score in refused.scores if score.testable and score.gain > settings.MIN_GAIN]
     scores = [score for score in scores if score.cause not in fitted and score.cause != periodic.CAUSE.name]

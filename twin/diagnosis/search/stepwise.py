@@ -66,7 +66,7 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
                 yield (selection := step_result)
             if selection.rounds[-1].selected:
                 continue
-            if len(selection.causes) + 2 <= max_causes and material(search, selection.fit):
+            if len(selection.causes) + 2 <= max_causes:
                 yield (selection := _add_pair(search, selection))
             if not selection.rounds[-1].selected:
                 break
