@@ -58,8 +58,8 @@ def test_another_emulated_rig_has_its_plant_card_and_its_limits(tmp_path: Path) 
     words = ["--emulated", "--rig", str(tmp_path / "rig.toml"), "--page", f"127.0.0.1:{page}", "--no-browser"]
     process = subprocess.Popen(
         [*START, *words, "--listen", f"tcp/127.0.0.1:{bus}", "--log-dir", str(tmp_path / "logs")],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ | {"TMPDIR": str(tmp_path)},
-    )  # fmt: skip
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+    )
     try:
         with client(f"tcp/127.0.0.1:{bus}") as heard:
             card = wait_for(lambda: [c for c in heard.messages["rig1/plant"] if c.board], "card with its board")[-1]
