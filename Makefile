@@ -43,7 +43,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
-# What guards a change, about seven minutes on two cores.  Four processes: some of these tests wait for a board or a bus.
+# What guards a change, about six minutes on two cores.  Four processes: some of these tests wait for a board or a bus.
 # test-slow, the rest, 25 minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
 # browsers.  WHICH="not sample" runs both, the slow ones first, so that no process waits for another at the end.
 WHICH ?= not slow and not sample
