@@ -23,8 +23,7 @@ def causes(diagnosis: Diagnosis) -> dict[str, Any]:
         "least_gain": f"{settings.MIN_GAIN:g}",
         "rounds": [
             inline(figures.round_figure(step, number, settings.MIN_GAIN), f"Round {number}: {round_sentence(step)}")
-            for number, step in enumerate(diagnosis.selection.rounds, start=1)
-            if step.scores
+            for number, step in enumerate((step for step in diagnosis.selection.rounds if step.scores), start=1)
         ],
         "cards": [
             _card(finding, f"{number}. " if len(diagnosis.causes) > 1 else "")
