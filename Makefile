@@ -22,7 +22,7 @@ setup: $(COMPILED)
 
 $(COMPILED): $(INSTALLED)
 	$(BIN)/board51 compile
-	@$(BIN)/board51 emulate --speed 0 --duration 0.1 >/dev/null  # compiles the emulated rig
+	@$(BIN)/board51 emulate --speed 0 --duration 0.1 --json >/dev/null  # compiles the emulated rig
 	@touch $@
 
 install: $(INSTALLED)

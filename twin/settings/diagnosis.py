@@ -118,7 +118,7 @@ MIN_GAIN = 10.0
 # gains most (i_c, x, points of rest).  A significant but minor effect next to a large unexplained rest is typical of a
 # false name.
 MIN_SHARE = 0.2
-# Tuned.  The same for two causes of which neither explains enough alone; and after a short fit of both.
+# Reasoned.  The same for two causes of which neither explains enough alone; and after a short fit of both.
 PAIR_SHARE = 0.8
 PAIR_PROMISE = 0.2
 # Tuned.  A smaller share is enough for a cause that removes this much of the mean square error of x, BENEFIT_HORIZON_S
@@ -207,7 +207,7 @@ STEEPNESS = 8.0  # a likelihood rises at most so many times what its slope promi
 STEEPNESS_DELAY = 50.0  # the same of a delay, whose likelihood is flat at zero
 STEEPNESS_DOUBT = 0.2  # share of the best gain that an early fit may be behind its end
 SAFE_CANDIDATES = 2  # with the best scores: they pass the first halving in any case
-PAIR_CANDIDATES = 14  # of which any two are tried together where none explains enough alone
+PAIR_CANDIDATES = 14  # of which any two are tried together where none explains enough alone (tuned: one was eleventh)
 PAIRS_FITTED = 3  # of these
 ROUND_TRIPS = 3  # forward and backward, while causes replace each other
 # Starts of a fit: the linear step, in probes (beyond the largest the signature changes), and its parts, as the whole
