@@ -145,8 +145,12 @@ class Server:
 
     def _rest(self, timeout_s: float | None) -> None:
         """Sleep until the next deadline, or do what other threads asked for."""
+        # Not `get` with a timeout: after a signal, CPython's queue may wait for ever (seen with 3.11 under load).
+        if timeout_s is None:
+            self._calls.get()()
+        else:
+            time.sleep(timeout_s)
         with contextlib.suppress(Empty):
-            self._calls.get(timeout=timeout_s)()
             while True:
                 self._calls.get_nowait()()
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
 import threading
 import time
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from gateway.emulator.ports import TcpPort
 from gateway.emulator.serve import Emulator, Server, build_lines
 from protocol.wire.decoder import State
 from tests.harness.gateway.raw_wire import Wire, is_state, until
+from tests.patience import HANG_S
 
 
 def test_real_time_is_kept() -> None:
@@ -65,6 +68,26 @@ def test_what_a_busy_machine_held_up_is_not_caught_up_at_once() -> None:
 
     for (begin_s, first_s, _), (_, last_s, end_s) in combinations(readings[::50], 2):
         assert last_s - first_s <= 2.0 * (end_s - begin_s) + 0.11
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="Windows sends no signal to a thread")
+def test_signals_do_not_stop_the_boards() -> None:
+    server = Server(build_lines([TcpPort("127.0.0.1", 0)]))
+    thread = threading.Thread(target=server.run, daemon=True)
+    before = signal.signal(signal.SIGUSR1, lambda *_: None)
+    thread.start()
+
+    def ticks_on(time_s: float) -> bool:
+        signal.pthread_kill(thread.ident or 0, signal.SIGUSR1)
+        return server.lines[0].counts.time_s > time_s
+
+    try:
+        for n in range(50):  # a rest that a signal prolonged for ever was seen within ten signals
+            until(partial(ticks_on, 0.01 * n))
+    finally:
+        server.stop()
+        thread.join(HANG_S)
+        signal.signal(signal.SIGUSR1, before)
 
 
 def test_speed_runs_the_board_faster() -> None:
