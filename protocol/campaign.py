@@ -216,14 +216,10 @@ class Campaign:
         return load(Path(path))
 
     def path_of(self, recording: Recording, *, data: Path | None = None) -> Path:
-        """Return the path of a recording: in the campaign's folder, else in the data folder.
+        """Return the path of a recording: in the campaign's folder, else in the data folder (default `$BOARD51_DATA`).
 
         A campaign may come from an untrusted source.  Its recordings must therefore lie, after resolving links, in the
         campaign's folder or in the data folder that the user has named; no other file of the user can be read.
-
-        Args:
-            recording: A recording of this campaign.
-            data: Folder with recordings that are not kept beside the campaign; default `$BOARD51_DATA`.
 
         Raises:
             DataError: the file is in neither folder.
@@ -254,10 +250,7 @@ def _whereabouts(file: Path, folders: Sequence[Path]) -> Literal["within", "outs
 
 
 def load(path: Path) -> Campaign:
-    """Read a campaign.
-
-    Args:
-        path: A campaign file under any name, or the folder that holds a `campaign.toml`.
+    """Read a campaign file under any name, or the `campaign.toml` of a folder.
 
     Raises:
         DataError: the file is absent or not text.
@@ -296,12 +289,7 @@ def load_stated_plant(path: Path) -> Plant:
 
 
 def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
-    """Parse a campaign.
-
-    Args:
-        text: Campaign in TOML.
-        where: Name of the file, for error messages.
-        folder: Folder to which the names of the recordings are relative.
+    """Parse a campaign in TOML; `where` names it in errors, `folder` is that of its recordings.
 
     Raises:
         ConfigError: a key or a value is wrong.

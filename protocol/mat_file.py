@@ -48,11 +48,7 @@ def byte_order(head: bytes) -> str:
 
 
 def parse_mat(data: bytes, largest: int) -> dict[str, Variable]:
-    """Return the variables by name.
-
-    Args:
-        data: The whole file.
-        largest: Largest total size of its compressed parts when unpacked, bytes.
+    """Return the variables of a file by name; its compressed parts may unpack to `largest` bytes together.
 
     Raises:
         BrokenMatError: it is none, or is cut off or damaged.

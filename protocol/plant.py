@@ -86,11 +86,9 @@ def refuse_impossible(table: object) -> object:
 
 
 def objections(values: Mapping[str, object], *, highest_reference_m: float | None = None) -> tuple[Objection, ...]:
-    """Judge the values of a plant; at most one objection for each key, in the order of the keys.
+    """Judge the values of a plant, SI units; at most one objection for each key, in the order of the keys.
 
-    Args:
-        values: By key of `[plant]`, SI units.  Missing values and those that are not finite are not judged.
-        highest_reference_m: Highest reference that the board takes, m; None: not known.
+    Missing values and those that are not finite are not judged.  `highest_reference_m`: that the board takes, if known.
     """
     known = {
         name: float(value)

@@ -59,13 +59,10 @@ class PublishQueue:
 
 
 class Publisher:
-    """A thread that publishes queued payloads in order.
+    """A thread that publishes at most `capacity` queued payloads in order.
 
-    Args:
-        name: Name of the thread.
-        capacity: Largest number of queued payloads.
-        gather_s: Wait after the first queued payload, s; what arrives meanwhile becomes one payload per channel.
-        join: Makes one payload of at most `LONGEST_BATCH`.
+    With `join` it waits `gather_s` after the first payload.  What arrives meanwhile becomes one payload per channel, of
+    at most `LONGEST_BATCH`.
     """
 
     def __init__(
@@ -87,13 +84,9 @@ class Publisher:
         self._thread.start()
 
     def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0, *, wake: bool = True) -> None:
-        """Queue payloads of one channel.
+        """Queue payloads of one channel, in order; `read_mono_ns` is for their latency, where it is of interest.
 
-        Args:
-            channel: Where they go.
-            payloads: In order.
-            read_mono_ns: When they were read (monotonic), where their latency is of interest.
-            wake: Wake the thread; else the caller does, once for many (`wake`).
+        Without `wake` the caller wakes the thread, once for many.
         """
         with self._lock:
             idle = wake and not self._queue

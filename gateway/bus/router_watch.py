@@ -31,13 +31,9 @@ class RouterChange:
 
 
 class RouterWatch:
-    """Holds `publishers` while `session` has no router.
+    """Holds `publishers` while `session`, of a client or a router without listeners, has no router.
 
-    Args:
-        session: Session of a client, or of a router without listeners.
-        where: Endpoints that it connects to, for messages.
-        sinks: Outputs whose losses are reported and whose subscribers are awaited.
-        publishers: Publishers to pause.
+    The losses of `sinks` are reported and their subscribers awaited; `where` names the endpoints in messages.
     """
 
     def __init__(

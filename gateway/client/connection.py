@@ -306,10 +306,7 @@ class BoardConnection:
         """Send any command and return its reply; a refusal is not an exception here.
 
         An existing `id` and `issued_ns` are kept, so that a command can be repeated without being executed twice.
-
-        Args:
-            command: The command; missing fields of its head are filled in.
-            timeout_s: For the answer, s; None: that of the rig.
+        Missing fields of its head are filled in.  `timeout_s` is for the answer; None: that of the rig.
         """
         if command.WhichOneof("what") not in _AT_REST:
             self._has_moved = True  # before it is sent, as an interrupted command may act

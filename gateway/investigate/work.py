@@ -28,12 +28,8 @@ class Interrupted(Exception):  # noqa: N818  # not an error: somebody wanted it
 class Work:
     """The commands of one investigation.
 
-    Args:
-        folder: of the campaign.
-        rig: options of `campaign run`: board, bus, plant, limits.
-        ordered_ns: when the investigation was ordered, Unix time: a STOP since then ends it, also during a diagnosis.
-        workers: threads of a diagnosis.
-        write_line: is called with lines of progress.
+    `rig` are the options of `campaign run`: board, bus, plant, limits.  A STOP since `ordered_ns`, Unix time, ends the
+    investigation, also during a diagnosis.
     """
 
     def __init__(

@@ -88,14 +88,9 @@ class _Retained:
 
 
 class CommandHandler:
-    """Handles the commands of one board.
+    """Handles the commands of one board; the driver keeps `known` up to date.
 
-    Args:
-        limits: Limits of this board.
-        session: Session that sends the accepted commands.
-        known: Data reported by the board; the driver keeps it up to date.
-        sink: Receives the records.
-        accepted: Called with wire command, bus command and ACK of each command that the board accepted.
+    `accepted` is called with wire command, bus command and ACK of each command that the board accepted.
     """
 
     def __init__(

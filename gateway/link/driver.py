@@ -63,13 +63,7 @@ def _new_session(config: BoardConfig) -> Session:
 
 
 class BoardDriver:
-    """The state machine of one board's link.  All calls must come from one thread.
-
-    Args:
-        config: Configuration of this board.
-        sink: Receives samples, events and records.
-        clock: Host clock.
-    """
+    """The state machine of one board's link.  All calls must come from one thread."""
 
     def __init__(self, config: BoardConfig, sink: Sink, clock: HostClock) -> None:
         self.config = config

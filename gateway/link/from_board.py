@@ -49,13 +49,7 @@ class Known:
 
 
 class FromBoard:
-    """Supervises the direction from one board to the host.
-
-    Args:
-        config: Configuration of the board.
-        counters: Counters of its frames.
-        known: Data that it has reported.
-    """
+    """Supervises the direction from one board to the host, by the counters of its frames."""
 
     def __init__(self, config: BoardConfig, counters: Counters, known: Known) -> None:
         self.bytes_received = 0  # since the gateway's start

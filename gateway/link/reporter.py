@@ -24,14 +24,7 @@ _LEVELS = {"info": logging.INFO, "warning": logging.WARNING}
 
 
 class LinkReporter:
-    """The reported state of one board's link, with its reason and time.
-
-    Args:
-        board: Name of the board.
-        session: Session of the board, for number and counts.
-        sink: Receives the events and the sign of life.
-        clock: Host clock.
-    """
+    """The reported state of one board's link, with its reason and time."""
 
     def __init__(self, board: str, session: Session, sink: Sink, clock: HostClock) -> None:
         self.state = "connecting"

@@ -29,14 +29,7 @@ MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs and d
 
 
 class CommandExchange:
-    """The base of `Session`: it numbers, sends, repeats and answers commands.
-
-    Args:
-        timeout_s: wait for an answer before repeating.
-        retries: repetitions before giving up.
-        hello_s: time between two HELLO without an answer.
-        first_id: of the commands.
-    """
+    """The base of `Session`: it numbers, sends, repeats and answers commands."""
 
     def __init__(self, *, timeout_s: float, retries: int, hello_s: float, first_id: int) -> None:
         self.is_open = False  # after the handshake; only STOP and HELLO are sent before
@@ -60,13 +53,7 @@ class CommandExchange:
         """Queue a command and return its token; it waits for the handshake, STOP does not.
 
         While MAX_STOPS are not answered, and repeated until they are, further STOPs share the STOP after them, and
-        its token.
-
-        Args:
-            name: of the message.
-            now_s: now.
-            wait_s: it is given up where it cannot begin to go out within this.
-            values: of its fields.
+        its token.  A command is given up where it cannot begin to go out within `wait_s`.
 
         Raises:
             ValueError: a value is out of the range of its field.

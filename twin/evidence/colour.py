@@ -81,10 +81,7 @@ def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | N
 def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
     """Return the mean square of a weighted sum of successive readings over that of white noise of the same level.
 
-    Args:
-        colour: of the noise.
-        step_s: interval of the readings, s.
-        weights: of the readings, shape (n,).
+    `step_s` is the interval of the readings; `weights` has shape (n,).
     """
     covariance = colour.white * np.eye(len(weights)) + (1.0 - colour.white) * _correlation(
         colour.tau_s, step_s, len(weights)

@@ -63,12 +63,9 @@ class Evidence:
 
 
 def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, float | None] | None = None) -> Evidence:
-    """Prepare recordings.
+    """Prepare the recordings of one use.
 
-    Args:
-        records: of one use.
-        plant: mass, travel, x_max.
-        stops: readings at the lower and the upper stop if they are known from other recordings, m.
+    `stops` are the readings at the lower and the upper stop if they are known from other recordings, m.
     """
     every_record = tuple(records)
     rows = [bridged(record) for record in every_record]
@@ -136,14 +133,10 @@ class _Common:
 def _prepared(
     record: Record, lost: BoolArray, is_held: BoolArray, is_lifted: bool, common: _Common
 ) -> tuple[Series, FloatArray, Usage]:
-    """Return (the flagged samples of a recording, their times, how they are used).
+    """Return (the flagged samples of a recording with bridged rows, their times, how they are used).
 
-    Args:
-        record: with bridged rows.
-        lost: which of its rows were lost, shape (n,).
-        is_held: which of them have the ball held, shape (n,).
-        is_lifted: whether the ball is lifted off a platform.
-        common: of all recordings.
+    `lost` and `is_held`, shape (n,), say which of its rows were lost and which have the ball held.  `is_lifted`: off a
+    platform.
     """
     plant, low, high = common.plant, common.low_m, common.high_m
     on_stop = on_stops(record, is_held & ~np.isin(record.x, common.blind_m), low, high, plant)

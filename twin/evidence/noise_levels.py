@@ -105,12 +105,7 @@ def colours_json(noise: Noise | None) -> dict[str, Any]:
 
 
 def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
-    """The noise for diagnosis.json.
-
-    Args:
-        noise: None: each channel has a single level.
-        sigmas: reference levels of i_c, A, and x, m.
-    """
+    """The noise for diagnosis.json; `sigmas` are the reference levels of i_c, A, and x, m."""
     channels = noise.channels if noise is not None and not noise.plain else (Channel(), Channel())
     return {
         name: {

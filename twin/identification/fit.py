@@ -31,8 +31,7 @@ PASSES = 40
 class Blocks:
     """The likelihood of a series as the sum over its blocks: a surface for `twin/inference/optimiser.py`.
 
-    Args:
-        whole: the likelihood of a `bare` series; its owner closes it.
+    `whole` is the likelihood of a `bare` series; its owner closes it.
     """
 
     def __init__(self, whole: Criterion) -> None:

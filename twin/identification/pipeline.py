@@ -52,12 +52,7 @@ _AT_REST = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")  # free if no recordin
 def identify(
     campaign: Campaign, *, data: Path | None = None, progress: Callable[[str], None] = lambda line: None
 ) -> Identification:
-    """Identify the model of a campaign from its recordings for fitting.
-
-    Args:
-        campaign: of `Campaign.load`.
-        data: folder of the recordings, if it is not that of the campaign.
-        progress: is called with lines of progress.
+    """Identify the model of a campaign from its recordings for fitting; `progress` is called with lines.
 
     Raises:
         DataError: a recording is missing, unreadable or implausible, or none has use = "fit".

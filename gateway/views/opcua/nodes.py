@@ -35,17 +35,7 @@ _V = ua.VariantType
 
 
 class BoardNodes:
-    """The nodes of one board.
-
-    Args:
-        server: asyncua's.
-        builder: of the site's namespace.
-        parent: object under which the board comes.
-        feed: of this board.
-        rate_hz: intervals per second.
-        history: where the tracks are kept.
-        history_s: how far they go back.
-    """
+    """The nodes of one board below `parent`, with `rate_hz` intervals per second and `history_s` of them kept."""
 
     def __init__(
         self,

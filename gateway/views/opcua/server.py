@@ -66,13 +66,7 @@ class OpcuaSettings:
 
 
 async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready: Callable[[int], None]) -> None:
-    """Serve until `stop` is set.
-
-    Args:
-        feed: of the site.
-        settings: see there.
-        stop: ends it.
-        ready: called with the port once clients may come.
+    """Serve until `stop` is set; `ready` is called with the port once clients may come.
 
     Raises:
         ServiceError: the port is taken.

@@ -79,10 +79,8 @@ Identify = Callable[[str | None, str | None, bytes | None, str], User | None]
 class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes are untyped
     """asyncua's internal server and user manager with our sessions and limits.
 
-    Args:
-        identify: (name, password, certificate, host) -> who it is; None: nobody who may in.
-        operations: carries out what they command.
-        secured: whether sessions need an encrypted channel.
+    `identify` says from (name, password, certificate, host) who it is, or None for nobody who may in.  Sessions of a
+    `secured` server need an encrypted channel.
     """
 
     def __init__(self, identify: Identify, operations: Operations, *, secured: bool) -> None:

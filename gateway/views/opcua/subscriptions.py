@@ -62,12 +62,7 @@ class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncu
     async def refresh(self, number: int, item: int | None = None) -> int:
         """The conditions that are retained, to each event item that would have got them (Part 9, 5.5.7 and 5.5.8).
 
-        Args:
-            number: of the subscription.
-            item: the only one that is to get them; None for all of the subscription.
-
-        Returns:
-            A status code.
+        With `item`, only that one of the subscription gets them.  Return a status code.
         """
         subscription = self.subscriptions.get(number)
         if subscription is None:

@@ -108,11 +108,8 @@ def ball_start(
 ) -> BallStart | None:
     """Fit the regression over all windows of all flights; None if no flight is as long as a window.
 
-    Args:
-        records: with i_c and x.
-        plant: mass, travel, x_max, gravity.
-        amplifier: model of the current between samples; None: linear interpolation.
-        downwards: whether to treat x as measured down from the upper stop (a test for that mistake).
+    Without `amplifier` the current between samples is linear.  `downwards` treats x as measured down from the upper
+    stop, as a test for that mistake.
     """
     for window_s in (settings.WINDOW_S, 0.5 * settings.WINDOW_S):
         rows = force_rows(records, plant, amplifier, window_s, downwards=downwards)

@@ -59,11 +59,7 @@ def _complete(node: NodeData) -> None:
 def instantiate(space: AddressSpace, kind: ua.NodeId, rig: ua.NodeId, *, interval_ms: float) -> None:
     """Copy all that is declared below a type to an instance; the path of a node begins with its rig instead.
 
-    Args:
-        space: of both.
-        kind: the type; the ids below it begin with its name and a slash.
-        rig: the instance; it exists.
-        interval_ms: shortest interval of the values.
+    The node of the rig exists.  `interval_ms` is the shortest interval of the values.
     """
     below = f"{kind.Identifier}/"
     ids = {kind: rig} | {
