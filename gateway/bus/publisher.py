@@ -71,7 +71,7 @@ class Publisher:
         self._capacity = capacity
         self._gather_s, self._join = gather_s, join
         self._queue: deque[tuple[PublishQueue, list[bytes], int]] = deque()
-        self._depth = 0
+        self.waiting = 0  # payloads in the queue
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
         self.held = False
@@ -91,13 +91,13 @@ class Publisher:
         with self._lock:
             idle = wake and not self._queue
             self._queue.append((channel, payloads, read_mono_ns))
-            self._depth += len(payloads)
+            self.waiting += len(payloads)
             channel.waiting += len(payloads)
-            while self._depth > self._capacity:
+            while self.waiting > self._capacity:
                 oldest, dropped, _ = self._queue.popleft()
                 oldest.dropped += len(dropped)
                 oldest.waiting -= len(dropped)
-                self._depth -= len(dropped)
+                self.waiting -= len(dropped)
             if idle:  # otherwise the thread is at work and looks again by itself
                 self._condition.notify()
 
@@ -112,11 +112,6 @@ class Publisher:
         with self._condition:
             self.held = held
             self._condition.notify()
-
-    @property
-    def waiting(self) -> int:
-        """The number of payloads in the queue."""
-        return self._depth
 
     def stop(self, *, patience_s: float = 1.0) -> None:
         """Publish the queued payloads within at most `patience_s`, and end the thread."""
@@ -161,7 +156,7 @@ class Publisher:
             count = len(self._queue) if self._join is not None else min(len(self._queue), BATCH)
             entries = [self._queue.popleft() for _ in range(count)]
             for channel, payloads, _ in entries:
-                self._depth -= len(payloads)
+                self.waiting -= len(payloads)
                 channel.waiting -= len(payloads)
         if self._join is None:
             return entries

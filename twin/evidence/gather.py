@@ -108,7 +108,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
     return Evidence(
         records=every_record,
-        series=_join(parts),
+        series=Series.joined(parts),
         t=np.concatenate(times) if times else np.empty(0),
         usages=tuple(usages),
         statics=tuple(statics),
@@ -201,7 +201,7 @@ def _on_platform(record: Record, is_held: BoolArray, low: float | None, plant: P
     return record.kind == "sawtooth" and not on_stops(record, is_held, low, None, plant)[0].any()
 
 
-def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Series, lifts_at: float) -> None:
+def _until_lifted(flags: NDArray[np.uint16], series: Series, lifts_at: float) -> None:
     """Leave out i_c after a step of the amplifier has lifted the ball, as its motion is unknown."""
     chain = chains(series)
     for number in np.unique(chain):
@@ -214,7 +214,7 @@ def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Se
             flags[after_lift] &= np.uint16(~USE_I & 0xFFFF)
 
 
-def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint16]]) -> None:
+def _trim(flags: NDArray[np.uint16]) -> None:
     """Take TRIM_SAMPLES off both ends of each flight between stops, as a lagging sensor shows the impact later."""
     for piece in runs(np.asarray(flags & FLIES != 0)):
         begin, end = piece.start + settings.TRIM_SAMPLES, piece.stop - settings.TRIM_SAMPLES
@@ -229,20 +229,6 @@ def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[flo
     if low is not None:
         return 1.0, low
     return 1.0, 0.0 if high is None else high - plant.travel_m
-
-
-def _join(parts: list[Series]) -> Series:
-    if not parts:
-        empty = np.empty(0)
-        return Series(
-            step=empty,
-            u=empty,
-            i=empty,
-            x=empty,
-            flags=np.empty(0, np.uint16),
-            recording=np.empty(0, np.int32),
-        )
-    return Series(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in Series.__slots__})
 
 
 def chains(series: Series) -> FloatArray:

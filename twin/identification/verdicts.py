@@ -9,8 +9,8 @@ from protocol.campaign import Plant
 from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.evidence.starting.regression import BallStart
+from twin.identification.delays import LoopDelay
 from twin.identification.intervals import Interval
-from twin.identification.loop_delay import LoopDelay
 from twin.model.parameters import PARAMETERS, Parameter, Verdict
 from twin.settings import identification as settings
 

@@ -26,8 +26,7 @@ from gateway.views.opcua.address_space.parameters import instrument_ranges, name
 from gateway.views.opcua.address_space.values import StampClock, Value, data_value, datetime_of, notify
 from gateway.views.opcua.operations import SETPOINTS
 from gateway.views.opcua.sessions import GuardedServer
-from gateway.views.opcua.types.build import VALUE, Builder
-from gateway.views.opcua.types.nodeset import MACHINES, RIG_TYPE, instantiate
+from gateway.views.opcua.types import MACHINES, RIG_TYPE, VALUE, Builder, instantiate
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 

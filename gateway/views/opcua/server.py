@@ -32,8 +32,7 @@ from gateway.views.opcua.nodes import BoardNodes
 from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer
-from gateway.views.opcua.types.build import Builder
-from gateway.views.opcua.types.nodeset import register
+from gateway.views.opcua.types import Builder, register
 from protocol.errors import ServiceError
 
 APPLICATION_URI = "urn:board51:gateway:opcua"

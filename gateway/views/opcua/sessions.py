@@ -30,8 +30,7 @@ from gateway.views.opcua.address_space.values import check_timestamps, stamped
 from gateway.views.opcua.condition_events import ConditionNode
 from gateway.views.opcua.operations import NOBODY, OUTPUTS, SETPOINTS, Operations, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
-from gateway.views.opcua.types.build import Namespaces
-from gateway.views.opcua.types.nodeset import RIG_TYPE
+from gateway.views.opcua.types import RIG_TYPE, Namespaces
 from protocol.bus import board51_pb2 as pb
 
 S = ua.StatusCodes
