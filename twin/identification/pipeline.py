@@ -90,12 +90,7 @@ def identify_records(
             if flying and top.theta.b >= 0.999 * max_drag(plant):
                 top = _possible_drag(likelihood, top, starts.ball, warnings)
             progress("covariance and intervals")
-            estimate = _estimated(likelihood, top)
-        if not top.converged:
-            warnings.append(
-                f"the fit has not converged after {top.passes} passes ({top.decrement:.2g} standard errors from "
-                "a maximum): these numbers are the best so far. Check the recordings named above"
-            )
+            estimate = _estimated(likelihood, top, warnings)
     warnings += _left_out(usages)
 
     fitted, white = estimate.fit, estimate.white
@@ -179,7 +174,12 @@ class _Estimate:
     loop_delay: LoopDelay | None = None
 
 
-def _estimated(likelihood: Blocks, fitted: Fit) -> _Estimate:
+def _estimated(likelihood: Blocks, fitted: Fit, warnings: list[str]) -> _Estimate:
+    if not fitted.converged:
+        warnings.append(
+            f"the fit has not converged after {fitted.passes} passes ({fitted.decrement:.2g} standard errors from "
+            "a maximum): these numbers are the best so far. Check the recordings named above"
+        )
     white = whiteness(likelihood.series, likelihood.white(fitted.theta))
     # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
     robust = None if white.white else likelihood.sandwich(fitted)

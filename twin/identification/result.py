@@ -50,8 +50,8 @@ def noise_of(fitted: Fit | None, records: list[Record]) -> Noise:
     values = {name: getattr(_ASSUMED, name) for name in NOISE}
     if fitted is not None:
         known = {name: fitted.theta.value(name) for name in fitted.free if name in NOISE}
-        shown = ("process_i_c_a", "process_a_m_s2") if "K_c" in fitted.free else ("process_i_c_a",)
-        known |= {name: FLOORS[name] for name in shown if name not in fitted.free}
+        noises = ("process_i_c_a", "process_a_m_s2") if "K_c" in fitted.free else ("process_i_c_a",)
+        known |= {name: FLOORS[name] for name in noises if name not in fitted.free}
         values |= known
         i_lsb, x_lsb = (max((record.lsb[n] for record in records), default=0.0) for n in (0, 1))
         for name, lsb in (("sigma_i_c_a", i_lsb), ("sigma_x_m", x_lsb)):
