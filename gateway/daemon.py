@@ -100,8 +100,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         _logger.info("serving %d boards as %s on %s", len(drivers), config.site, _where(config))
         while not stop.wait(STATUS_S):
             if watch is not None and (change := watch.look()) is not None:
-                _logger.log(logging.INFO if change.severity == "info" else logging.WARNING, "%s", change.text)
-                _publish_all(drivers, change.name, change.severity, change.text)
+                _logger.log(logging.INFO if change[1] == "info" else logging.WARNING, "%s", change[2])
+                _publish_all(drivers, *change)
             step_ns = clock.step_ns()
             if step_ns:
                 authorizer.clock_stepped(step_ns)

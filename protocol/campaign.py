@@ -34,8 +34,6 @@ Law = Literal["lqi", "pid"]
 
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 KINDS: tuple[Kind, ...] = get_args(Kind)
-USES: tuple[Use, ...] = get_args(Use)
-CONTROLLERS: tuple[Law, ...] = get_args(Law)
 Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of a look-up table
 
 
@@ -207,23 +205,20 @@ class Campaign:
 
     @classmethod
     def load(cls, path: Path | str) -> Campaign:
-        """Read a campaign file, or the `campaign.toml` of a folder.
+        """Read a campaign file under any name, or the `campaign.toml` of a folder.
 
         Raises:
             DataError: the file is absent or not text.
             ConfigError: a key or a value is wrong.
         """
-        return load(Path(path))
+        text, file = _read(Path(path), remedy="Name a campaign.toml or its folder")
+        return parse(text, where=str(file), folder=file.parent)
 
     def path_of(self, recording: Recording, *, data: Path | None = None) -> Path:
-        """Return the path of a recording: in the campaign's folder, else in the data folder.
+        """Return the path of a recording: in the campaign's folder, else in the data folder (default `$BOARD51_DATA`).
 
         A campaign may come from an untrusted source.  Its recordings must therefore lie, after resolving links, in the
         campaign's folder or in the data folder that the user has named; no other file of the user can be read.
-
-        Args:
-            recording: A recording of this campaign.
-            data: Folder with recordings that are not kept beside the campaign; default `$BOARD51_DATA`.
 
         Raises:
             DataError: the file is in neither folder.
@@ -253,18 +248,7 @@ def _whereabouts(file: Path, folders: Sequence[Path]) -> Literal["within", "outs
         return "absent"
 
 
-def load(path: Path) -> Campaign:
-    """Read a campaign.
-
-    Args:
-        path: A campaign file under any name, or the folder that holds a `campaign.toml`.
-
-    Raises:
-        DataError: the file is absent or not text.
-        ConfigError: a key or a value is wrong.
-    """
-    text, file = _read(path, remedy="Name a campaign.toml or its folder")
-    return parse(text, where=str(file), folder=file.parent)
+load = Campaign.load
 
 
 def load_plant(path: Path) -> Plant:
@@ -296,12 +280,7 @@ def load_stated_plant(path: Path) -> Plant:
 
 
 def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
-    """Parse a campaign.
-
-    Args:
-        text: Campaign in TOML.
-        where: Name of the file, for error messages.
-        folder: Folder to which the names of the recordings are relative.
+    """Parse a campaign in TOML; `where` names it in errors, `folder` is that of its recordings.
 
     Raises:
         ConfigError: a key or a value is wrong.

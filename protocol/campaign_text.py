@@ -14,12 +14,7 @@ from protocol.units import unit_of_name
 
 
 def emit(campaign: Campaign, *, comments: Iterable[str] = ()) -> str:
-    """Return a campaign as TOML.
-
-    Args:
-        campaign: Campaign with at least one recording and finite numbers only.
-        comments: Comment lines for the top of the file.
-    """
+    """Return a campaign with a recording and finite numbers as TOML, below lines of comments."""
     blocks = [_comments(comments), _plant(campaign.plant)]
     if campaign.controller is not None:
         blocks.append(_table("[controller]", asdict(campaign.controller)))

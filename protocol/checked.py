@@ -29,6 +29,7 @@ KEYS = ConfigDict(extra="forbid")  # as __pydantic_config__ of a dataclass: unkn
 
 _WORDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "text"}
 _UNKNOWN = "unexpected_keyword_argument"
+_adapter = cache(TypeAdapter[Any])  # making it takes twice as long as the check of a model file
 
 
 class Keys:
@@ -107,11 +108,6 @@ def checked(
         errors = failed.errors(include_url=False)
     problem, correction = _explain(kind, data, errors, toml=error is ConfigError, quote=quote)
     raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy or correction)
-
-
-@cache  # making it takes twice as long as the check of a model file
-def _adapter(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
 
 
 def keys_of(kind: Any) -> dict[str, Any]:

@@ -79,12 +79,7 @@ def load_diagnosis(path: Path) -> Diagnosis:
 
 
 def read_diagnosis(table: Mapping[str, Any], *, where: str, remedy: str = _REMEDY) -> Diagnosis:
-    """Read the answer.
-
-    Args:
-        table: Parsed content of diagnosis.json.
-        where: Its path, for errors.
-        remedy: Of the error.
+    """Read the answer from the parsed content of diagnosis.json.
 
     Raises:
         DataError: It is not a diagnosis.json.

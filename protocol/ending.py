@@ -22,17 +22,9 @@ import re
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 _PANIC = re.compile(rb"thread '[^']*'( \(\d+\))? panicked at")
 _state = {"ordered": False}
-
-
-class Event(Protocol):
-    """An event that can be waited for: `threading.Event`."""
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Return whether it was set within `timeout`, s."""
 
 
 def on_end_signal(end: Callable[[], object]) -> None:
@@ -63,13 +55,13 @@ def order_end() -> None:
         _thread.interrupt_main(signal.SIGTERM)
 
 
-def wait_for_end(stop: Event, limit_s: float | None = None) -> None:
-    """Wait for an event that a signal sets, or for `limit_s`.
+def wait_for_end(wait: Callable[[float], bool], limit_s: float | None = None) -> None:
+    """Wait for an event that a signal sets, with its `wait`, or for `limit_s`.
 
     In steps: on Windows a signal is handled between two waits and not during one.
     """
     left_s = math.inf if limit_s is None else limit_s
-    while left_s > 0.0 and not stop.wait(min(left_s, 1.0)):
+    while left_s > 0.0 and not wait(min(left_s, 1.0)):
         left_s -= 1.0
 
 

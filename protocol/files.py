@@ -39,11 +39,7 @@ Refusal = type[ConfigError] | type[DataError]
 def open_regular(path: Path, *, remedy: str, what: str = "", error: Refusal = DataError) -> BinaryIO:
     """Open a regular file to read bytes; never blocks.
 
-    Args:
-        path: Path of the file.
-        remedy: Remedy of the error if the file cannot be opened.
-        what: Kind of file, printed before the path in the error: "Log ".
-        error: Class of the error to raise.
+    An error says `what` kind of file it is ("Log ") and ends with `remedy`.
 
     Raises:
         DataError, ConfigError: the file is absent, not readable, or not a regular file.

@@ -48,11 +48,7 @@ def byte_order(head: bytes) -> str:
 
 
 def parse_mat(data: bytes, largest: int) -> dict[str, Variable]:
-    """Return the variables by name.
-
-    Args:
-        data: The whole file.
-        largest: Largest total size of its compressed parts when unpacked, bytes.
+    """Return the variables of a file by name; its compressed parts may unpack to `largest` bytes together.
 
     Raises:
         BrokenMatError: it is none, or is cut off or damaged.
@@ -65,7 +61,9 @@ def parse_mat(data: bytes, largest: int) -> dict[str, Variable]:
     try:
         for kind, content in _elements(memoryview(data)[HEAD:], order):
             if kind == _COMPRESSED:
-                content = _unpacked(content, largest)
+                content = memoryview(zlib.decompressobj().decompress(content, largest + 1))
+                if len(content) > largest:
+                    raise MatTooLargeError
                 largest -= len(content)
             for inner, matrix in _elements(content, order) if kind == _COMPRESSED else [(kind, content)]:
                 if inner == _MATRIX and len(matrix):
@@ -75,13 +73,6 @@ def parse_mat(data: bytes, largest: int) -> dict[str, Variable]:
         raise BrokenMatError(str(error) or "a part is missing") from None
     variables.pop("", None)  # what MATLAB keeps for itself has no name
     return variables
-
-
-def _unpacked(content: memoryview, largest: int) -> memoryview:
-    unpacked = zlib.decompressobj().decompress(content, largest + 1)
-    if len(unpacked) > largest:
-        raise MatTooLargeError
-    return memoryview(unpacked)
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:

@@ -86,11 +86,9 @@ def refuse_impossible(table: object) -> object:
 
 
 def objections(values: Mapping[str, object], *, highest_reference_m: float | None = None) -> tuple[Objection, ...]:
-    """Judge the values of a plant; at most one objection for each key, in the order of the keys.
+    """Judge the values of a plant, SI units; at most one objection for each key, in the order of the keys.
 
-    Args:
-        values: By key of `[plant]`, SI units.  Missing values and those that are not finite are not judged.
-        highest_reference_m: Highest reference that the board takes, m; None: not known.
+    Missing values and those that are not finite are not judged.  `highest_reference_m`: that the board takes, if known.
     """
     known = {
         name: float(value)
@@ -101,7 +99,7 @@ def objections(values: Mapping[str, object], *, highest_reference_m: float | Non
     for name in _USUAL:
         objection = name in known and (
             _out_of_range(name, known[name])
-            or _RULES.get(name, _no_rule)(known, highest_reference_m)
+            or (name in _RULES and _RULES[name](known, highest_reference_m))
             or _unusual(name, known)
         )
         if objection:
@@ -203,10 +201,6 @@ def _x_max(known: Mapping[str, float], _highest_m: float | None) -> Objection | 
     problem = f"{with_unit('x_max_m', x_max)} lies within the travel of {with_unit('travel_m', travel)}"
     remedy = "The force (3) is infinite at x_max: give at least the travel, or correct the travel"
     return Objection(key="x_max_m", problem=problem, remedy=remedy, is_error=True)
-
-
-def _no_rule(_known: Mapping[str, float], _highest_m: float | None) -> Objection | None:
-    return None
 
 
 _Rule = Callable[[Mapping[str, float], float | None], Objection | None]

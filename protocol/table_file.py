@@ -53,13 +53,8 @@ def read_csv_bytes(path: Path) -> bytes:
 def read_header(path: Path, line: str, row: str, number: int = 1) -> tuple[tuple[str, ...], str]:
     """Return the names of the columns of a CSV file, and the character that separates its cells.
 
-    The error does not quote the content: a wrong path may name any private file of the user.
-
-    Args:
-        path: Path for the error.
-        line: The line with the names.
-        row: The first line of data.
-        number: Number of the line with the names.
+    `row` is the first line of data.  The error does not quote the content: a wrong path may name any private file of
+    the user.
 
     Raises:
         DataError: the file cannot be a recording, has no line of names, or a name twice.

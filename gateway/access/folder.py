@@ -176,7 +176,8 @@ class SecurityFolder:
             check_private(self.path / f"{stem}-key.pem", what="The key")
         for name in (*SERVICES, *people):
             identity = self.identity(name)
-            valid[f"identities/{name}"] = check_certificate(identity.certificate, what="The certificate", now=now)
+            certificate = identity.folder / "certificate.pem"
+            valid[f"identities/{name}"] = check_certificate(certificate, what="The certificate", now=now)
             if name in people and identity.role != people[name].word:
                 raise ConfigError(
                     f"{name} is {people[name].word} in users.toml and {identity.role} on the bus",

@@ -45,11 +45,7 @@ class Standing:
     ) -> pb.Alarms | None:
         """Return the message if it is due, else None.
 
-        Args:
-            holding: Active conditions by name.
-            acknowledged: Acknowledgements.
-            host_ns: Unix time, ns.
-            now_s: Monotonic time, s.
+        `host_ns` is Unix time, `now_s` monotonic.
         """
         self._since_ns = {
             name: condition.since_ns or self._since_ns.get(name, host_ns) for name, condition in holding.items()

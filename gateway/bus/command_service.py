@@ -31,13 +31,7 @@ _ENCODING = zenoh_encoding(pb.CommandReply)
 class CommandService:
     """Serves one board's commands until the zenoh session closes.
 
-    Args:
-        session: Session of the bus.
-        site: First chunk of the key.
-        driver: Driver of the board.
-        link: Serial thread.
-        replies: Publisher for the replies; separate from that of events, which holds while there is no router.
-        authorizer: Identifies the sender.
+    The publisher of the replies is not that of events, which holds while there is no router.
     """
 
     def __init__(

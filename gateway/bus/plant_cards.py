@@ -87,11 +87,7 @@ def folder_of(config: GatewayConfig) -> Path:
 
 
 class BoardCard:
-    """The card of one board between driver, bus and disk.
-
-    Args:
-        driver: Of the board; its card is set.
-        folder: Of the kept cards; made when one is stated.
+    """The card of one board between driver, bus and disk; the folder is made when one is stated.
 
     Raises:
         ConfigError: of `configured_card`.

@@ -59,13 +59,10 @@ class PublishQueue:
 
 
 class Publisher:
-    """A thread that publishes queued payloads in order.
+    """A thread that publishes at most `capacity` queued payloads in order.
 
-    Args:
-        name: Name of the thread.
-        capacity: Largest number of queued payloads.
-        gather_s: Wait after the first queued payload, s; what arrives meanwhile becomes one payload per channel.
-        join: Makes one payload of at most `LONGEST_BATCH`.
+    With `join` it waits `gather_s` after the first payload.  What arrives meanwhile becomes one payload per channel, of
+    at most `LONGEST_BATCH`.
     """
 
     def __init__(
@@ -74,7 +71,7 @@ class Publisher:
         self._capacity = capacity
         self._gather_s, self._join = gather_s, join
         self._queue: deque[tuple[PublishQueue, list[bytes], int]] = deque()
-        self._depth = 0
+        self.waiting = 0  # payloads in the queue
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
         self.held = False
@@ -87,24 +84,20 @@ class Publisher:
         self._thread.start()
 
     def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0, *, wake: bool = True) -> None:
-        """Queue payloads of one channel.
+        """Queue payloads of one channel, in order; `read_mono_ns` is for their latency, where it is of interest.
 
-        Args:
-            channel: Where they go.
-            payloads: In order.
-            read_mono_ns: When they were read (monotonic), where their latency is of interest.
-            wake: Wake the thread; else the caller does, once for many (`wake`).
+        Without `wake` the caller wakes the thread, once for many.
         """
         with self._lock:
             idle = wake and not self._queue
             self._queue.append((channel, payloads, read_mono_ns))
-            self._depth += len(payloads)
+            self.waiting += len(payloads)
             channel.waiting += len(payloads)
-            while self._depth > self._capacity:
+            while self.waiting > self._capacity:
                 oldest, dropped, _ = self._queue.popleft()
                 oldest.dropped += len(dropped)
                 oldest.waiting -= len(dropped)
-                self._depth -= len(dropped)
+                self.waiting -= len(dropped)
             if idle:  # otherwise the thread is at work and looks again by itself
                 self._condition.notify()
 
@@ -119,11 +112,6 @@ class Publisher:
         with self._condition:
             self.held = held
             self._condition.notify()
-
-    @property
-    def waiting(self) -> int:
-        """The number of payloads in the queue."""
-        return self._depth
 
     def stop(self, *, patience_s: float = 1.0) -> None:
         """Publish the queued payloads within at most `patience_s`, and end the thread."""
@@ -168,7 +156,7 @@ class Publisher:
             count = len(self._queue) if self._join is not None else min(len(self._queue), BATCH)
             entries = [self._queue.popleft() for _ in range(count)]
             for channel, payloads, _ in entries:
-                self._depth -= len(payloads)
+                self.waiting -= len(payloads)
                 channel.waiting -= len(payloads)
         if self._join is None:
             return entries

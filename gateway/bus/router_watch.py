@@ -11,7 +11,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import zenoh
 
@@ -21,23 +20,10 @@ SETTLE_S = 1.5  # clients look for their router every second at least (protocol/
 PATIENCE_S = 10.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RouterChange:
-    """An event to publish."""
-
-    name: str
-    severity: str
-    text: str
-
-
 class RouterWatch:
-    """Holds `publishers` while `session` has no router.
+    """Holds `publishers` while `session`, of a client or a router without listeners, has no router.
 
-    Args:
-        session: Session of a client, or of a router without listeners.
-        where: Endpoints that it connects to, for messages.
-        sinks: Outputs whose losses are reported and whose subscribers are awaited.
-        publishers: Publishers to pause.
+    The losses of `sinks` are reported and their subscribers awaited; `where` names the endpoints in messages.
     """
 
     def __init__(
@@ -63,8 +49,8 @@ class RouterWatch:
         self._listener.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
         self._hold(held=False)
 
-    def look(self) -> RouterChange | None:
-        """Return the event to publish, or None; call it once a second."""
+    def look(self) -> tuple[str, str, str] | None:
+        """Return (name, severity, text) of the event to publish, or None; call it once a second."""
         now_s = time.monotonic()
         with self._lock:
             if self._lost_s is None:
@@ -72,7 +58,7 @@ class RouterWatch:
             if not self._loss_reported:
                 self._loss_reported = True
                 text = f"No router at {self._where}: messages wait, the newest are kept, and the log has them all."
-                return RouterChange(name="bus-lost", severity="warning", text=text)
+                return "bus-lost", "warning", text
             back_s = now_s - self._back_s
             may_resume = back_s >= PATIENCE_S or any(sink.has_subscribers for sink in self._sinks)
             if not self._routers or back_s < SETTLE_S or not may_resume:
@@ -83,7 +69,7 @@ class RouterWatch:
             text += f", the {dropped} before them are only in the log." if dropped else "."
             self._lost_s = None
             self._hold(held=False)
-            return RouterChange(name="bus-back", severity="warning" if dropped else "info", text=text)
+            return "bus-back", "warning" if dropped else "info", text
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
         """Handle a change of the connection; called in zenoh's thread."""

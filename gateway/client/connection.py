@@ -135,20 +135,14 @@ def send(
 ) -> pb.CommandReply:
     """Send one command and return the gateway's answer; without an answer `refused_by` is "link".
 
-    An empty `command.id` and a missing `issued_ns` are filled in.  A command that is sent again with the same id and
-    date, at this or another gateway, is not executed twice.  A gateway that has just started refuses commands that may
-    be older than itself (`not-fresh`); a command that was dated here is then sent again for JUST_STARTED_S.  A STOP in
-    between gives it up: the gateway remembers its first arrival.
+    The head of the command is completed in place: an empty `id`, a missing `issued_ns` (`since_ns`; 0: now).  A command
+    that is sent again with the same id and date, at this or another gateway, is not executed twice.  It does not begin
+    to act after `timeout_s`.  A gateway that has just started refuses commands that may be older than itself
+    (`not-fresh`); a command that was dated here is then sent again for JUST_STARTED_S.  A STOP in between gives it up:
+    the gateway remembers its first arrival.
 
-    Args:
-        board: the board.
-        command: the command; its head is completed in place.
-        timeout_s: for the answer, s; the command does not begin to act later.
-        identity: of the sender on a guarded bus.
-        role: instead of an identity: the role of `command.who`, whom the caller has authenticated; only the views'
-            account may do so.
-        typed: whether the user gave endpoint and identity; the message for a missing answer then mentions them.
-        since_ns: when a command without a date was issued, Unix time; 0: now.
+    On a guarded bus the sender has an identity, or the views' account gives the `role` of a `command.who` whom it has
+    authenticated.  `typed`: the user gave endpoint and identity; the message for a missing answer then mentions them.
     """
     if not command.id:
         command.id = new_id()
@@ -293,23 +287,16 @@ class BoardConnection:
         Raises:
             CommandNotDeliveredError: no answer for 10 s: THE COIL MAY BE ON.
         """
-        if self._open is None:
-            with open_bus(self.connect, self.identity) as session:
-                return self._stop_through(session)
-        return self._stop_through(self._open)
-
-    def _stop_through(self, session: zenoh.Session) -> Reply:
-        board = BusBoard(session, self.site, self.board)
-        return accepted(*send_stop(board, self.who, identity=self.identity))
+        opened = open_bus(self.connect, self.identity) if self._open is None else contextlib.nullcontext(self._open)
+        with opened as session:
+            board = BusBoard(session, self.site, self.board)
+            return accepted(*send_stop(board, self.who, identity=self.identity))
 
     def send(self, command: pb.Command, *, timeout_s: float | None = None) -> pb.CommandReply:
         """Send any command and return its reply; a refusal is not an exception here.
 
         An existing `id` and `issued_ns` are kept, so that a command can be repeated without being executed twice.
-
-        Args:
-            command: The command; missing fields of its head are filled in.
-            timeout_s: For the answer, s; None: that of the rig.
+        Missing fields of its head are filled in.  `timeout_s` is for the answer; None: that of the rig.
         """
         if command.WhichOneof("what") not in _AT_REST:
             self._has_moved = True  # before it is sent, as an interrupted command may act

@@ -24,13 +24,7 @@ from protocol.files import make_folder
 class Recording(AbstractContextManager["Recording"]):
     """A recording of all logged topics of one board, or of all boards, from `start` until `close`.
 
-    Args:
-        board: the board, or every board.
-        directory: for the files; created if missing.
-        connect: the router's endpoint, for the metadata of every file.
-        prefix: first part of the file names.
-        rotate_bytes: size at which a new file is begun, bytes.
-        rotate_s: age at which a new file is begun, s.
+    A new file is begun at `rotate_bytes` or after `rotate_s`; its metadata names `connect`, the router's endpoint.
 
     Raises:
         UsageError: the directory cannot be created, or the prefix is not a valid name.
@@ -59,10 +53,7 @@ class Recording(AbstractContextManager["Recording"]):
         self._subscription: Subscription | None = None
 
     def start(self, *, needs_room: bool = False) -> Self:
-        """Open the first file and subscribe.
-
-        Args:
-            needs_room: whether a full disk is an error; else the first file begins when there is room.
+        """Open the first file and subscribe; unless it `needs_room`, on a full disk it begins when there is room.
 
         Raises:
             LogError: the directory cannot be written to.

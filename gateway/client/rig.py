@@ -43,10 +43,8 @@ class BoardReader(BoardConnection):
     ) -> SampleStream:
         """Iterate over the samples from now on: `for sample in rig.samples(2.0):`.
 
-        Args:
-            duration_s: In the board's time, s; the default has no end.
-            timeout_s: Longest time without a sample, s.
-            capacity: Of the queue, samples; if it is full, the oldest is dropped and counted in `.dropped`.
+        The duration is in the board's time; the default has no end.  In a full queue of `capacity` samples the oldest
+        is dropped and counted in `.dropped`.
 
         Raises:
             NoSamplesError: during the iteration, no sample arrived for `timeout_s`.
@@ -66,9 +64,8 @@ class BoardReader(BoardConnection):
     def messages(self, *names: str, timeout_s: float | None = None) -> MessageQueue:
         """Iterate over the messages of some topics from now on: `for event in rig.messages("event"):`.
 
-        Args:
-            names: Topics of the interface page: "event", "status", "twin/state", ...
-            timeout_s: Time without a message after which it ends, s; None: no end.
+        The names are those of the interface page: "event", "status", "twin/state", ...  It ends after `timeout_s`
+        without a message; None: never.
 
         Raises:
             UsageError: a name is not a topic that a client can receive.
@@ -81,32 +78,20 @@ class BoardReader(BoardConnection):
         """Wait for the next status of link, bus and log, which is sent every second.
 
         Raises:
-            ServiceError: none arrived within `timeout_s`.
+            ServiceError: none arrived within `timeout_s`.  `parameters`, `plant_card` and `alarms` raise it, too.
         """
         return self._next("status", pb.Status, timeout_s)
 
     def parameters(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Parameters:
-        """Wait for the board's identity, gains, operating point, limits and scalings, which are sent every 5 s.
-
-        Raises:
-            ServiceError: none arrived within `timeout_s`.
-        """
+        """Wait for the board's identity, gains, operating point, limits and scalings, which are sent every 5 s."""
         return self._next("parameters", pb.Parameters, timeout_s)
 
     def plant_card(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.PlantCard:
-        """Wait for the plant card, which is sent every 5 s; its `plant` is absent where nobody stated one.
-
-        Raises:
-            ServiceError: none arrived within `timeout_s`.
-        """
+        """Wait for the plant card, which is sent every 5 s; its `plant` is absent where nobody stated one."""
         return self._next("plant", pb.PlantCard, timeout_s)
 
     def alarms(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Alarms:
-        """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s.
-
-        Raises:
-            ServiceError: none arrived within `timeout_s`.
-        """
+        """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s."""
         return self._next("alarms", pb.Alarms, timeout_s)
 
     def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
@@ -120,15 +105,11 @@ class BoardReader(BoardConnection):
         )
 
     def record(self, directory: Path | str, *, prefix: str = "bus") -> Recording:
-        """Record this board to MCAP from now on, until the recording or the rig is closed.
+        """Record this board to MCAP from now on, until the recording or the rig is closed; creates the directory.
 
             with rig.record("logs") as recording:
                 rig.read(10.0)
             flight = recording.samples()
-
-        Args:
-            directory: For the files; created if missing.
-            prefix: First part of their names.
 
         Raises:
             UsageError: the directory cannot be created.
@@ -224,14 +205,7 @@ class Rig(BoardReader):
     def capture(self, *, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> Capture:
         """Record the coil current at 25 kHz around a step of u_c, and wait for the result; idle or open loop.
 
-        Args:
-            u_from_v: Input before the step, V.
-            u_to_v: Input after the step, V.
-            duration_s: Of the recording, s.
-            pre_s: Part of it before the step, s.
-
-        Returns:
-            Current and time, shape (n,).
+        Of the duration, `pre_s` are before the step.  The result is current and time, shape (n,).
 
         Raises:
             ServiceError: the command was accepted, but the samples did not arrive.
@@ -254,9 +228,8 @@ class Rig(BoardReader):
     def set_plant(self, plant: Plant, *, confirmed: bool = False) -> Reply:
         """State ball, travel, x_max and gravity of the rig: its plant card, which campaigns use and the gateway keeps.
 
-        Args:
-            plant: As of `protocol.campaign.load_plant`.
-            confirmed: Whether its unusual values are right; without it they are refused ("not-confirmed").
+        `protocol.campaign.load_plant` reads a plant.  Unless they are `confirmed`, unusual values are refused
+        ("not-confirmed").
         """
         return self._execute(commands.set_plant(plant, confirmed=confirmed))
 
@@ -281,10 +254,7 @@ class Rig(BoardReader):
         return self._execute(commands.ping())
 
     def use_model(self, model: Path | str) -> Reply:
-        """Hand a model file over to the running twin of this board, which uses it from then on.
-
-        Args:
-            model: A model file of `board51 identify` or `diagnose`.
+        """Hand a model file of `board51 identify` or `diagnose` to the running twin of this board.
 
         Raises:
             DataError: the file is missing or too large.

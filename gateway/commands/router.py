@@ -108,6 +108,6 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     with session:
         print(f"router {session.info.zid()} listens on {listen}", flush=True)
-        wait_for_end(stop)
+        wait_for_end(stop.wait)
     print("router stopped", file=sys.stderr)
     return 0

@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
             page_answers = _await(partial(_listens, page), stopped)
             if page_answers and (line is None or _await(line.served, stopped, _COMPILES)):
                 _print_services(args, services)
-                wait_for_end(stopped)
+                wait_for_end(stopped.wait)
             elif not stopped.is_set():
                 outputs = ", ".join(str(service.output) for service in services)
                 raise ServiceError(

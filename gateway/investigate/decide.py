@@ -82,12 +82,7 @@ Action = Perform | Diagnose | Finish
 
 
 def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
-    """The next action.
-
-    Args:
-        known: the state of the investigation.
-        menu: the experiments possible on this rig, by name.
-    """
+    """The next action, of those possible on this rig."""
     if not known.recordings & set(FLIGHTS):  # a diagnosis needs a flight
         missing = [name for name in START if name not in known.recordings | known.refused]
         if missing:

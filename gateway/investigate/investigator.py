@@ -31,15 +31,9 @@ def menu_of(*, quick: bool) -> dict[str, Offer]:
 def investigate(
     work: Work, journal: Journal, menu: Mapping[str, Offer], *, budget_s: float, quick: bool, write_line: WriteLine
 ) -> None:
-    """Run an investigation; the result is in `journal.ended`, which is None after an interruption.
+    """Run an investigation within `budget_s` on the rig; `quick`: all its diagnoses are made with --quick.
 
-    Args:
-        work: performs the steps.
-        journal: of the folder; it is written after each step.
-        menu: the experiments possible on this rig.
-        budget_s: largest time on the rig, s.
-        quick: whether all diagnoses are made with --quick.
-        write_line: is called with lines of progress.
+    The journal is written after each step.  Its `ended` is the result, or None after an interruption.
 
     Raises:
         UsageError, ServiceError: a step failed; the earlier steps are kept.

@@ -85,11 +85,7 @@ class Journal:
         return None if newest is None else read_diagnosis(newest.found, where=str(self.folder / FILE), remedy=_REMEDY)
 
     def known(self, *, budget_s: float, quick: bool) -> Known:
-        """The state of the investigation.
-
-        Args:
-            budget_s: largest time on the rig, s.
-            quick: whether all diagnoses are made with --quick.
+        """The state of the investigation; arguments as of `investigate`.
 
         Raises:
             UsageError, DataError: the folder has another campaign, or is damaged.

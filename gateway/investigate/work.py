@@ -28,12 +28,8 @@ class Interrupted(Exception):  # noqa: N818  # not an error: somebody wanted it
 class Work:
     """The commands of one investigation.
 
-    Args:
-        folder: of the campaign.
-        rig: options of `campaign run`: board, bus, plant, limits.
-        ordered_ns: when the investigation was ordered, Unix time: a STOP since then ends it, also during a diagnosis.
-        workers: threads of a diagnosis.
-        write_line: is called with lines of progress.
+    `rig` are the options of `campaign run`: board, bus, plant, limits.  A STOP since `ordered_ns`, Unix time, ends the
+    investigation, also during a diagnosis.
     """
 
     def __init__(
@@ -42,19 +38,14 @@ class Work:
         self._folder, self._rig, self._workers, self._write_line = folder, tuple(rig), workers, write_line
         self._ordered_ns = ordered_ns
         self._process: Process | None = None
-        self._stopped = False
+        self.stopped = False  # `stop` was called
         self._ending = signal.SIGTERM
 
     def stop(self) -> None:
         """End the running command with a signal; no other command is begun."""
-        self._stopped = True
+        self.stopped = True
         if self._process is not None and self._process.poll() is None:
             order(self._process, self._ending)
-
-    @property
-    def stopped(self) -> bool:
-        """Return whether `stop` was called."""
-        return self._stopped
 
     def perform(self, experiments: Sequence[str]) -> dict[str, Any]:
         """Make experiments; returns the summary of `campaign run --json`.
@@ -87,7 +78,7 @@ class Work:
         code, _, last = self._call(
             "diagnose", str(self._folder), "--out", str(out), "--workers", str(self._workers), *quick
         )
-        if code not in (0, 1) or self._stopped:
+        if code not in (0, 1) or self.stopped:
             raise self._failed("diagnose", code, last)
         path = out / "diagnosis.json"
         diagnosis: dict[str, Any] = parse_json(read_small(path, remedy="Run it again"), where=str(path))
@@ -95,7 +86,7 @@ class Work:
 
     def _call(self, *words: str) -> tuple[int, str, str]:
         """Return (exit code, stdout, last line of stderr)."""
-        if self._stopped:
+        if self.stopped:
             raise Interrupted
         self._process = process = start(
             *words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace"
@@ -105,7 +96,7 @@ class Work:
         assert process.stdout is not None
         assert process.stderr is not None
         with process.stdin, process.stdout as printed, process.stderr as lines:
-            if self._stopped:  # `stop` was called while the process started
+            if self.stopped:  # `stop` was called while the process started
                 self.stop()
             for line in lines:
                 last = line.rstrip() or last
@@ -115,7 +106,7 @@ class Work:
             return process.wait(), out, last
 
     def _failed(self, what: str, code: int, last: str) -> Exception:
-        if self._stopped:
+        if self.stopped:
             return Interrupted()
         message = last.partition(": ")[2] if last.startswith("board51 ") else last
         problem = f"{what} ended with exit code {code}: {message}".rstrip(".")

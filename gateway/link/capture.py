@@ -22,13 +22,7 @@ _ATTEMPTS = 10
 
 
 class CaptureReader:
-    """Reads the captures of one board, one at a time; without an active capture its methods do nothing.
-
-    Args:
-        session: Session for the READ_CAPTURE commands.
-        report: Reports a capture that failed.
-        sink: Receives the records.
-    """
+    """Reads the captures of one board, one at a time; without an active capture its methods do nothing."""
 
     def __init__(self, session: Session, report: LinkReporter, sink: Sink) -> None:
         self.deadline_s = float("inf")  # when `poll` has something to do

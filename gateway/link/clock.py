@@ -13,12 +13,7 @@ STEP_NS = 100_000_000  # slewing by NTP is at most 0.5 ms/s; a change of 100 ms 
 
 
 class HostClock:
-    """Compares the wall clock with the monotonic one.
-
-    Args:
-        wall_ns: Returns Unix time, ns.
-        mono_ns: Returns monotonic time, ns.
-    """
+    """Compares the wall clock (Unix time) with the monotonic one."""
 
     def __init__(
         self, wall_ns: Callable[[], int] = time.time_ns, mono_ns: Callable[[], int] = time.monotonic_ns

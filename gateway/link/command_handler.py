@@ -88,14 +88,9 @@ class _Retained:
 
 
 class CommandHandler:
-    """Handles the commands of one board.
+    """Handles the commands of one board; the driver keeps `known` up to date.
 
-    Args:
-        limits: Limits of this board.
-        session: Session that sends the accepted commands.
-        known: Data reported by the board; the driver keeps it up to date.
-        sink: Receives the records.
-        accepted: Called with wire command, bus command and ACK of each command that the board accepted.
+    `accepted` is called with each command that the board accepted.
     """
 
     def __init__(
@@ -104,7 +99,7 @@ class CommandHandler:
         session: Session,
         known: Known,
         sink: Sink,
-        accepted: Callable[[WireCommand, pb.Command, Message], None],
+        accepted: Callable[[WireCommand], None],
     ) -> None:
         self.accepted_count = self.refused_count = self.timed_out_count = 0
         self.annotations, self.plant_card = Annotations(sink), CardKeeper(sink)
@@ -226,8 +221,8 @@ class CommandHandler:
         for request in pending.requests:
             self._settle(request.command, tick)
             self._finish(request, reply, host_ns, keep=keep)
-        if reply.accepted and message is not None:
-            self._on_accepted(pending.wire, pending.requests[0].command, message)
+        if reply.accepted:
+            self._on_accepted(pending.wire)
         return True
 
     def _issued_s(self, command: pb.Command, sender: Sender) -> float:

@@ -31,7 +31,6 @@ from gateway.link.keepalive import Keepalive
 from gateway.link.reporter import LinkReporter
 from gateway.link.sink import Reply, Sink
 from gateway.link.to_board import ToBoard
-from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
 from protocol.wire.messages import EventCode, Message
 from protocol.wire.session import Session
@@ -63,13 +62,7 @@ def _new_session(config: BoardConfig) -> Session:
 
 
 class BoardDriver:
-    """The state machine of one board's link.  All calls must come from one thread.
-
-    Args:
-        config: Configuration of this board.
-        sink: Receives samples, events and records.
-        clock: Host clock.
-    """
+    """The state machine of one board's link.  All calls must come from one thread."""
 
     def __init__(self, config: BoardConfig, sink: Sink, clock: HostClock) -> None:
         self.config = config
@@ -237,7 +230,7 @@ class BoardDriver:
                 self.to_board.answered()
                 self._opened(event, now_s)
             case Restarted():
-                self.from_board.handshake_begins(now_s)
+                self.from_board.began_s = now_s
                 if event.doubtful is not None:
                     text = event_text.in_doubt(*event.doubtful, self.session.number)
                     self.report.publish("samples-in-doubt", "warning", text)
@@ -259,7 +252,7 @@ class BoardDriver:
             self.report.renew_time()
             self.known.identity, self.known.scaling = opened.identity, scaling
             self._encoder = StateEncoder(scaling, opened.session)
-            self.from_board.states_may_begin(now_s)
+            self.from_board.state_s = now_s
             self.keepalive.begin(now_s)
 
     def _refuse_board(self, kind: str, text: str, now_s: float) -> None:
@@ -283,7 +276,7 @@ class BoardDriver:
         identity, scaling = self.known.identity, self.known.scaling
         if identity is not None and scaling is not None:
             if not self.known.stream_period_s:
-                self.from_board.states_may_begin(self._now_s)  # a stream that was off, or not known
+                self.from_board.state_s = self._now_s  # a stream that was off, or not known
             self.known.board_has(message)
             host_ns = self.report.host_ns()
             number, limits = self.session.number, self.config.limits
@@ -292,7 +285,7 @@ class BoardDriver:
             self._sink.send("parameters", parameters, host_ns)
             self.handler.plant_card.board_is(parameters.board_id, parameters.firmware, host_ns)
 
-    def _accepted(self, wire: WireCommand, command: pb.Command, message: Message) -> None:
+    def _accepted(self, wire: WireCommand) -> None:
         self._capture.accepted(wire, self.known.scaling, self._now_s)
         self.keepalive.accepted(wire, self._now_s)
 

@@ -93,11 +93,3 @@ def in_doubt(first_tick: int, last_tick: int, session: int) -> str:
         f"PONGs of the board contradict the count of its ticks: the samples {first_tick} to {last_tick} of session"
         f" {session} may have wrong ticks."
     )
-
-
-def no_answers(for_s: float) -> str:
-    """Return a sentence about a board that does not answer: the line to it may be cut."""
-    return (
-        f"The board has not answered for {for_s:g} s although its frames arrive: a STOP may not reach it."
-        " Check the line to the board (its RX); to stop the rig now, cut its power."
-    )

@@ -49,47 +49,35 @@ class Known:
 
 
 class FromBoard:
-    """Supervises the direction from one board to the host.
-
-    Args:
-        config: Configuration of the board.
-        counters: Counters of its frames.
-        known: Data that it has reported.
-    """
+    """Supervises the direction from one board to the host, by the counters of its frames."""
 
     def __init__(self, config: BoardConfig, counters: Counters, known: Known) -> None:
         self.bytes_received = 0  # since the gateway's start
         self._config, self._counters, self._known = config, counters, known
-        self._valid_s = self._state_s = self._began_s = 0.0
+        self.began_s = 0.0  # when the time limit of the handshake began
+        self.state_s = 0.0  # when the newest state came, or the first one could have come
+        self._valid_s = 0.0
         self._valid_at_open = self._bytes_at_open = 0
 
     def port_opened(self, now_s: float) -> None:
         """Reset the supervision for a newly opened port."""
-        self._began_s = self._valid_s = now_s
+        self.began_s = self._valid_s = now_s
         self._valid_at_open, self._bytes_at_open = self._counters.valid_frames, self.bytes_received
-
-    def handshake_begins(self, now_s: float) -> None:
-        """Restart the time limit of the handshake, on the same port."""
-        self._began_s = now_s
-
-    def states_may_begin(self, now_s: float) -> None:
-        """Begin to wait for the first state."""
-        self._state_s = now_s
 
     def frames_arrived(self, now_s: float, *, states: bool) -> None:
         """Note that valid frames have arrived, with or without STATE frames."""
         if states or now_s - self._valid_s >= STANDSTILL_S:
-            self._state_s = now_s
+            self.state_s = now_s
         self._valid_s = now_s
 
     @property
     def deadline_s(self) -> float:
         """The time at which `silence` is due if nothing arrives."""
-        return min(self._valid_s + self._config.stale_s, self._state_s + self._states_limit_s())
+        return min(self._valid_s + self._config.stale_s, self.state_s + self._states_limit_s())
 
     def states_missing(self, now_s: float) -> bool:
         """Return whether no state has arrived for too long although the stream is on."""
-        return now_s - self._state_s >= self._states_limit_s()
+        return now_s - self.state_s >= self._states_limit_s()
 
     def silence(self, now_s: float) -> tuple[str, str] | None:
         """Return name and text of the event if the board has fallen silent, else None."""
@@ -106,7 +94,7 @@ class FromBoard:
 
     def no_handshake(self, now_s: float) -> tuple[str, str] | None:
         """Return name and text of the event if the handshake takes too long, with the probable cause, else None."""
-        if now_s - self._began_s < DIAGNOSE_S:
+        if now_s - self.began_s < DIAGNOSE_S:
             return None
         received = self.bytes_received - self._bytes_at_open
         if self._counters.valid_frames > self._valid_at_open:

@@ -45,12 +45,7 @@ class _Line:
 
 
 class LinkThread:
-    """Serves all boards until `stop`.
-
-    Args:
-        drivers: Of the boards.
-        round_over: Called after each round of reads, in the serial thread.
-    """
+    """Serves all boards until `stop`; calls `round_over` after each round of reads, in the serial thread."""
 
     def __init__(self, drivers: Sequence[BoardDriver], round_over: Callable[[], None] = lambda: None) -> None:
         self._lines = [_Line(driver) for driver in drivers]

@@ -25,13 +25,7 @@ _NEVER = float("inf")
 
 
 class Keepalive:
-    """Sends the periodic commands of one board.
-
-    Args:
-        config: Settings of the board.
-        session: Session that sends the commands.
-        got_parameters: Called with each PARAMETERS.
-    """
+    """Sends the periodic commands of one board; calls `got_parameters` with each PARAMETERS."""
 
     def __init__(self, config: BoardConfig, session: Session, got_parameters: Callable[[Message], None]) -> None:
         self.board_bad_frames = self.board_overruns = 0  # as the board counts them, from PONG

@@ -24,14 +24,7 @@ _LEVELS = {"info": logging.INFO, "warning": logging.WARNING}
 
 
 class LinkReporter:
-    """The reported state of one board's link, with its reason and time.
-
-    Args:
-        board: Name of the board.
-        session: Session of the board, for number and counts.
-        sink: Receives the events and the sign of life.
-        clock: Host clock.
-    """
+    """The reported state of one board's link, with its reason and time."""
 
     def __init__(self, board: str, session: Session, sink: Sink, clock: HostClock) -> None:
         self.state = "connecting"
@@ -93,7 +86,11 @@ class LinkReporter:
         """Report a state of the direction to the board."""
         before, self.unanswered = self.unanswered, None
         if state == UNANSWERED:
-            self.unanswered = self.publish(TO_BOARD, "fault", event_text.no_answers(UNANSWERED_S))
+            text = (
+                f"The board has not answered for {UNANSWERED_S:g} s although its frames arrive: a STOP may not reach"
+                " it. Check the line to the board (its RX); to stop the rig now, cut its power."
+            )
+            self.unanswered = self.publish(TO_BOARD, "fault", text)
             _logger.error("%s: %s", self._board, self.unanswered.text)
         elif state == ANSWERING and before is not None:
             published = self.publish("board-answers", "info", "The board answers again.")

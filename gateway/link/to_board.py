@@ -20,11 +20,7 @@ _NEVER = float("inf")
 
 
 class ToBoard:
-    """Supervises the direction from the host to one board.
-
-    Args:
-        changed: Called with each new state.
-    """
+    """Supervises the direction from the host to one board; calls `changed` with each new state."""
 
     def __init__(self, changed: Callable[[str], None]) -> None:
         self.state = UNKNOWN

@@ -31,12 +31,8 @@ Process = subprocess.Popen[Any]  # of bytes or of text
 def start(*command: str, nicer: bool = True, **options: Any) -> Process:
     """Start `board51 COMMAND`, which ends with this process, also after kill -9 (child.py).
 
-    It is a session of its own: Ctrl-C reaches this process alone, which ends its children in the right order.
-
-    Args:
-        command: the words after `board51`.
-        nicer: run at a lower priority than this process.
-        options: of `subprocess.Popen`.
+    It is a session of its own: Ctrl-C reaches this process alone, which ends its children in the right order.  With
+    `nicer` it has a lower priority than this process.  The options are those of `subprocess.Popen`.
     """
     return subprocess.Popen(child_words(*command, nicer=nicer), stdin=subprocess.PIPE, **_apart(nicer=nicer), **options)
 
@@ -113,18 +109,7 @@ def call(
     on_line: Callable[[str], None] = lambda _: None,
     log: str = "",
 ) -> tuple[int, list[str]]:
-    """Run a command to its end.
-
-    Args:
-        out: folder for its log.
-        name: of the command.
-        words: its arguments.
-        good: exit codes that are not errors.
-        on_line: is called with each line of output.
-        log: name of the log without suffix; empty: `name`.
-
-    Returns:
-        Exit code and lines of output.
+    """Run a command to its end, with `log` (by default its name) in `out`; return exit code and lines of output.
 
     Raises:
         ServiceError: the exit code is not in `good`; the message has the last line.

@@ -45,11 +45,9 @@ class Service:
 
 @contextmanager
 def running(services: Sequence[Service], *, end_s: float = END_S) -> Iterator[None]:
-    """Context manager: keep the services running within the block.
+    """Context manager: keep the services running within the block; then kill what has not ended within `end_s`.
 
-    Args:
-        services: what runs.
-        end_s: time to end before they are killed; more than that of their own children.
+    That must be more than the time of their own children.
     """
     keepers = [_Keeper(service) for service in services]
     try:

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from statistics import fmean, stdev
 
 from gateway.board.scaling import Scaling, scaling_of
 from gateway.selftest.connection import BOOT_S, Connection
-from gateway.selftest.estimates import mean_and_deviation
 from gateway.selftest.rigs import RigNumbers
 from gateway.selftest.verdict import fault
 from protocol.wire.events import BoardEvent, Sample
 from protocol.wire.messages import HostLoss, Message, Mode, Shape
 
 HOST_LOSS_MS = 500  # the board's own after a reset
+CUT = "CUT THE SUPPLY OF THE COIL, then look at driver and input converter"
 _SETTLE_S = 0.15  # a ball that was lifted a millimetre is at rest again
 
 
@@ -131,7 +132,7 @@ class Bench:
             if len(samples) < 100:
                 raise too_few_states(len(samples))
             i_a, x_m = self.currents(samples), self.positions(samples)
-            self._rest = Rest(*mean_and_deviation(i_a), *mean_and_deviation(x_m), samples)
+            self._rest = Rest(fmean(i_a), stdev(i_a), fmean(x_m), stdev(x_m), samples)
         return self._rest
 
     def forget_rest(self) -> None:

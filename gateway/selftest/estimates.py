@@ -1,11 +1,11 @@
-"""Small estimates without a library: mean and spread, a line through points with its interval."""
+"""Small estimates without a library: a line through points with its interval, the error of a clock."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import fmean, linear_regression, stdev
+from statistics import fmean, linear_regression
 
 T_95 = 2.2  # Student's t, 97.5 %, for about ten degrees of freedom
 
@@ -32,11 +32,6 @@ def line_through(x: Sequence[float], y: Sequence[float]) -> Line:
     residuals = tuple(b - offset - slope * a for a, b in zip(x, y, strict=True))
     variance = sum(r * r for r in residuals) / max(len(x) - 2, 1)
     return Line(offset, slope, T_95 * math.sqrt(variance / s_xx), residuals)
-
-
-def mean_and_deviation(values: Sequence[float]) -> tuple[float, float]:
-    """Return mean and standard deviation; the deviation of one value is 0."""
-    return fmean(values), stdev(values) if len(values) > 1 else 0.0
 
 
 def clock_error(ticks: Sequence[int], arrivals_s: Sequence[float], tick_s: float) -> tuple[float, float]:

@@ -63,7 +63,8 @@ def write_report(report: Report, folder: Path) -> list[Path]:
         UsageError: the folder cannot be written.
     """
     stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(report.started_s))
-    contents = {"json": _json(report)}
+    content = {"answer": report.answer, "faults": report.faults, **asdict(report)}
+    contents = {"json": json.dumps(content, indent=1, ensure_ascii=False) + "\n"}
     page = _html(report)
     if page is not None:
         contents["html"] = page
@@ -77,11 +78,6 @@ def write_report(report: Report, folder: Path) -> list[Path]:
             f"{folder} cannot be written ({error.strerror})", remedy="Give another --log-dir; the verdicts are above"
         ) from None
     return paths
-
-
-def _json(report: Report) -> str:
-    content = {"answer": report.answer, "faults": report.faults, **asdict(report)}
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def _html(report: Report) -> str | None:

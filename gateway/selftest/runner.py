@@ -106,23 +106,21 @@ def _run_check(bench: Bench, check: Check) -> Iterator[Verdict]:
 
 def switch_off(bench: Bench) -> Verdict:
     """Send STOP, and say what u_c and i_c are then."""
-    return replace(_coil_off(bench), check="end")
-
-
-def _coil_off(bench: Bench) -> Verdict:
     name, what, remedy = "coil-off", "the coil at the end", "CUT THE SUPPLY OF THE COIL"
     is_off = bench.line.switch_off()  # a board that we do not hear may hear us
     if not bench.line.identities:
-        return skipped(name, what, "the board does not answer")
-    if not is_off:
-        return fault(name, what, "NOT KNOWN TO BE OFF", remedy=remedy)
-    try:
-        i_a = bench.scaling.i_a(bench.line.samples[-1].state.i_c)
-    except NotReadyError:
-        return passed(name, what, "u_c 0")
-    if i_a > bench.rig.no_current_a:
-        return fault(name, what, f"u_c 0, but i_c {i_a:.3g} A", remedy=remedy)
-    return passed(name, f"{what}: off,", f"u_c 0 V, i_c {1e3 * i_a:.2g} mA")
+        verdict = skipped(name, what, "the board does not answer")
+    elif not is_off:
+        verdict = fault(name, what, "NOT KNOWN TO BE OFF", remedy=remedy)
+    else:
+        try:
+            i_a = bench.scaling.i_a(bench.line.samples[-1].state.i_c)
+            verdict = passed(name, f"{what}: off,", f"u_c 0 V, i_c {1e3 * i_a:.2g} mA")
+            if i_a > bench.rig.no_current_a:
+                verdict = fault(name, what, f"u_c 0, but i_c {i_a:.3g} A", remedy=remedy)
+        except NotReadyError:
+            verdict = passed(name, what, "u_c 0")
+    return replace(verdict, check="end")
 
 
 def _reported(bench: Bench, first: int, unexpected: int) -> Iterator[Verdict]:

@@ -38,16 +38,10 @@ class Verdict:
 def judge(
     name: str, what: str, value: float, unit: str, *, good: Range, possible: Range | None = None, remedy: str = ""
 ) -> Verdict:
-    """Judge a number: ok within `good`, a warning within `possible`, else a fault.
+    """Judge a number in `unit`: ok within `good`, a warning within `possible`, else a fault.
 
-    Args:
-        name: Of the verdict.
-        what: The measured quantity.
-        value: In `unit`; not a number is a fault.
-        unit: Of value and bounds.
-        good: Lowest and highest value of a healthy board; infinite: no bound.
-        possible: Beyond these it is a fault; without them each value outside `good` is.
-        remedy: What to do unless it is ok.
+    Not a number is a fault.  An infinite end of `good` is no bound.  Without `possible` each value outside `good` is a
+    fault.
     """
     low, high = possible or good
     if good[0] <= value <= good[1]:

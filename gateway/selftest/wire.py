@@ -34,11 +34,7 @@ class SerialWire:
 
     def __init__(self, port: Port) -> None:
         self._port = port
-        self.read, self.write, self.close = port.read, port.write, port.close
-
-    def now_s(self) -> float:
-        """Return the time, s; only differences matter."""
-        return time.monotonic()
+        self.read, self.write, self.close, self.now_s = port.read, port.write, port.close, time.monotonic
 
     def wait(self, timeout_s: float) -> bool:
         """Return whether there are bytes to read within `timeout_s`, or the port is lost."""

@@ -89,9 +89,9 @@ def zenoh_config(
     if identity is not None:
         config["transport"]["auth"] = {"usrpwd": {"user": identity.name, "password": identity.password}}
         link["tls"] = {
-            "root_ca_certificate": str(identity.ca),
-            "connect_certificate": str(identity.certificate),
-            "connect_private_key": str(identity.key),
+            "root_ca_certificate": str(identity.folder / "ca.pem"),
+            "connect_certificate": str(identity.folder / "certificate.pem"),
+            "connect_private_key": str(identity.folder / "key.pem"),
             "enable_mtls": True,
             "verify_name_on_connect": True,
         }

@@ -38,21 +38,6 @@ class Identity:
     folder: Path
     valid_until: datetime
 
-    @property
-    def certificate(self) -> Path:
-        """The path of the certificate (PEM)."""
-        return self.folder / "certificate.pem"
-
-    @property
-    def key(self) -> Path:
-        """The path of the private key (PEM), readable by its owner only."""
-        return self.folder / "key.pem"
-
-    @property
-    def ca(self) -> Path:
-        """The path of the authority's certificate (PEM)."""
-        return self.folder / "ca.pem"
-
     def __repr__(self) -> str:
         return f"Identity({self.name}, {self.role})"  # no password in a traceback
 

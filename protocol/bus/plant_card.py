@@ -6,30 +6,18 @@ from protocol.bus import board51_pb2 as pb
 from protocol.plant import Plant, is_possible
 
 EMULATED = "emulated board"  # who stated the card of an emulated CE 152: its build
+_NAMES = tuple(pb.Plant.DESCRIPTOR.fields_by_name)  # those of a Plant
 
 
 def plant_message(plant: Plant) -> pb.Plant:
     """Return the message of a plant; it does not say whether the plant is assumed."""
-    return pb.Plant(
-        name=plant.name,
-        mass_kg=plant.mass_kg,
-        travel_m=plant.travel_m,
-        x_max_m=plant.x_max_m,
-        gravity_m_s2=plant.gravity_m_s2,
-        ball_diameter_m=plant.ball_diameter_m,
-    )
+    return pb.Plant(**{name: getattr(plant, name) for name in _NAMES})
 
 
 def plant_of(message: pb.Plant) -> Plant:
     """Return the plant of a message, not judged."""
-    return Plant(
-        name=message.name,
-        mass_kg=message.mass_kg,
-        travel_m=message.travel_m,
-        x_max_m=message.x_max_m,
-        gravity_m_s2=message.gravity_m_s2,
-        ball_diameter_m=message.ball_diameter_m if message.HasField("ball_diameter_m") else None,
-    )
+    values = {name: getattr(message, name) for name in _NAMES}
+    return Plant(**values | ({} if message.HasField("ball_diameter_m") else {"ball_diameter_m": None}))
 
 
 def card_plant(card: pb.PlantCard | None) -> Plant | None:

@@ -45,12 +45,9 @@ class RawLogRecord(NamedTuple):
 
 
 class LogReader:
-    """A log, opened for reading.
+    """A log, opened for reading: an MCAP file, or the parts of one.
 
     `foreign` (skipped messages, by topic), `unparsable` and the damages of the scans are complete after one pass.
-
-    Args:
-        paths: An MCAP file, or the parts of one log.
 
     Raises:
         DataError: a file is absent, empty or not MCAP.
@@ -109,12 +106,7 @@ class LogReader:
     ) -> Iterator[RawLogRecord]:
         """Yield unparsed records; damage is recorded in `scans` and skipped.
 
-        Args:
-            topics_: Topics of the bus table; None means all.
-            boards: Names of boards; None means all.
-            start_s: From the first message of the log.
-            end_s: The same; None means to the end.
-            from_byte: See `Scan.messages`; of a log of one part.
+        Arguments as of `read`; `from_byte`: as of `Scan.messages`, of a log of one part.
         """
         self.foreign.clear()
         low_ns = self.start_ns + round(start_s * 1e9) if start_s > 0 else 0
@@ -161,14 +153,10 @@ class LogReader:
         return "nothing"
 
     def check_damage(self, *, last_ns: int | None, cut_is_damage: bool = True) -> None:
-        """Raise an error if bytes were lost; call it after one pass.
+        """Raise a DataError if bytes were lost; call it after one pass.
 
-        Args:
-            last_ns: Log time of the last message that was delivered; None if there was none.
-            cut_is_damage: Whether a file that ends within a record counts as damaged.
-
-        Raises:
-            DataError: damage.
+        `last_ns` is the log time of the last message that was delivered.  Without `cut_is_damage` a file may end within
+        a record.
         """
         for scan in self.scans:
             damages = [d for d in scan.damages if cut_is_damage or not d.is_cut]
@@ -183,14 +171,7 @@ class LogReader:
                 )
 
     def check(self, *, last_ns: int | None) -> None:
-        """Raise an error for damage, or for a log without Board51 messages; call it after one pass.
-
-        Args:
-            last_ns: Log time of the last message that was delivered; None if there was none.
-
-        Raises:
-            DataError: the log is damaged, or holds no Board51 messages.
-        """
+        """Raise a DataError for damage, or for a log without Board51 messages; call it after one pass."""
         self.check_damage(last_ns=last_ns)
         if not self.boards:
             foreign_topics = sorted({channel.topic for scan in self.scans for channel in scan.channels.values()})
@@ -212,17 +193,9 @@ def read(
     start_s: float = 0.0,
     end_s: float | None = None,
 ) -> Iterator[LogRecord]:
-    """Read the records of a log.
+    """Yield the records of a log, an MCAP file or its parts, in the order of the file.
 
-    Args:
-        path: An MCAP file, or the parts of one log.
-        topics: Topics of the bus table ("state", "twin/state", ...); None means all.
-        boards: Names of boards; None means all.
-        start_s: From the first message of the log, s.
-        end_s: The same; None means to the end.
-
-    Yields:
-        Records in the order of the file.
+    By default they are of all topics and boards.  `start_s` and `end_s` count from the first message of the log, s.
 
     Raises:
         DataError: the file is absent, empty, not MCAP, or holds no Board51 messages.  A damaged file raises it after

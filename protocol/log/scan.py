@@ -135,10 +135,7 @@ class Scan:
     def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64, from_byte: int = 0) -> Iterator[McapMessage]:
         """Yield all messages with start_ns <= log time < end_ns, in the order of the file.
 
-        Args:
-            start_ns: The first log time.
-            end_ns: The log time behind the last.
-            from_byte: An `offset` of an earlier pass: only what follows there is read.
+        With `from_byte`, the `offset` of an earlier pass, only what follows there is read.
         """
         self.damages.clear()
         self.unknown_channel = self.unpacked = 0

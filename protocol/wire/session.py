@@ -15,9 +15,8 @@ from dataclasses import dataclass, field
 
 from protocol.wire.decoder import CAUSES, BadFrame, State, StreamDecoder
 from protocol.wire.events import BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
-from protocol.wire.exchange import CommandExchange
+from protocol.wire.exchange import Command, CommandExchange
 from protocol.wire.messages import RESETS, ROW_OF_NAME, VERSION, EventCode, Message, Reason
-from protocol.wire.outgoing import Command
 from protocol.wire.unwrap import Jump, TickUnwrapper
 
 
@@ -39,12 +38,8 @@ class Counters:
 class Session(CommandExchange):
     """Protocol session with one board.  Call `connect` when the port is open, `disconnect` when it is lost.
 
-    Args:
-        choose_session: gives a random 16-bit number for each handshake.
-        timeout_s: wait for an answer before repeating.
-        retries: repetitions before giving up.
-        hello_s: time between two HELLO without an answer.
-        first_number: of the first session; later ones count up.
+    `choose_session` gives a random 16-bit number for each handshake.  A command without an answer is repeated `retries`
+    times after `timeout_s`, a HELLO every `hello_s`.
     """
 
     def __init__(
@@ -117,7 +112,7 @@ class Session(CommandExchange):
                         self._jumped(placed, now_s, events)
                         break
                     samples += 1
-                    events.append(Sample(placed[0], self.number, placed[1], placed[2], placed[3]))
+                    events.append(placed)
             elif type(item) is BadFrame:
                 self.counters.bad_frames[item.cause] += 1
             else:
@@ -177,6 +172,7 @@ class Session(CommandExchange):
             events.append(VersionRefused(version))
             return
         self.number += 1
+        self.unwrapper.session = self.number
         self._identity = message
         self._last_event = None
         self.unwrapper.divider = None

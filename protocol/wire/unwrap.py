@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from protocol.wire.decoder import State
+from protocol.wire.events import Sample
 
 WRAP = 1 << 16
 _HALF_WRAP = WRAP // 2
@@ -26,15 +27,6 @@ _EARLY_TICKS = 25  # 50 ms at T_s = 2 ms: queueing of the anchoring answer, drif
 _OVERTAKEN_TICKS = 256  # an answer overtaken by this many states still speaks of the same run of the board
 _LEAD_WINDOW_S = 10.0  # the best arrival is forgotten after at most twice this, so that clock drift does not add up
 _CLAIM_S = 1.0  # a contradiction that no second full tick confirms within this time is dropped
-
-
-class Placed(NamedTuple):
-    """A state with its tick."""
-
-    tick: int  # since the board's reset
-    lost_before: int  # states missing directly before this one
-    state: State
-    arrived_s: float
 
 
 class Jump(NamedTuple):
@@ -51,6 +43,7 @@ class TickUnwrapper:
     """
 
     def __init__(self) -> None:
+        self.session = 0  # of the samples
         self.duplicates = 0
         self.implausible = 0
         self.unplaced = 0  # possibly valid, but the count ended, or was in doubt, before a second frame confirmed them
@@ -64,7 +57,7 @@ class TickUnwrapper:
         self._first = True
         self._witnessed = 0  # the newest full tick that agreed
         self._witnessed_s = 0.0
-        self._gap: Placed | None = None  # in time, but not the next one: waits for its successor
+        self._gap: Sample | None = None  # in time, but not the next one: waits for its successor
         self._unexpected: tuple[State, float] | None = None  # too early, or back: waits for its successor
         self._claim: tuple[int, float] | None = None  # a full tick that contradicts the count
         self._lead = self._next_lead = 0.0
@@ -122,10 +115,10 @@ class TickUnwrapper:
         self.give_up()
         return Jump(ahead < 0, doubtful)
 
-    def feed(self, state: State, now_s: float) -> list[Placed | Jump]:
+    def feed(self, state: State, now_s: float) -> list[Sample | Jump]:
         """Place a state that arrived at `now_s`; return no, one, or (with states that waited) several results."""
         tick = self.following(state.sequence, now_s)
-        return self._feed_slowly(state, now_s) if tick is None else [Placed(tick, 0, state, now_s)]
+        return self._feed_slowly(state, now_s) if tick is None else [Sample(tick, self.session, 0, state, now_s)]
 
     def following(self, sequence: int, now_s: float) -> int | None:
         """Place the very next state of an undisturbed stream, and return its tick; None: `feed` decides."""
@@ -141,7 +134,7 @@ class TickUnwrapper:
         if not self._first:
             self._arrived(self._last, now_s)
 
-    def _feed_slowly(self, state: State, now_s: float) -> list[Placed | Jump]:
+    def _feed_slowly(self, state: State, now_s: float) -> list[Sample | Jump]:
         # Later, one sequence number may belong to two runs of the counter. A new handshake costs some states, a wrong
         # guess would shift all.
         if now_s - max(self._last_s, self._witnessed_s) >= self._sure_s:
@@ -159,7 +152,7 @@ class TickUnwrapper:
             self._unexpected = None
         return self._in_time(tick, state, now_s)
 
-    def _in_time(self, tick: int, state: State, now_s: float) -> list[Placed | Jump]:
+    def _in_time(self, tick: int, state: State, now_s: float) -> list[Sample | Jump]:
         gap, self._gap = self._gap, None
         if not self._first and tick - self._last == (self.divider or self._smallest_step):
             if gap is not None:
@@ -174,11 +167,11 @@ class TickUnwrapper:
         elif gap is not None:
             self.unplaced += 1
         # Held, not published: noise with a right CRC would look like a loss, and move the count.
-        self._gap = Placed(tick, 0, state, now_s)
+        self._gap = Sample(tick, self.session, 0, state, now_s)
         self._quick = False  # the next state decides about this one, also if it follows the old count
         return []
 
-    def _too_early(self, state: State, now_s: float) -> list[Placed | Jump]:
+    def _too_early(self, state: State, now_s: float) -> list[Sample | Jump]:
         unexpected, self._unexpected = self._unexpected, (state, now_s)
         self._quick = False
         # One frame that is too early may be noise. The next one decides.
@@ -189,7 +182,7 @@ class TickUnwrapper:
             return []
         return self._jump(unexpected, (state, now_s))
 
-    def _jump(self, first: tuple[State, float], second: tuple[State, float]) -> list[Placed | Jump]:
+    def _jump(self, first: tuple[State, float], second: tuple[State, float]) -> list[Sample | Jump]:
         gap = self._gap
         ahead = (first[0].sequence - self._last) & 0xFFFF
         if ahead < _OVERTAKEN_TICKS and (gap is None or gap.tick < self._last + ahead):
@@ -212,7 +205,7 @@ class TickUnwrapper:
         tick = start + 1 + ((sequence - start - 1) & 0xFFFF)
         return tick if tick >= 0 else tick + WRAP
 
-    def _accept(self, tick: int, state: State, arrived_s: float) -> Placed:
+    def _accept(self, tick: int, state: State, arrived_s: float) -> Sample:
         lost = 0
         if not self._first:
             step = tick - self._last
@@ -221,7 +214,7 @@ class TickUnwrapper:
             lost = (step - 1) // (self.divider or self._smallest_step)
             self.lost += lost
         self._last, self._last_s, self._first, self._quick = tick, arrived_s, False, True
-        return Placed(tick, lost, state, arrived_s)
+        return Sample(tick, self.session, lost, state, arrived_s)
 
     def _count_noise(self, state: State) -> None:
         behind = (self._last - state.sequence) & 0xFFFF

@@ -18,8 +18,7 @@ from gateway.views.opcua.conditions import Conditions
 from gateway.views.opcua.nodes import BoardNodes
 from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.sessions import GuardedServer
-from gateway.views.opcua.types.build import Builder
-from gateway.views.opcua.types.nodeset import register
+from gateway.views.opcua.types import Builder, register
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import is_plausible
 from tests.harness.hostile_messages import START_NS

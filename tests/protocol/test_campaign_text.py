@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from hypothesis import given, settings
@@ -10,15 +11,15 @@ from hypothesis import strategies as st
 
 from protocol.campaign import (
     CHANNELS,
-    CONTROLLERS,
     KINDS,
-    USES,
     Campaign,
     Column,
     Controller,
+    Law,
     OperatingPoint,
     Plant,
     Recording,
+    Use,
     load_plant,
     parse,
 )
@@ -37,7 +38,7 @@ plants = lengths.flatmap(
     )
 )  # fmt: skip
 controllers = st.builds(
-    Controller, kind=st.sampled_from(CONTROLLERS), gains=st.tuples(finite, finite, finite, finite),
+    Controller, kind=st.sampled_from(get_args(Law)), gains=st.tuples(finite, finite, finite, finite),
     operating_point=st.builds(OperatingPoint, i_c_a=finite, x_m=finite, u_c_v=finite),
 )  # fmt: skip
 tables = st.one_of(
@@ -48,7 +49,7 @@ tables = st.one_of(
 )
 columns = st.builds(Column, column=words, scale=finite.filter(lambda value: value != 0.0), offset=finite, table=tables)
 recordings = st.builds(
-    Recording, file=words, kind=st.sampled_from(KINDS), use=st.sampled_from(USES), skip_s=st.floats(0.0, 1e6),
+    Recording, file=words, kind=st.sampled_from(KINDS), use=st.sampled_from(get_args(Use)), skip_s=st.floats(0.0, 1e6),
     instrument=st.one_of(st.just(""), words), board=st.one_of(st.just(""), words),
     columns=st.dictionaries(st.sampled_from(CHANNELS), columns, max_size=3),
 )  # fmt: skip

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from protocol.wire.exchange import Command, SendQueue
 from protocol.wire.messages import Value
-from protocol.wire.outgoing import Command, SendQueue
 from tests.harness.protocol.port import take_output
 
 BEGUN = 3  # bytes of a frame that the port has taken

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.wire.decoder import State
-from protocol.wire.unwrap import Jump, Placed, TickUnwrapper
+from protocol.wire.events import Sample
+from protocol.wire.unwrap import Jump, TickUnwrapper
 
 T_S = 0.002
 
@@ -22,8 +23,8 @@ def started(tick: int = 0, *, divider: int = 1) -> TickUnwrapper:
     return unwrapper
 
 
-def run(unwrapper: TickUnwrapper, ticks: list[int], *, at_s: float | None = None) -> list[Placed | Jump]:
-    placed: list[Placed | Jump] = []
+def run(unwrapper: TickUnwrapper, ticks: list[int], *, at_s: float | None = None) -> list[Sample | Jump]:
+    placed: list[Sample | Jump] = []
     for tick in ticks:
         now_s = tick * T_S if at_s is None else at_s
         placed += unwrapper.feed(state(tick), now_s)
@@ -31,8 +32,8 @@ def run(unwrapper: TickUnwrapper, ticks: list[int], *, at_s: float | None = None
     return placed
 
 
-def ticks_of(placed: list[Placed | Jump]) -> list[int]:
-    return [p.tick for p in placed if isinstance(p, Placed)]
+def ticks_of(placed: list[Sample | Jump]) -> list[int]:
+    return [p.tick for p in placed if isinstance(p, Sample)]
 
 
 @given(
@@ -46,7 +47,7 @@ def test_every_loss_is_counted_and_no_tick_is_wrong(start: int, steps: list[int]
     for step in steps:
         ticks.append(ticks[-1] + step)
 
-    placed: list[Placed | Jump] = []
+    placed: list[Sample | Jump] = []
     for n, tick in enumerate(ticks):
         placed += unwrapper.feed(state(tick), tick * T_S + late_s[n % len(late_s)])
 
@@ -55,7 +56,7 @@ def test_every_loss_is_counted_and_no_tick_is_wrong(start: int, steps: list[int]
 
     assert ticks_of(placed) == [*ticks, following]
     assert unwrapper.lost == sum(step - 1 for step in steps)
-    assert sum(p.lost_before for p in placed if isinstance(p, Placed)) == unwrapper.lost
+    assert sum(p.lost_before for p in placed if isinstance(p, Sample)) == unwrapper.lost
 
 
 def test_the_count_goes_on_over_the_wrap() -> None:
@@ -229,7 +230,7 @@ def test_a_board_twenty_times_too_fast_keeps_its_count_over_losses() -> None:
     unwrapper = started()
     ticks = [*range(1000), *range(1200, 1400)]
 
-    placed: list[Placed | Jump] = []
+    placed: list[Sample | Jump] = []
     for n, tick in enumerate(ticks):
         placed += unwrapper.feed(state(tick), tick * T_S / 20)
         if n % 10 == 0:
@@ -258,7 +259,7 @@ def test_the_short_way_of_an_undisturbed_stream_gives_what_the_full_rules_give(
     for unwrapper in (TickUnwrapper(), LongWay()):
         unwrapper.restart(0, 0.0, sample_time_s=T_S)
         unwrapper.divider = divider
-        tick, now_s, placed = 0, 0.0, list[Placed | Jump]()
+        tick, now_s, placed = 0, 0.0, list[Sample | Jump]()
         for n, step in enumerate(steps):
             tick = max(tick + step * divider, 0)
             now_s = max(now_s, tick * T_S + late_s[n % len(late_s)])

@@ -7,13 +7,15 @@ only i_c is filtered.  USE_I, USE_X: the reading is used.  CAPTURED: the sample 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import kernel
-from twin.estimation.record import FloatArray
+from twin.estimation.record import BoolArray, FloatArray
 from twin.estimation.structures import Samples
 
 FOLLOWS, FLIES, USE_I, USE_X = 1, 2, 4, 8
@@ -33,15 +35,19 @@ class Series:
     flags: NDArray[np.uint16]
     recording: NDArray[np.int32]  # index of the recording
 
-    def part(self, piece: slice) -> Series:
-        """A slice of the samples, as views."""
+    def part(self, piece: slice | BoolArray) -> Series:
+        """A part of the samples; of a slice, as views."""
+        return Series(**{name: getattr(self, name)[piece] for name in Series.__slots__})
+
+    @staticmethod
+    def joined(parts: Sequence[Series]) -> Series:
+        """The samples of all parts, one after the other; none without parts."""
+        none: dict[str, Any] = {"flags": np.empty(0, np.uint16), "recording": np.empty(0, np.int32)}
         return Series(
-            step=self.step[piece],
-            u=self.u[piece],
-            i=self.i[piece],
-            x=self.x[piece],
-            flags=self.flags[piece],
-            recording=self.recording[piece],
+            **{
+                name: np.concatenate([none.get(name, np.empty(0)), *(getattr(part, name) for part in parts)])
+                for name in Series.__slots__
+            }
         )
 
     @property

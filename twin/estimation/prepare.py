@@ -69,20 +69,7 @@ def prepare(records: list[Record], plant: Plant, *, min_gap_m: float = 0.0) -> t
         if record.has("u_c", "i_c") and len(record.t) > 1:
             parts.append(_series(record, plant, usage, number, min_gap_m))
         parts.extend(_captures(record, number))
-    if not parts:
-        empty = np.empty(0)
-        no_flags = np.empty(0, np.uint16)
-        return Series(step=empty, u=empty, i=empty, x=empty, flags=no_flags, recording=np.empty(0, np.int32)), usages
-    if len(parts) == 1:
-        return parts[0], usages
-    return Series(
-        step=np.concatenate([part.step for part in parts]),
-        u=np.concatenate([part.u for part in parts]),
-        i=np.concatenate([part.i for part in parts]),
-        x=np.concatenate([part.x for part in parts]),
-        flags=np.concatenate([part.flags for part in parts]),
-        recording=np.concatenate([part.recording for part in parts]),
-    ), usages
+    return parts[0] if len(parts) == 1 else Series.joined(parts), usages
 
 
 def flights(record: Record, plant: Plant, *, min_samples: int = FLIGHT_SAMPLES) -> list[slice]:

@@ -22,11 +22,10 @@ import numpy as np
 from scipy.linalg import null_space, toeplitz
 
 from twin.distributions import chi2_exceeded
-from twin.estimation.contact import partly_cut_off
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.evidence.gather import Evidence
-from twin.evidence.noise_levels import RESTS, Colour
+from twin.evidence.noise_levels import RESTS, Colour, uncut
 from twin.evidence.rest_lines import without_lines
 from twin.model.extended import SHORT_S
 from twin.settings import diagnosis as settings
@@ -81,10 +80,7 @@ def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | N
 def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
     """Return the mean square of a weighted sum of successive readings over that of white noise of the same level.
 
-    Args:
-        colour: of the noise.
-        step_s: interval of the readings, s.
-        weights: of the readings, shape (n,).
+    `step_s` is the interval of the readings; `weights` has shape (n,).
     """
     covariance = colour.white * np.eye(len(weights)) + (1.0 - colour.white) * _correlation(
         colour.tau_s, step_s, len(weights)
@@ -103,14 +99,10 @@ def _colour(windows: Sequence[_Windows]) -> Colour | None:
     min_gain = 0.5 * chi2_exceeded(settings.COLOUR_CHANCE, 2)
     # Without the best window, as one disturbed window must not make the noise of a whole campaign coloured.
     surely = float(gains.sum() - gains.max()) > min_gain and coloured.total > _wandering(windows).total
-    assert coloured.colour is not None
-    material = max(_next(coloured.colour, part.step_s) for part in windows) > settings.MAX_AUTOCORRELATION
-    return coloured.colour if surely and material else None
-
-
-def _next(colour: Colour, step_s: float) -> float:
-    """The autocorrelation of successive readings."""
-    return (1.0 - colour.white) * math.exp(-step_s / colour.tau_s)
+    colour = coloured.colour
+    assert colour is not None
+    successive = max((1.0 - colour.white) * math.exp(-part.step_s / colour.tau_s) for part in windows)
+    return colour if surely and successive > settings.MAX_AUTOCORRELATION else None
 
 
 def _score(windows: Sequence[_Windows], tau_s: float) -> float:
@@ -198,7 +190,8 @@ def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
     follows = series.flags & FOLLOWS != 0
     changed = ~follows | (np.diff(series.u, prepend=series.u[:1]) != 0.0)
     captured = is_fast(series)
-    used = (series.flags & use != 0) & _whole(series, values, use)
+    used = series.flags & use != 0
+    used &= uncut(series, values, used)
     since = np.arange(len(values)) - np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))
     if captures:
         steps = np.cumsum(changed & follows) - np.maximum.accumulate(np.where(follows, 0, np.cumsum(changed & follows)))
@@ -229,12 +222,3 @@ def _calm(step_s: float, rows: FloatArray) -> _Windows | None:
     squares = np.mean(rows**2, axis=1)
     calm = (squares <= settings.RESTLESS * float(np.median(squares))) & (squares > 0.0)
     return _Windows(step_s=step_s, rows=rows[calm]) if calm.any() else None
-
-
-def _whole(series: Series, values: FloatArray, use: int) -> BoolArray:
-    """Return a mask of the readings whose noise the end of a converter does not cut off, shape (n,)."""
-    whole = np.ones(len(values), np.bool_)
-    for number in np.unique(series.recording):
-        used = np.flatnonzero((series.recording == number) & (series.flags & use != 0))
-        whole[used[partly_cut_off(values[used])]] = False
-    return whole

@@ -25,7 +25,7 @@ def dead_time(records: Sequence[Record]) -> tuple[float, float] | None:
     steps = [step for record in records for step in _fast(record)]
     if not steps:
         return None
-    interval = min(_interval(record) for record in steps)
+    interval = min(record.captures[0].sample_time_s if record.captures else record.interval_s for record in steps)
     # A grid of whole samples, coarse and then fine: the error has a kink at each sample, at which a slope misleads.
     coarse, longest = max(round(_COARSE_S / interval), 1), round(settings.DEAD_TIME_LONGEST_S / interval)
     errors = {delay: _error(steps, delay) for delay in range(0, longest + 1, coarse)}
@@ -54,10 +54,6 @@ def _fast(record: Record) -> list[Record]:
     if record.kind == "amplifier-step" and len(record.t) > 1 and record.interval_s <= settings.DEAD_TIME_FAST_S:
         result.append(replace(record, captures=()))
     return result
-
-
-def _interval(record: Record) -> float:
-    return record.captures[0].sample_time_s if record.captures else record.interval_s
 
 
 def _delayed(record: Record, samples: int) -> Record:

@@ -63,12 +63,9 @@ class Evidence:
 
 
 def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, float | None] | None = None) -> Evidence:
-    """Prepare recordings.
+    """Prepare the recordings of one use.
 
-    Args:
-        records: of one use.
-        plant: mass, travel, x_max.
-        stops: readings at the lower and the upper stop if they are known from other recordings, m.
+    `stops` are the readings at the lower and the upper stop if they are known from other recordings, m.
     """
     every_record = tuple(records)
     rows = [bridged(record) for record in every_record]
@@ -111,7 +108,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
     return Evidence(
         records=every_record,
-        series=_join(parts),
+        series=Series.joined(parts),
         t=np.concatenate(times) if times else np.empty(0),
         usages=tuple(usages),
         statics=tuple(statics),
@@ -136,14 +133,10 @@ class _Common:
 def _prepared(
     record: Record, lost: BoolArray, is_held: BoolArray, is_lifted: bool, common: _Common
 ) -> tuple[Series, FloatArray, Usage]:
-    """Return (the flagged samples of a recording, their times, how they are used).
+    """Return (the flagged samples of a recording with bridged rows, their times, how they are used).
 
-    Args:
-        record: with bridged rows.
-        lost: which of its rows were lost, shape (n,).
-        is_held: which of them have the ball held, shape (n,).
-        is_lifted: whether the ball is lifted off a platform.
-        common: of all recordings.
+    `lost` and `is_held`, shape (n,), say which of its rows were lost and which have the ball held.  `is_lifted`: off a
+    platform.
     """
     plant, low, high = common.plant, common.low_m, common.high_m
     on_stop = on_stops(record, is_held & ~np.isin(record.x, common.blind_m), low, high, plant)
@@ -208,7 +201,7 @@ def _on_platform(record: Record, is_held: BoolArray, low: float | None, plant: P
     return record.kind == "sawtooth" and not on_stops(record, is_held, low, None, plant)[0].any()
 
 
-def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Series, lifts_at: float) -> None:
+def _until_lifted(flags: NDArray[np.uint16], series: Series, lifts_at: float) -> None:
     """Leave out i_c after a step of the amplifier has lifted the ball, as its motion is unknown."""
     chain = chains(series)
     for number in np.unique(chain):
@@ -221,7 +214,7 @@ def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Se
             flags[after_lift] &= np.uint16(~USE_I & 0xFFFF)
 
 
-def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint16]]) -> None:
+def _trim(flags: NDArray[np.uint16]) -> None:
     """Take TRIM_SAMPLES off both ends of each flight between stops, as a lagging sensor shows the impact later."""
     for piece in runs(np.asarray(flags & FLIES != 0)):
         begin, end = piece.start + settings.TRIM_SAMPLES, piece.stop - settings.TRIM_SAMPLES
@@ -236,20 +229,6 @@ def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[flo
     if low is not None:
         return 1.0, low
     return 1.0, 0.0 if high is None else high - plant.travel_m
-
-
-def _join(parts: list[Series]) -> Series:
-    if not parts:
-        empty = np.empty(0)
-        return Series(
-            step=empty,
-            u=empty,
-            i=empty,
-            x=empty,
-            flags=np.empty(0, np.uint16),
-            recording=np.empty(0, np.int32),
-        )
-    return Series(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in Series.__slots__})
 
 
 def chains(series: Series) -> FloatArray:

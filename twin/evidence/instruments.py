@@ -131,13 +131,9 @@ def differences(series: Series, column: int) -> FloatArray:
 
 
 def smooth(series: Series, column: int, *, before: int = 0, around: int = 0) -> tuple[FloatArray, BoolArray]:
-    """Prepare a channel of one recording for differences.
+    """Prepare a channel (0: i_c, 1: x) of one recording for differences.
 
-    Args:
-        series: of one recording.
-        column: 0 for i_c, 1 for x.
-        before: readings before a sample that its difference uses.
-        around: readings on each side of a sample that its difference uses.
+    A difference uses `before` readings before its sample, or `around` readings on each side of it.
 
     Returns:
         (i_c without the response to u_c, or x; whether all readings of the difference are present), both of shape (n,).

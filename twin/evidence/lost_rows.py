@@ -54,9 +54,7 @@ def _with(values: FloatArray, lost: BoolArray, inserted: FloatArray) -> FloatArr
 def mark(flags: NDArray[np.uint16], lost: BoolArray) -> None:
     """Flag the rows of lost samples within flights; the other rows become gaps.
 
-    Args:
-        flags: of a recording's samples, shape (n,), changed in place.
-        lost: rows without a sample, shape (n,); neither the first nor the last.
+    `flags`, shape (n,), are changed in place.  The first and the last row are not `lost`, shape (n,).
     """
     for n in np.flatnonzero(lost):
         around = flags[n - 1 : n + 2]

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
+from twin.estimation.contact import partly_cut_off
 from twin.estimation.innovations import FLIES, FOLLOWS, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.prepare import captured
-from twin.estimation.record import FloatArray, Record, runs
+from twin.estimation.record import BoolArray, FloatArray, Record, runs
 
 RESTS = RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN  # flags of a ball at rest
 
@@ -105,12 +106,7 @@ def colours_json(noise: Noise | None) -> dict[str, Any]:
 
 
 def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
-    """The noise for diagnosis.json.
-
-    Args:
-        noise: None: each channel has a single level.
-        sigmas: reference levels of i_c, A, and x, m.
-    """
+    """The noise for diagnosis.json; `sigmas` are the reference levels of i_c, A, and x, m."""
     channels = noise.channels if noise is not None and not noise.plain else (Channel(), Channel())
     return {
         name: {
@@ -133,6 +129,15 @@ def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
         for name, unit, sigma, channel in zip(("i_c", "x"), ("A", "m"), sigmas, channels, strict=True)
         for heights in [np.linspace(*channel.range_m, 5) if channel.bend else np.empty(0)]
     }
+
+
+def uncut(series: Series, values: FloatArray, among: BoolArray) -> BoolArray:
+    """Return a mask without those `among` the readings whose noise the end of a converter cuts off, shape (n,)."""
+    whole = np.ones(len(values), np.bool_)
+    for number in np.unique(series.recording):
+        readings = np.flatnonzero(among & (series.recording == number))
+        whole[readings[partly_cut_off(values[readings])]] = False
+    return whole
 
 
 def parts_of(records: Sequence[Record], series: Series) -> list[tuple[str, slice]]:

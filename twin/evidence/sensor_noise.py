@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from twin.estimation.contact import HELD_SAMPLES, partly_cut_off
-from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, USE_I, USE_X, Series
-from twin.estimation.record import BoolArray, FloatArray, runs
+from twin.estimation.contact import HELD_SAMPLES
+from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, USE_I, USE_X
+from twin.estimation.record import runs
 from twin.evidence.gather import Evidence
-from twin.evidence.noise_levels import RESTS
+from twin.evidence.noise_levels import RESTS, uncut
 from twin.evidence.rest_lines import without_lines
 from twin.settings import diagnosis as settings
 
@@ -50,7 +50,10 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
     Windows far noisier than the others are left out: the current still settles there, or the rig was touched.
     """
     series = without_lines(evidence.series)
-    whole = _not_cut(series, series.i, USE_I), _not_cut(series, series.x, USE_X)
+    whole = [
+        (series.flags & use != 0) & uncut(series, values, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0)
+        for values, use in ((series.i, USE_I), (series.x, USE_X))
+    ]
     rest = series.flags & RESTS != 0
     squares: tuple[list[float], list[float]] = ([], [])
     for piece in runs(rest, 2 * HELD_SAMPLES):
@@ -73,12 +76,3 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
         usual = [square for square in channel if square <= settings.RESTLESS * middle] if middle > 0.0 else channel
         result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
     return result
-
-
-def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
-    """Return a mask of used readings away from the converter's end, which cuts off noise, shape (n,)."""
-    used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
-    for number in np.unique(series.recording):
-        readings = np.flatnonzero(known & (series.recording == number))
-        used[readings[partly_cut_off(values[readings])]] = False
-    return np.asarray(used)

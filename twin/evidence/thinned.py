@@ -27,10 +27,10 @@ def thinned(evidence: Evidence, share: float) -> Evidence:
     heads = begins | (np.diff(np.floor(elapsed_s / settings.THINNED_BLOCK_S + 1e-6), prepend=0.0) != 0.0)
     stays = np.cumsum(heads) * _GOLDEN % 1.0 < share
     flags = np.where(heads, series.flags & np.uint16(~FOLLOWS & 0xFFFF), series.flags)
-    columns = {name: getattr(series, name)[stays] for name in type(series).__slots__}
+
     return replace(
         evidence,
-        series=replace(series, **(columns | {"flags": flags[stays]})),
+        series=replace(series.part(stays), flags=flags[stays]),
         t=evidence.t[stays],
         noise_ratio=evidence.noise_ratio if evidence.noise_ratio is EQUAL_NOISE else evidence.noise_ratio[stays],
     )

@@ -19,6 +19,7 @@ from twin.estimation.innovations import FOLLOWS, Series, information
 from twin.estimation.prepare import BLOCK_SAMPLES
 from twin.estimation.record import FloatArray
 from twin.evidence.gather import Evidence
+from twin.evidence.starting.regression import newey_west
 from twin.inference.likelihood import Criterion
 from twin.inference.optimiser import Fit, Slopes, climb, inverse
 from twin.inference.theta import Theta
@@ -31,8 +32,7 @@ PASSES = 40
 class Blocks:
     """The likelihood of a series as the sum over its blocks: a surface for `twin/inference/optimiser.py`.
 
-    Args:
-        whole: the likelihood of a `bare` series; its owner closes it.
+    `whole` is the likelihood of a `bare` series; its owner closes it.
     """
 
     def __init__(self, whole: Criterion) -> None:
@@ -69,7 +69,7 @@ class Blocks:
     def sandwich(self, fitted: Fit) -> Fit:
         """The fit with the sandwich covariance, which holds for coloured residuals: F^-1 (sum of scores) F^-1.
 
-        The sum is taken within blocks.  Source: Newey and West, Econometrica 55(3), 1987.
+        The sum is taken within blocks.
         """
         lags = max(round(settings.RESIDUAL_MEMORY_S / self.whole.tick_s), 1)
         _, fisher, middle = self._sums(fitted.theta, fitted.free, lags)
@@ -90,7 +90,7 @@ class Blocks:
             information(base, change, scores, fisher)
             score += scores.sum(axis=0)
             if lags:
-                middle += _newey_west(scores, lags)
+                middle += newey_west(scores, lags)
         return score, fisher, middle
 
 
@@ -102,16 +102,6 @@ def bare(series: Series) -> Evidence:
 def fit(likelihood: Blocks, start: Theta, free: Sequence[str], *, passes: int = PASSES) -> Fit:
     """Maximise the likelihood from `start` over the coordinates `free`, with at most `passes` passes."""
     return climb(likelihood, start, free, passes=passes, tolerance=TOLERANCE, patience=3)
-
-
-def _newey_west(scores: FloatArray, lags: int) -> FloatArray:
-    total = scores.T @ scores
-    # The weights fall with the lag. With equal weights the sum need not be positive semidefinite, and a variance could
-    # be negative.
-    for lag in range(1, min(lags, len(scores) - 1) + 1):
-        cross = scores[lag:].T @ scores[:-lag]
-        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
-    return np.asarray(total)
 
 
 def _blocks(series: Series) -> list[slice]:

@@ -33,14 +33,9 @@ class Horizon:
 
 
 def error_at(horizon_s: float, records: list[Record], plant: Plant, theta: Theta, tick_s: float) -> Horizon | None:
-    """Return the error over all flights of the records; None without a prediction.
+    """Return the error at a horizon over all flights of the records with u_c; None without a prediction.
 
-    Args:
-        horizon_s: how far ahead, s.
-        records: in flight, with u_c.
-        plant: of the campaign.
-        theta: parameters and noise levels of the filter.
-        tick_s: interval of the process noise, s.
+    `tick_s` is the interval of the process noise.
     """
     series, _ = prepare(records, plant)
     system = theta.system(plant, tick_s)
@@ -61,11 +56,7 @@ def error_at(horizon_s: float, records: list[Record], plant: Plant, theta: Theta
 def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tuple[FloatArray, FloatArray]:
     """Return the errors of the prediction of x, and of a constant x, m, each of shape (n,); NaN without one.
 
-    Args:
-        system: the model and its noise.
-        series: the recorded samples.
-        state: corrected states along it, shape (n, STATES).
-        ahead: horizon N in samples, 1 or more.
+    `state` are the corrected states along the series, shape (n, STATES); `ahead` is the horizon N in samples, from 1.
     """
     error = series.x - roll_out(system, series.samples, state, ahead, stops=True)
     constant = np.full(len(error), np.nan)

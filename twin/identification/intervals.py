@@ -28,12 +28,9 @@ class Interval:
 
 
 def quadratic_or_profile(likelihood: Blocks, fitted: Fit, robust: Fit | None) -> dict[str, Interval]:
-    """Return the intervals of the free parameters, by name.
+    """Return the intervals of the free parameters at the maximum, by name.
 
-    Args:
-        likelihood: of the recordings.
-        fitted: its maximum.
-        robust: with the sandwich covariance, where the residuals are coloured.
+    `robust` has the sandwich covariance, where the residuals are coloured.
     """
     plant = likelihood.plant
     result = {}

@@ -25,16 +25,15 @@ from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import Record, day_of
 from twin.estimation.structures import NOISES
 from twin.estimation.whiteness import Whiteness, whiteness
-from twin.evidence.checks.dead_channels import without_dead
+from twin.evidence.checks.dead_channels import FLYING, without_dead
 from twin.evidence.checks.plausibility import inspect
 from twin.evidence.dead_time import delayed
 from twin.evidence.starting.regression import BallStart
 from twin.identification import verdicts
+from twin.identification.delays import AMPLIFIER, LoopDelay, find_loop_delay, input_delay
 from twin.identification.fit import Blocks, bare, fit
 from twin.identification.horizon import Horizon, error_at
-from twin.identification.input_delay import input_delay
 from twin.identification.intervals import Interval, quadratic_or_profile
-from twin.identification.loop_delay import LoopDelay, find_loop_delay
 from twin.identification.result import Identification, noise_of, provenance_of
 from twin.identification.starts import find_starts
 from twin.inference.likelihood import Criterion
@@ -46,18 +45,12 @@ from twin.readers.campaign import read_campaign
 from twin.settings import identification as settings
 
 _TICK_S = 2e-3
-_AT_REST = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")  # free if no recording has a flight
 
 
 def identify(
     campaign: Campaign, *, data: Path | None = None, progress: Callable[[str], None] = lambda line: None
 ) -> Identification:
-    """Identify the model of a campaign from its recordings for fitting.
-
-    Args:
-        campaign: of `Campaign.load`.
-        data: folder of the recordings, if it is not that of the campaign.
-        progress: is called with lines of progress.
+    """Identify the model of a campaign from its recordings for fitting; `progress` is called with lines.
 
     Raises:
         DataError: a recording is missing, unreadable or implausible, or none has use = "fit".
@@ -91,14 +84,13 @@ def identify_records(
     estimate = _Estimate()
     flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
     if starts.amplifier is not None and starts.amplifier.K_A > 0 and (series.flags & USE_I).any():
-        free, start = BASE if flying else _AT_REST, starts.theta(starts.amplifier, plant.mass_kg)
+        free, start = BASE if flying else AMPLIFIER, starts.theta(starts.amplifier, plant.mass_kg)
         with closing(Criterion(bare(series), plant, tick_s)) as criterion:
             likelihood, top = _fitted(Blocks(criterion), start, free, usages, progress)
             if flying and top.theta.b >= 0.999 * max_drag(plant):
                 top = _possible_drag(likelihood, top, starts.ball, warnings)
             progress("covariance and intervals")
-            estimate = _estimated(likelihood, top)
-        warnings += _not_converged(top)
+            estimate = _estimated(likelihood, top, warnings)
     warnings += _left_out(usages)
 
     fitted, white = estimate.fit, estimate.white
@@ -182,7 +174,12 @@ class _Estimate:
     loop_delay: LoopDelay | None = None
 
 
-def _estimated(likelihood: Blocks, fitted: Fit) -> _Estimate:
+def _estimated(likelihood: Blocks, fitted: Fit, warnings: list[str]) -> _Estimate:
+    if not fitted.converged:
+        warnings.append(
+            f"the fit has not converged after {fitted.passes} passes ({fitted.decrement:.2g} standard errors from "
+            "a maximum): these numbers are the best so far. Check the recordings named above"
+        )
     white = whiteness(likelihood.series, likelihood.white(fitted.theta))
     # The sandwich where residuals are coloured: the Fisher information is the error of a right model only.
     robust = None if white.white else likelihood.sandwich(fitted)
@@ -193,15 +190,6 @@ def _estimated(likelihood: Blocks, fitted: Fit) -> _Estimate:
         # A delay colours the residuals: where they are white there is none to look for.
         loop_delay=find_loop_delay(likelihood, robust) if robust is not None and "b" in fitted.free else None,
     )
-
-
-def _not_converged(fitted: Fit) -> list[str]:
-    if fitted.converged:
-        return []
-    return [
-        f"the fit has not converged after {fitted.passes} passes ({fitted.decrement:.2g} standard errors from "
-        "a maximum): these numbers are the best so far. Check the recordings named above"
-    ]
 
 
 def _possible_drag(likelihood: Blocks, fitted: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
@@ -229,7 +217,10 @@ def _misfit(
         "The intervals are those of its best approximation, and b is the least reliable; board51 diagnose looks "
         "for the cause"
     )
-    ahead = _ahead(records, campaign, fitted, tick_s)
+    flown = [record for record in records if record.kind in FLYING and record.has("x", "u_c")]
+    if fitted is None or not flown or "K_c" not in fitted.free:
+        return None
+    ahead = error_at(settings.AHEAD_S, flown, campaign.plant, fitted.theta, tick_s)
     # Colour alone says little about the use of a model, so its prediction is compared with the simplest one.
     if ahead is not None and ahead.rmse_m > ahead.constant_m:
         warnings.append(
@@ -238,13 +229,6 @@ def _misfit(
             "predictions. board51 diagnose extends it by what is missing"
         )
     return ahead
-
-
-def _ahead(records: list[Record], campaign: Campaign, fitted: Fit | None, tick_s: float) -> Horizon | None:
-    flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
-    if fitted is None or not flown or "K_c" not in fitted.free:
-        return None
-    return error_at(settings.AHEAD_S, flown, campaign.plant, fitted.theta, tick_s)
 
 
 def grouped(messages: list[str], names: list[str]) -> list[str]:
@@ -280,7 +264,7 @@ def _left_out(usages: list[Usage]) -> list[str]:
 
 
 def _tick(records: list[Record]) -> float:
-    flown = [r.interval_s for r in records if r.kind in ("closed-loop", "prbs", "free") and r.has("x", "u_c")]
+    flown = [r.interval_s for r in records if r.kind in FLYING and r.has("x", "u_c")]
     other = [r.interval_s for r in records if r.kind != "equilibria" and len(r.t) > 1]
     chosen = [step for step in (flown or other) if np.isfinite(step)]
     return float(np.median(chosen)) if chosen else _TICK_S

@@ -50,7 +50,8 @@ def noise_of(fitted: Fit | None, records: list[Record]) -> Noise:
     values = {name: getattr(_ASSUMED, name) for name in NOISE}
     if fitted is not None:
         known = {name: fitted.theta.value(name) for name in fitted.free if name in NOISE}
-        known |= {name: FLOORS[name] for name in ("process_i_c_a", "process_a_m_s2") if _dropped(fitted, name)}
+        noises = ("process_i_c_a", "process_a_m_s2") if "K_c" in fitted.free else ("process_i_c_a",)
+        known |= {name: FLOORS[name] for name in noises if name not in fitted.free}
         values |= known
         i_lsb, x_lsb = (max((record.lsb[n] for record in records), default=0.0) for n in (0, 1))
         for name, lsb in (("sigma_i_c_a", i_lsb), ("sigma_x_m", x_lsb)):
@@ -58,11 +59,6 @@ def noise_of(fitted: Fit | None, records: list[Record]) -> Noise:
                 # The twin adds the rounding of the converter itself: left in sigma, it would count twice.
                 values[name] = math.sqrt(max(values[name] ** 2 - lsb**2 / 12.0, 0.01 * values[name] ** 2))
     return Noise(**{name: min(max(values[name], low), high) for name, (low, high) in NOISE.items()})
-
-
-def _dropped(fitted: Fit, name: str) -> bool:
-    flying = "K_c" in fitted.free
-    return name not in fitted.free and (flying or name == "process_i_c_a")
 
 
 def provenance_of(

@@ -9,8 +9,8 @@ from protocol.campaign import Plant
 from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.evidence.starting.regression import BallStart
+from twin.identification.delays import LoopDelay
 from twin.identification.intervals import Interval
-from twin.identification.loop_delay import LoopDelay
 from twin.model.parameters import PARAMETERS, Parameter, Verdict
 from twin.settings import identification as settings
 
@@ -25,13 +25,9 @@ _INFINITE = 1e6  # relative width that stands for an infinite one
 
 
 def gain(joint: Interval | None, levels: Levels | None, shape: Shape | None, warnings: list[str]) -> Parameter:
-    """Return K_A from the steady levels, or from the joint fit if it agrees with them.
+    """Return K_A from the steady levels, or from the joint fit if it agrees with them; None: there are none.
 
-    Args:
-        joint: K_A of the joint fit; None: there is none.
-        levels: line through the steady levels; None: there are none.
-        shape: of the step response; None: there is none.
-        warnings: receives sentences for the user.
+    `warnings` receives sentences for the user.
     """
     if levels is not None:
         top = max(abs(level.i_a) for level in levels.levels)
@@ -104,12 +100,7 @@ def force_constant(
 ) -> Parameter:
     """Return K_c from the joint fit if there are flights, otherwise from lift-off or equilibria (8).
 
-    Args:
-        joint: K_c of the joint fit; None: no flight was fitted.
-        force: K_c by (8); None: there is none.
-        ball: the regression for starting values.
-        plant: mass, travel, x_max.
-        warnings: receives sentences for the user.
+    `force`: K_c by (8).  `ball`: the regression for starting values.  `warnings` receives sentences for the user.
     """
     shift_m = 0.0 if force is None or force.shift_m is None else force.shift_m
     if (

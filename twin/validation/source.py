@@ -32,7 +32,7 @@ from twin.evidence.checks.control_law import WIDE_V, numbers_of
 from twin.evidence.checks.dead_channels import without_dead
 from twin.evidence.checks.plausibility import inspect
 from twin.evidence.dead_time import delayed
-from twin.identification.input_delay import input_delay
+from twin.identification.delays import input_delay
 from twin.identification.pipeline import grouped
 from twin.model.parameters import Model
 from twin.readers.campaign import located, read_recording

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         with recording.start():
             part = args.out / recording.stats.file
             print(f"recording {args.site}/{args.board}/** into {part}", file=sys.stderr, flush=True)
-            wait_for_end(stop, args.seconds)
+            wait_for_end(stop.wait, args.seconds)
         note_end()
     stats = recording.stats
     if args.json:

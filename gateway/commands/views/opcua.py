@@ -58,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
     if args.export_nodeset is not None:
-        from gateway.views.opcua.types.nodeset import nodeset
+        from gateway.views.opcua.types import nodeset
 
         args.export_nodeset.write_text(nodeset(), encoding="utf-8")
         return 0

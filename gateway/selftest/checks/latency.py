@@ -27,7 +27,9 @@ def latency(bench: Bench) -> Iterator[Verdict]:
     if bench.scaling.capture_size * bench.scaling.capture_time_s < _CAPTURE_S / 2:
         yield skipped("time-constant", "T_A", "the board holds no capture long enough")
     else:
-        time_constant_s, lag_s = _captured(bench, u_v, captures=2 if bench.quick else 6)
+        curves = [_capture(bench, u_v) for _ in range(2 if bench.quick else 6)]
+        missing = [fmean(column) for column in zip(*curves, strict=True)]
+        time_constant_s, lag_s = first_order(missing, bench.scaling.capture_time_s)
         good, possible = bench.rig.T_A_max_s
         yield judge(
             "time-constant",
@@ -41,12 +43,6 @@ def latency(bench: Bench) -> Iterator[Verdict]:
     edges = _edges(bench, u_v)
     bench.idle()
     yield _delay(bench, edges, time_constant_s)
-
-
-def _captured(bench: Bench, u_v: float, *, captures: int) -> tuple[float, float]:
-    """Return T_A and the delay before it, s, from the mean of some captures of a step."""
-    curves = [_capture(bench, u_v) for _ in range(captures)]
-    return first_order([fmean(column) for column in zip(*curves, strict=True)], bench.scaling.capture_time_s)
 
 
 def _capture(bench: Bench, u_v: float) -> list[float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gateway.selftest.bench import HOST_LOSS_MS, Bench
+from gateway.selftest.bench import CUT, HOST_LOSS_MS, Bench
 from gateway.selftest.verdict import Verdict, fault, judge, passed, skipped
 from protocol.wire.events import Sample
 from protocol.wire.messages import COUNTS_MAX, EventCode, Flag
@@ -12,7 +12,6 @@ from protocol.wire.messages import COUNTS_MAX, EventCode, Flag
 _INPUT = 0.5  # of the highest input at which the ball rests
 _LOSS_MS = 100
 _OFF = 0.1  # of the current before: below it the coil is off
-_CUT = "CUT THE SUPPLY OF THE COIL, then look at driver and input converter"
 
 
 def safety(bench: Bench) -> Iterator[Verdict]:
@@ -69,7 +68,7 @@ def _stop(bench: Bench) -> Verdict:
     after = [s for s in bench.line.samples[first:] if ack is None or s.tick >= ack.int("tick") + 1]
     off = _off_after(bench, after, _limit(bench, current_a))
     if off is None:
-        return fault("stop", "i_c after STOP", _last(bench), bound="off", remedy=_CUT)
+        return fault("stop", "i_c after STOP", _last(bench), bound="off", remedy=CUT)
     if ack is None:
         return fault("stop", "STOP", "without an ACK", remedy="the line to the board loses frames: see link")
     return judge(
@@ -100,7 +99,7 @@ def _host_loss(bench: Bench) -> Iterator[Verdict]:
     line.stop()
     bench.set_host_loss(HOST_LOSS_MS)
     if off is None:
-        yield fault("host-loss", "i_c without a host", _last(bench), bound=f"off after {_LOSS_MS} ms", remedy=_CUT)
+        yield fault("host-loss", "i_c without a host", _last(bench), bound=f"off after {_LOSS_MS} ms", remedy=CUT)
         return
     yield judge(
         "host-loss",
@@ -127,7 +126,7 @@ def _reset(bench: Bench) -> Verdict:
     handshakes, first = len(bench.line.identities), len(bench.line.samples)
     boot_s = bench.restart()
     if boot_s is None:
-        return fault("reset", "answer after RESET with current", "none", remedy=_CUT)
+        return fault("reset", "answer after RESET with current", "none", remedy=CUT)
     bench.line.run(0.2)
     bench.set_host_loss(HOST_LOSS_MS)
     session = bench.line.session.number
@@ -136,7 +135,7 @@ def _reset(bench: Bench) -> Verdict:
     if len(bench.line.identities) == handshakes or not after:
         return fault("reset", "states after RESET", "none", remedy="look at its start")
     if any(_flows(bench, sample, limit_a) for sample in after):
-        return fault("reset", "i_c after RESET", _last(bench), bound="off", remedy=_CUT)
+        return fault("reset", "i_c after RESET", _last(bench), bound="off", remedy=CUT)
     return passed("reset", "RESET with current: coil", f"off, answers after {1e3 * boot_s:.0f} ms")
 
 

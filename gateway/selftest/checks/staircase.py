@@ -50,7 +50,15 @@ def staircase(bench: Bench) -> Iterator[Verdict]:
             remedy="look at the coil and its wires, its supply, the driver and the shunt",
         )
         return
-    yield from _gain(bench, fitted)
+    yield judge(
+        "input-gain",
+        "K_A",
+        1e3 * fitted.slope,
+        "mA/V",
+        good=(0.93e3 * rig.K_A, 1.07e3 * rig.K_A),
+        possible=(0.88e3 * rig.K_A, 1.12e3 * rig.K_A),
+        remedy=f"{_AMPLIFIER}: i_c or u_c has a wrong scaling, or the coil another resistance",
+    )
     yield from _shape(bench, fitted, low, high)
 
 
@@ -93,19 +101,6 @@ def _high_levels(bench: Bench) -> _Levels:
     return levels
 
 
-def _gain(bench: Bench, fitted: Line) -> Iterator[Verdict]:
-    K_A = bench.rig.K_A
-    yield judge(
-        "input-gain",
-        "K_A",
-        1e3 * fitted.slope,
-        "mA/V",
-        good=(0.93e3 * K_A, 1.07e3 * K_A),
-        possible=(0.88e3 * K_A, 1.12e3 * K_A),
-        remedy=f"{_AMPLIFIER}: i_c or u_c has a wrong scaling, or the coil another resistance",
-    )
-
-
 def _shape(bench: Bench, fitted: Line, low: _Levels, high: _Levels) -> Iterator[Verdict]:
     rig = bench.rig
     full_a = fitted.slope * rig.rest_input_v
@@ -137,15 +132,10 @@ def _shape(bench: Bench, fitted: Line, low: _Levels, high: _Levels) -> Iterator[
     share = 100 * min(i / fitted.at(u) for u, i in zip(high.u_v, high.i_a, strict=True))
     yield judge(
         "saturation",
-        f"i_c up to {quantity_v(high.u_v[-1])}, of the line",
+        f"i_c up to {high.u_v[-1]:.3g} V, of the line",
         share,
         "%",
         good=(96.0, 104.0),
         possible=(90.0, 110.0),
         remedy="the coil's supply is weak or its current limited, or i_c is clipped",
     )
-
-
-def quantity_v(u_v: float) -> str:
-    """Return volts as text."""
-    return f"{u_v:.3g} V"

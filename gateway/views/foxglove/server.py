@@ -118,5 +118,5 @@ def serve(
     view = FoxgloveView(session, site, host, port)
     _logger.info("Foxglove on ws://%s:%d", host, view.port)
     ready(view.port)
-    wait_for_end(stop)
+    wait_for_end(stop.wait)
     view.close()

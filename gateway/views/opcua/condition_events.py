@@ -50,14 +50,9 @@ class ConditionNode:
 
 
 def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now: datetime, *, retain: bool) -> Any:
-    """Return the event that reports the present state of a condition.
+    """Return the event that reports the present state of an alarm; `condition` remembers what it says.
 
-    Args:
-        alarm: as the feed has it.
-        condition: remembers what this event says.
-        node: ConditionId; its namespace is that of the rig.
-        now: when it became so.
-        retain: whether it is of interest to operators.
+    `node` is the ConditionId.  `retain` says whether the condition is of interest to operators.
     """
     severity = SEVERITY[alarm.severity]
     event: Any = AlarmCondition(message=alarm.text, severity=severity)

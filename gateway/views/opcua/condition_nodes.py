@@ -13,7 +13,7 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
 from gateway.views.opcua.address_space.values import Value, notify
-from gateway.views.opcua.types.build import VALUE, Builder
+from gateway.views.opcua.types import VALUE, Builder
 
 _O = ua.ObjectIds
 _A = ua.AttributeIds
@@ -44,35 +44,28 @@ class ConditionObject:
 
     def _declarations(self, declared: ua.NodeId, parent: ua.NodeId, path: str, prefix: str, event: Any) -> None:
         for reference in _components(self._space, declared):
-            attributes = self._space[reference.NodeId].attributes
-            browse_name = attributes[_A.BrowseName].value.Value.Value
-            name = prefix + browse_name.Name
-            if attributes[_A.NodeClass].value.Value.Value == ua.NodeClass.Method:
+            held = self._space[reference.NodeId].attributes
+            browse_name, node_class = (held[a].value.Value.Value for a in (_A.BrowseName, _A.NodeClass))
+            name, text = prefix + browse_name.Name, ua.LocalizedText(browse_name.Name)
+            if node_class == ua.NodeClass.Method:
                 if _is_mandatory(self._space, reference.NodeId):
                     self._builder.refer(parent, reference.ReferenceTypeId.Identifier, reference.NodeId)
-            elif attributes[_A.NodeClass].value.Value.Value == ua.NodeClass.Object:
-                if any(field.startswith(f"{name}/") for field in event.data_types):
-                    node = self._object(parent, f"{path}/{browse_name.Name}", reference, browse_name)
-                    self._declarations(reference.NodeId, node, f"{path}/{browse_name.Name}", f"{name}/", event)
+                continue
+            attributes: Any
+            if node_class == ua.NodeClass.Object:
+                if not any(field.startswith(f"{name}/") for field in event.data_types):
+                    continue
+                attributes = ua.ObjectAttributes(DisplayName=text, Description=text, EventNotifier=0)
             elif name not in self._variables and getattr(event, name, None) is not None:  # a subtype repeats some
-                node = self._variable(parent, f"{path}/{browse_name.Name}", reference, browse_name)
-                self._variables[name] = node
-                self._declarations(reference.NodeId, node, f"{path}/{browse_name.Name}", f"{name}/", event)
-
-    def _object(self, parent: ua.NodeId, path: str, reference: Any, browse_name: ua.QualifiedName) -> ua.NodeId:
-        name = ua.LocalizedText(browse_name.Name)
-        attributes = ua.ObjectAttributes(DisplayName=name, Description=name, EventNotifier=0)
-        kind = next(r.NodeId for r in self._space[reference.NodeId].references if _is(r, _O.HasTypeDefinition))
-        reference_type = reference.ReferenceTypeId.Identifier
-        return self._builder.add(parent, path, browse_name, ua.NodeClass.Object, attributes, reference_type, kind)
-
-    def _variable(self, parent: ua.NodeId, path: str, reference: Any, browse_name: ua.QualifiedName) -> ua.NodeId:
-        declared, name = self._space[reference.NodeId], ua.LocalizedText(browse_name.Name)
-        copied = {a.name: declared.attributes[a].value.Value.Value for a in (_A.DataType, _A.ValueRank)}
-        attributes = ua.VariableAttributes(DisplayName=name, Description=name, **copied)  # to be read, by default
-        kind = next(r.NodeId for r in declared.references if _is(r, _O.HasTypeDefinition))
-        reference_type = reference.ReferenceTypeId.Identifier
-        return self._builder.add(parent, path, browse_name, ua.NodeClass.Variable, attributes, reference_type, kind)
+                copied = {a.name: held[a].value.Value.Value for a in (_A.DataType, _A.ValueRank)}
+                attributes = ua.VariableAttributes(DisplayName=text, Description=text, **copied)  # to be read
+                self._variables[name] = self._builder.id(f"{path}/{browse_name.Name}")
+            else:
+                continue
+            kind = next(r.NodeId for r in self._space[reference.NodeId].references if _is(r, _O.HasTypeDefinition))
+            reference_type, below = reference.ReferenceTypeId.Identifier, f"{path}/{browse_name.Name}"
+            node = self._builder.add(parent, below, browse_name, node_class, attributes, reference_type, kind)
+            self._declarations(reference.NodeId, node, below, f"{name}/", event)
 
 
 def _is(reference: Any, kind: int, *, forward: bool = True) -> bool:

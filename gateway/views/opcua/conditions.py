@@ -30,7 +30,7 @@ from gateway.views.opcua.condition_events import (
 )
 from gateway.views.opcua.condition_nodes import ConditionObject
 from gateway.views.opcua.sessions import GuardedServer
-from gateway.views.opcua.types.build import Builder
+from gateway.views.opcua.types import Builder
 from protocol.bus import board51_pb2 as pb
 
 _SERVER = ua.NodeId(ua.ObjectIds.Server)

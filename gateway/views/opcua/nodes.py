@@ -26,8 +26,7 @@ from gateway.views.opcua.address_space.parameters import instrument_ranges, name
 from gateway.views.opcua.address_space.values import StampClock, Value, data_value, datetime_of, notify
 from gateway.views.opcua.operations import SETPOINTS
 from gateway.views.opcua.sessions import GuardedServer
-from gateway.views.opcua.types.build import VALUE, Builder
-from gateway.views.opcua.types.nodeset import MACHINES, RIG_TYPE, instantiate
+from gateway.views.opcua.types import MACHINES, RIG_TYPE, VALUE, Builder, instantiate
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
@@ -35,17 +34,7 @@ _V = ua.VariantType
 
 
 class BoardNodes:
-    """The nodes of one board.
-
-    Args:
-        server: asyncua's.
-        builder: of the site's namespace.
-        parent: object under which the board comes.
-        feed: of this board.
-        rate_hz: intervals per second.
-        history: where the tracks are kept.
-        history_s: how far they go back.
-    """
+    """The nodes of one board below `parent`, with `rate_hz` intervals per second and `history_s` of them kept."""
 
     def __init__(
         self,

@@ -34,12 +34,7 @@ _logger = logging.getLogger("gateway.opcua")
 
 
 class Security:
-    """Raises ConfigError where a file is absent, expired or open to others; the text says which.
-
-    Args:
-        path: folder of the keys.
-        clock: monotonic seconds, for the pace of logins.
-    """
+    """Raises ConfigError where a file in the folder is absent, expired or open to others; the text says which."""
 
     application_uri = OPCUA_URI
 

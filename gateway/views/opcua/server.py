@@ -32,8 +32,7 @@ from gateway.views.opcua.nodes import BoardNodes
 from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer
-from gateway.views.opcua.types.build import Builder
-from gateway.views.opcua.types.nodeset import register
+from gateway.views.opcua.types import Builder, register
 from protocol.errors import ServiceError
 
 APPLICATION_URI = "urn:board51:gateway:opcua"
@@ -66,13 +65,7 @@ class OpcuaSettings:
 
 
 async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready: Callable[[int], None]) -> None:
-    """Serve until `stop` is set.
-
-    Args:
-        feed: of the site.
-        settings: see there.
-        stop: ends it.
-        ready: called with the port once clients may come.
+    """Serve until `stop` is set; `ready` is called with the port once clients may come.
 
     Raises:
         ServiceError: the port is taken.

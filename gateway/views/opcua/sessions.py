@@ -30,8 +30,7 @@ from gateway.views.opcua.address_space.values import check_timestamps, stamped
 from gateway.views.opcua.condition_events import ConditionNode
 from gateway.views.opcua.operations import NOBODY, OUTPUTS, SETPOINTS, Operations, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
-from gateway.views.opcua.types.build import Namespaces
-from gateway.views.opcua.types.nodeset import RIG_TYPE
+from gateway.views.opcua.types import RIG_TYPE, Namespaces
 from protocol.bus import board51_pb2 as pb
 
 S = ua.StatusCodes
@@ -79,10 +78,8 @@ Identify = Callable[[str | None, str | None, bytes | None, str], User | None]
 class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes are untyped
     """asyncua's internal server and user manager with our sessions and limits.
 
-    Args:
-        identify: (name, password, certificate, host) -> who it is; None: nobody who may in.
-        operations: carries out what they command.
-        secured: whether sessions need an encrypted channel.
+    `identify` says from (name, password, certificate, host) who it is, or None for nobody who may in.  Sessions of a
+    `secured` server need an encrypted channel.
     """
 
     def __init__(self, identify: Identify, operations: Operations, *, secured: bool) -> None:

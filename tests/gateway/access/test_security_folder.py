@@ -83,7 +83,7 @@ def test_certificates_are_good_for_what_they_are_used_for(keys: SecurityFolder) 
 
     assert names(keys.server("bus")[0]) == (["localhost"], [])
     assert names(keys.server("opcua")[0]) == (["localhost"], [OPCUA_URI])
-    assert names(keys.identity("ben").certificate) == ([], ["urn:board51:user:ben"])
+    assert names(keys.identity("ben").folder / "certificate.pem") == ([], ["urn:board51:user:ben"])
 
 
 def test_a_browser_that_trusts_the_authority_takes_the_pages_certificate(keys: SecurityFolder) -> None:

@@ -11,7 +11,7 @@ from asyncua import ua
 
 from gateway.access.roles import Role
 from gateway.views.opcua.server import OpcuaSettings
-from gateway.views.opcua.types.nodeset import DI, MACHINERY, TYPES
+from gateway.views.opcua.types import DI, MACHINERY, TYPES
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served, peer, until

@@ -12,7 +12,7 @@ from asyncua import ua
 from asyncua.ua.uaerrors import UaStatusCodeError
 
 from gateway.views.opcua.capabilities import FACETS, TRANSPORT
-from gateway.views.opcua.items import is_news
+from gateway.views.opcua.subscriptions import is_news
 from tests.harness.gateway.bus_peers import ticking
 from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, condition, monitor, peer, received, until
 

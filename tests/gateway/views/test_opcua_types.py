@@ -14,7 +14,7 @@ from gateway.views.opcua.address_space.extras import EXTRAS, LINK_STATES
 from gateway.views.opcua.address_space.model import Leaf, leaves, methods
 from gateway.views.opcua.address_space.parameters import FIELDS, instrument_ranges, nameplate, ranges
 from gateway.views.opcua.operations import OUTPUTS, SETPOINTS
-from gateway.views.opcua.types.nodeset import DI, MACHINERY, TYPES, nodeset
+from gateway.views.opcua.types import DI, MACHINERY, TYPES, nodeset
 from protocol.bus import board51_pb2 as pb
 
 A, O = ua.AttributeIds, ua.ObjectIds  # noqa: E741

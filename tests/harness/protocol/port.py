@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from protocol.wire.outgoing import SendQueue
+from protocol.wire.exchange import SendQueue
 from protocol.wire.session import Session
 
 

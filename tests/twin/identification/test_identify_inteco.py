@@ -9,8 +9,8 @@ import pytest
 
 from protocol.campaign import Campaign, load
 from twin.evidence.dead_time import delayed
+from twin.identification.delays import input_delay
 from twin.identification.horizon import Horizon, error_at
-from twin.identification.input_delay import input_delay
 from twin.identification.pipeline import identify
 from twin.identification.result import Identification
 from twin.readers.campaign import read_campaign

@@ -13,6 +13,7 @@ from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.estimation.prepare import scatter
 from twin.estimation.record import FloatArray, Record
+from twin.evidence.checks.dead_channels import FLYING
 from twin.evidence.starting.liftoff import lift_offs
 from twin.evidence.starting.regression import amplifier_start, ball_start
 from twin.settings import identification as settings
@@ -109,7 +110,7 @@ def downwards(records: list[Record], plant: Plant) -> None:
     Raises:
         DataError: a sign is reversed; the message names the recording and the line to change.
     """
-    chosen = [r for r in records if r.kind in ("prbs", "closed-loop", "free") and r.has("x", "i_c")]
+    chosen = [r for r in records if r.kind in FLYING and r.has("x", "i_c")]
     amplifier = amplifier_start(records)
     if amplifier is not None and amplifier.K_A <= 0:
         raise DataError(

@@ -190,8 +190,8 @@ def find_shape(records: list[Record]) -> Shape | None:
         steps = [step for record in records if record.kind == "amplifier-step" for step in _recorded_steps(record)]
     if not steps:
         return None
-    noise = np.array([_tail_noise(step.i) for step in steps])
-    sigma = float(np.sqrt(np.mean(noise**2)))
+    noise = np.array([float(np.std(np.diff(step.i[-max(len(step.i) // 4, 8) :]))) for step in steps])  # at its end
+    sigma = float(np.sqrt(np.mean((noise / float(np.sqrt(2.0))) ** 2)))
     resolution = max(_resolution(step.i) for step in steps)
     unresolved = sigma < resolution / np.sqrt(12.0)
     sigma = max(sigma, resolution / np.sqrt(12.0))
@@ -261,10 +261,6 @@ def _recorded_steps(record: Record) -> list[_Step]:
         ):
             steps.append(_Step(sample_time_s=record.interval_s, i=i))
     return steps
-
-
-def _tail_noise(i: FloatArray) -> float:
-    return float(np.std(np.diff(i[-max(len(i) // 4, 8) :]))) / float(np.sqrt(2.0))
 
 
 def _resolution(i: FloatArray) -> float:

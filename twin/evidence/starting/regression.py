@@ -108,11 +108,8 @@ def ball_start(
 ) -> BallStart | None:
     """Fit the regression over all windows of all flights; None if no flight is as long as a window.
 
-    Args:
-        records: with i_c and x.
-        plant: mass, travel, x_max, gravity.
-        amplifier: model of the current between samples; None: linear interpolation.
-        downwards: whether to treat x as measured down from the upper stop (a test for that mistake).
+    Without `amplifier` the current between samples is linear.  `downwards` treats x as measured down from the upper
+    stop, as a test for that mistake.
     """
     for window_s in (settings.WINDOW_S, 0.5 * settings.WINDOW_S):
         rows = force_rows(records, plant, amplifier, window_s, downwards=downwards)
@@ -164,11 +161,7 @@ def _regress(table: FloatArray) -> BallStart:
     solution, *_ = np.linalg.lstsq(np.column_stack((force, drag)), left, rcond=None)
     residual = left - force * solution[0] - drag * solution[1]
     columns = np.column_stack((force, drag))
-    scores = columns * residual[:, None]
-    middle = scores.T @ scores
-    for lag in range(1, min(OVERLAP * 2, len(scores) - 1) + 1):
-        cross = scores[lag:].T @ scores[:-lag]
-        middle += (1.0 - lag / (OVERLAP * 2 + 1)) * (cross + cross.T)
+    middle = newey_west(columns * residual[:, None], OVERLAP * 2)
     inverse = np.linalg.pinv(columns.T @ columns)
     spread = float(np.sqrt(np.mean(force**2))) * abs(float(solution[0]))
     return BallStart(
@@ -178,6 +171,20 @@ def _regress(table: FloatArray) -> BallStart:
         windows=len(left),
         d_std=float(np.sqrt(max((inverse @ middle @ inverse)[1, 1], 0.0))),
     )
+
+
+def newey_west(scores: FloatArray, lags: int) -> FloatArray:
+    """Return the sum of scores, shape (n, m), that holds where neighbours depend on each other, shape (m, m).
+
+    Source: Newey and West, Econometrica 55(3), 1987.
+    """
+    total = scores.T @ scores
+    # The weights fall with the lag. With equal weights the sum need not be positive semidefinite, and a variance could
+    # be negative.
+    for lag in range(1, min(lags, len(scores) - 1) + 1):
+        cross = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
+    return np.asarray(total)
 
 
 def _mean_square(i: FloatArray, u: FloatArray, step: float, amplifier: AmplifierStart | None) -> FloatArray:

@@ -76,13 +76,9 @@ def check_timestamps(requested: ua.TimestampsToReturn, *, of_history: bool = Fal
 def stamped(
     value: ua.DataValue, requested: ua.TimestampsToReturn, served: datetime | None, *, of_value: bool = True
 ) -> ua.DataValue:
-    """Return `value` with the requested timestamps.
+    """Return `value`, unchanged, with the requested timestamps; the server's is `served`.
 
-    Args:
-        value: as it is kept; not changed.
-        requested: by the client.
-        served: the server's timestamp.
-        of_value: of the attribute Value; the others have no source.
+    Only the attribute Value has a source timestamp (`of_value`).
     """
     source = value.SourceTimestamp if of_value and requested in (T.Source, T.Both) else None
     server = served if requested in (T.Server, T.Both) else None

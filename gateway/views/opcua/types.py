@@ -1,21 +1,25 @@
-"""RigType and what it refers to, read from the NodeSet2 files, and its instances: the nodes of each rig.
+"""Types of the OPC UA server: RigType in the product's namespace, and what it needs of DI and Machinery.
 
-The files are the source of all names, types, units and descriptions.  Type and rigs cannot differ: a rig is a copy.
-`tests/gateway/views/test_opcua_types.py` compares the file with the messages of the bus.
+The NodeSet2 files in `protocol/opcua` are the source of all names, types, units and descriptions.  Type and rigs cannot
+differ: a rig is a copy.  `tests/gateway/views/test_opcua_types.py` compares the file with the messages of the bus.
+Other nodes of the site (`Builder`) are AddNodes items: asyncua's own calls read and write each attribute, which takes
+2 ms per node.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
+from typing import Any
 
 from asyncua import Server, ua
 from asyncua.server.address_space import AddressSpace, AttributeValue, NodeData
+from asyncua.server.internal_server import InternalServer
 
 from gateway.views.opcua.address_space.quality import WAITING
 from gateway.views.opcua.address_space.values import data_value
-from gateway.views.opcua.types.build import VALUE, Namespaces
 
+VALUE = ua.AttributeIds.Value
 TYPES = "urn:board51:opcua:types"
 DI = "http://opcfoundation.org/UA/DI/"
 MACHINERY = "http://opcfoundation.org/UA/Machinery/"
@@ -25,6 +29,82 @@ _COMPANIONS, _TYPES = "companions.NodeSet2.xml", "board51.NodeSet2.xml"
 _A, _O = ua.AttributeIds, ua.ObjectIds
 _HISTORY = 1 << ua.AccessLevel.HistoryRead
 _RULE, _PROPERTY = ua.NodeId(_O.HasModellingRule), ua.NodeId(_O.PropertyType)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Namespaces:
+    """Indices of the namespaces in this server."""
+
+    site: int
+    types: int
+    di: int
+    machinery: int
+
+
+class Builder:
+    """Adds nodes to the namespace of the site."""
+
+    def __init__(self, server: InternalServer, spaces: Namespaces) -> None:
+        self._server, self.spaces = server, spaces
+
+    def id(self, path: str) -> ua.NodeId:
+        """Return the node id of a path."""
+        return ua.NodeId(path, self.spaces.site)
+
+    def object(
+        self,
+        parent: ua.NodeId,
+        path: str,
+        description: str,
+        *,
+        kind: ua.NodeId | None = None,
+        events: bool = False,
+        reference: int = _O.HasComponent,
+    ) -> ua.NodeId:
+        """Add an object, named by the last chunk of its path.
+
+        Below a rig the name is in the namespace of the types, for a rig or a site in that of the site.
+        """
+        _, slash, last = path.rpartition("/")
+        attributes = ua.ObjectAttributes(
+            DisplayName=ua.LocalizedText(last), Description=ua.LocalizedText(description), EventNotifier=int(events)
+        )
+        name = ua.QualifiedName(last, self.spaces.types if slash else self.spaces.site)
+        kind = kind or ua.NodeId(_O.BaseObjectType)
+        return self.add(parent, path, name, ua.NodeClass.Object, attributes, reference, kind)
+
+    def add(
+        self,
+        parent: ua.NodeId,
+        path: str,
+        name: ua.QualifiedName,
+        node_class: ua.NodeClass,
+        attributes: Any,
+        reference: int,
+        kind: ua.NodeId,
+    ) -> ua.NodeId:
+        """Add any node; `kind` is its type definition."""
+        item = ua.AddNodesItem(
+            ParentNodeId=parent,
+            ReferenceTypeId=ua.NodeId(reference),
+            RequestedNewNodeId=self.id(path),
+            BrowseName=name,
+            NodeClass=node_class,
+            NodeAttributes=attributes,
+            TypeDefinition=kind,
+        )
+        for result in self._server.node_mgt_service.add_nodes([item]):
+            result.StatusCode.check()
+        return item.RequestedNewNodeId
+
+    def refer(self, source: ua.NodeId, reference: int, target: ua.NodeId) -> None:
+        """Add a reference and its inverse."""
+        for start, end, forward in ((source, target, True), (target, source, False)):
+            item = ua.AddReferencesItem(
+                SourceNodeId=start, ReferenceTypeId=ua.NodeId(reference), IsForward=forward, TargetNodeId=end
+            )
+            for status in self._server.node_mgt_service.add_references([item]):
+                status.check()
 
 
 def nodeset(file: str = _TYPES) -> str:
@@ -59,11 +139,7 @@ def _complete(node: NodeData) -> None:
 def instantiate(space: AddressSpace, kind: ua.NodeId, rig: ua.NodeId, *, interval_ms: float) -> None:
     """Copy all that is declared below a type to an instance; the path of a node begins with its rig instead.
 
-    Args:
-        space: of both.
-        kind: the type; the ids below it begin with its name and a slash.
-        rig: the instance; it exists.
-        interval_ms: shortest interval of the values.
+    The node of the rig exists.  `interval_ms` is the shortest interval of the values.
     """
     below = f"{kind.Identifier}/"
     ids = {kind: rig} | {
