@@ -78,20 +78,32 @@ class BoardReader(BoardConnection):
         """Wait for the next status of link, bus and log, which is sent every second.
 
         Raises:
-            ServiceError: none arrived within `timeout_s`.  `parameters`, `plant_card` and `alarms` raise it, too.
+            ServiceError: none arrived within `timeout_s`.
         """
         return self._next("status", pb.Status, timeout_s)
 
     def parameters(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Parameters:
-        """Wait for the board's identity, gains, operating point, limits and scalings, which are sent every 5 s."""
+        """Wait for the board's identity, gains, operating point, limits and scalings, which are sent every 5 s.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
         return self._next("parameters", pb.Parameters, timeout_s)
 
     def plant_card(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.PlantCard:
-        """Wait for the plant card, which is sent every 5 s; its `plant` is absent where nobody stated one."""
+        """Wait for the plant card, which is sent every 5 s; its `plant` is absent where nobody stated one.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
         return self._next("plant", pb.PlantCard, timeout_s)
 
     def alarms(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Alarms:
-        """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s."""
+        """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s.
+
+        Raises:
+            ServiceError: none arrived within `timeout_s`.
+        """
         return self._next("alarms", pb.Alarms, timeout_s)
 
     def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
