@@ -84,10 +84,12 @@ def validate(
 
     from twin.frequency.bode import bode_of
     from twin.validation import verdict
-    from twin.validation.source import chosen
+    from twin.validation.source import chosen, sources_of
 
-    model = _model(model)
-    sources, messages = verdict.sources_of_rig(_campaign(campaign), model, data=data, progress=progress)
+    campaign, model = _campaign(campaign), _model(model)
+    verdict.check_same_rig(campaign, model)
+    progress("reading the recordings")
+    sources, messages = sources_of(campaign, model, data=data)
     result = verdict.validate_sources(sources, model, messages=messages, progress=progress)
     progress("frequency responses")
     flown, _ = chosen([source for source in sources if source.record.kind == "closed-loop"])

@@ -113,11 +113,11 @@ def compiled(sources: dict[str, str], units: list[str], compiler: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
-        done = subprocess.run(
+        compilation = subprocess.run(
             [compiler, *FLAGS, *units, "-o", "fmu.bin", "-lm"], cwd=folder, capture_output=True, text=True, check=False
         )
-        if done.returncode:
-            first = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[0]
+        if compilation.returncode:
+            first = (compilation.stderr.strip() or f"exit code {compilation.returncode}").splitlines()[0]
             raise UsageError(
                 f"{compiler} does not compile the FMU: {first}",
                 remedy="Give --compiler '' for an FMU with sources only",

@@ -91,7 +91,7 @@ def _causes(parts: Content) -> str:
     texts = [r"\section*{Causes}", "What changes in (1) and (6), each with its own parameters."]
     for cause in parts.model.causes:
         known = BY_NAME[cause.name]
-        rows = [_row(one.symbol, cause.parameters[one.name]) for one in known.parameters]
+        rows = [_row(item.symbol, cause.parameters[item.name]) for item in known.parameters]
         texts += [
             rf"\subsection*{{{_escaped(cause.name)}: {_escaped(known.title)}}}",
             rf"\raggedright ${_math(known.equation)}$",

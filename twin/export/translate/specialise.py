@@ -51,6 +51,16 @@ class Function:
     body: Sequence[ast.stmt]
     uses_model: bool
 
+    @property
+    def arguments(self) -> list[str]:
+        """The names of all that it takes, in their order."""
+        return [*([MODEL] if self.uses_model else []), *self.arrays, *(key for key, _ in self.parameters)]
+
+    @property
+    def call(self) -> str:
+        """The text of a call with variables of these names, which is the same in each language but C."""
+        return f"{self.name}({', '.join(self.arguments)})"
+
 
 @dataclass(slots=True)
 class Program:
@@ -84,11 +94,9 @@ class Program:
         if simple is not None:
             del self.functions[written.name]
             return _put_in(simple, run_time)
-        names = [*written.arrays, *(key for key, _ in written.parameters)]
         passed = dict(zip(parameters, arguments, strict=True))
-        nodes = [_array_or_number(passed[key]) for key in names]
-        model = [name(MODEL)] if written.uses_model else []
-        node = ast.Call(name(written.name), [*model, *nodes], [])
+        nodes = [_array_or_number(passed[key]) if key in passed else name(MODEL) for key in written.arguments]
+        node = ast.Call(name(written.name), nodes, [])
         if not written.results:
             caller.emit(ast.Expr(node))
             return None
