@@ -12,12 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from protocol.campaign import Campaign
 from twin.control import LawNumbers
 from twin.estimation.prepare import flights
 from twin.estimation.record import BoolArray, FloatArray, intervals
@@ -33,8 +31,7 @@ from twin.frequency.verdict import Verdict, judge
 from twin.identification.pipeline import grouped
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
-from twin.validation.source import Source, filtered, sources_of
-from twin.validation.verdict import check_same_rig
+from twin.validation.source import Source, filtered
 
 SAME_HEIGHT = 0.05  # of the travel: parts nearer than that are of one height
 CURVE_POINTS = 200
@@ -93,22 +90,6 @@ class _Flown:
     setting: Setting
     spectra: Spectra
     quiet: Spectra | None
-
-
-def bode(campaign: Campaign, model: Model, *, data: Path | None = None) -> Bode:
-    """Compare the responses of a campaign with those of a model.
-
-    Args:
-        campaign: of `Campaign.load`.
-        model: to compare.
-        data: folder of the recordings, if it is not that of the campaign.
-
-    Raises:
-        DataError: a recording is missing, unreadable or implausible, or the model is of another rig.
-    """
-    check_same_rig(campaign, model)
-    sources, messages = sources_of(campaign, model, data=data, spare=True)
-    return bode_of([s for s in sources if s.record.kind == "closed-loop"], model, messages=messages)
 
 
 def bode_of(sources: Sequence[Source], model: Model, *, messages: Sequence[str] = ()) -> Bode:

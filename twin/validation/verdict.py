@@ -270,12 +270,13 @@ def _closed_loop(runs: list[Filtered], model: Model, unflown: str) -> ClosedLoop
         return "; ".join(dict.fromkeys(without))
     measured, quiet = (np.concatenate(parts) for parts in ([r.x_m for r in loops], [r.quiet_x_m for r in loops]))
     known = np.isfinite(measured)
+    error = (measured - quiet)[known]
     expected = [r.expected_std_m**2 * len(r.x_m) for r in loops]
     sigma = float(runs[0].system.noise.sigma_x_m)
     return ClosedLoop(
         runs=tuple(loops),
-        fit_percent=fit_percent(measured[known], quiet[known]),
-        rmse_m=float(np.sqrt(np.mean((measured - quiet)[known] ** 2))),
+        fit_percent=fit_percent(error, measured[known] - measured[known].mean()),
+        rmse_m=float(np.sqrt(np.mean(error**2))),
         expected_m=float(np.sqrt(sum(expected) / len(measured))),
         steps=compare_steps(loops, sigma),
         responses=tuple(responses(loops, sigma)),

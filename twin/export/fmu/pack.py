@@ -48,18 +48,7 @@ class Fmu:
 
 
 def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None = None) -> Fmu:
-    """Export a model as a co-simulation FMU.
-
-    Args:
-        model: with or without causes.
-        law: the control law of the closed loop; its T_s is that of the FMU.
-        fmi: version of FMI, 2.0 or 3.0.
-        compiler: C compiler; None: the first of gcc, cc, clang; empty: none.
-
-    Raises:
-        NotTranslatableError: a kernel of the model has no form in C.
-        UsageError: the compiler refuses the sources.
-    """
+    """Export a model as a co-simulation FMU, whose T_s is that of the law; compiler and errors as in `export_model`."""
     T_s = law.sample_time_s
     program, listed = rig(model, T_s), variables(model, law)
     absent = tuple(left_out(model))

@@ -9,6 +9,7 @@ Rule 2: a function whose result is one expression, in which each argument stands
 from __future__ import annotations
 
 import ast
+import copy
 import inspect
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from twin.export.translate.expressions import Writes
+from twin.export.translate.expressions import Expressions
 from twin.export.translate.statements import Body
 from twin.export.translate.values import (
     MODEL,
@@ -82,7 +83,7 @@ class Program:
         """
         return self._specialised(function, arguments)[0]
 
-    def call(self, function: Callable[..., Any], arguments: Sequence[Value], caller: Writes) -> Value | None:
+    def call(self, function: Callable[..., Any], arguments: Sequence[Value], caller: Expressions) -> Value | None:
         """Return the value of a call; its function becomes part of the program unless it vanishes."""
         written, simple = self._specialised(function, arguments)
         parameters = [parameter for parameter, _ in _parameters(function)]
@@ -226,5 +227,5 @@ def _put_in(value: Value, nodes: Mapping[str, ast.expr]) -> Value:
         return Several(tuple(_put_in(item, nodes) for item in value.items))
     if isinstance(value, Known):
         return value
-    copied = ast.parse(ast.unparse(ast.fix_missing_locations(ast.Expression(node_of(value)))), mode="eval").body
+    copied = copy.deepcopy(node_of(value))
     return Code(_Exchange(nodes).visit(copied), kind_of(value))
