@@ -20,7 +20,9 @@ from twin.settings.diagnosis import MIN_SHARE
 if TYPE_CHECKING:
     from twin.control_design.board import Converters
     from twin.control_design.design import Design
+    from twin.diagnosis.equilibria.diagnosis import StaticDiagnosis
     from twin.diagnosis.options import Options
+    from twin.diagnosis.result import Diagnosis
     from twin.frequency.bode import Bode
 
 Progress = Callable[[str], None]
@@ -84,10 +86,12 @@ def validate(
 
     from twin.frequency.bode import bode_of
     from twin.validation import verdict
-    from twin.validation.source import chosen
+    from twin.validation.source import chosen, sources_of
 
-    model = _model(model)
-    sources, messages = verdict.sources_of_rig(_campaign(campaign), model, data=data, progress=progress)
+    campaign, model = _campaign(campaign), _model(model)
+    verdict.check_same_rig(campaign, model)
+    progress("reading the recordings")
+    sources, messages = sources_of(campaign, model, data=data)
     result = verdict.validate_sources(sources, model, messages=messages, progress=progress)
     progress("frequency responses")
     flown, _ = chosen([source for source in sources if source.record.kind == "closed-loop"])
@@ -119,9 +123,15 @@ def bode(campaign: Campaign | Path | str, model: Model | Path | str, *, data: Pa
         DataError: a file is missing, unreadable or implausible, or the model is of another rig.
         ConfigError: a key of the campaign is wrong.
     """
-    from twin.frequency import bode as work
+    from twin.frequency.bode import bode_of
+    from twin.validation.source import sources_of
+    from twin.validation.verdict import check_same_rig
 
-    return _answered(work.bode(_campaign(campaign), _model(model), data=data))
+    campaign, model = _campaign(campaign), _model(model)
+    check_same_rig(campaign, model)
+    sources, messages = sources_of(campaign, model, data=data, spare=True)
+    flown = [source for source in sources if source.record.kind == "closed-loop"]
+    return _answered(bode_of(flown, model, messages=messages))
 
 
 def diagnose(
@@ -206,28 +216,23 @@ def _diagnosed(campaign: Campaign, options: Options, data: Path | None, where: s
     from twin.diagnosis.equilibria.to_json import sentence_of
     from twin.diagnosis.residuals.summary import summarise
 
+    details: Diagnosis | StaticDiagnosis
     if is_static(campaign):
-        rest = diagnose_static(campaign, data=data, model=options.model, say=options.say)
-        return Diagnosed(
-            verdict=rest.verdict,
-            sentence=sentence_of(rest),
-            causes=tuple(member.name for member in rest.members),
-            extended=rest.extended,
-            warnings=tuple(rest.warnings),
-            details=rest,
-            residuals=None,
-            where=where,
-        )
-    result = pipeline.diagnose(campaign, options, data=data)
-    options.say("what it gets wrong, before and after")
+        details = static = diagnose_static(campaign, data=data, model=options.model, say=options.say)
+        sentence, causes, residuals = sentence_of(static), [member.name for member in static.members], None
+    else:
+        details = result = pipeline.diagnose(campaign, options, data=data)
+        sentence, causes = result.sentence, [cause.name for cause in result.causes]
+        options.say("what it gets wrong, before and after")
+        residuals = summarise(result, campaign.controller, quick=options.quick, seed=options.seed)
     return Diagnosed(
-        verdict=result.verdict,
-        sentence=result.sentence,
-        causes=tuple(cause.name for cause in result.causes),
-        extended=result.extended,
-        warnings=result.warnings,
-        details=result,
-        residuals=summarise(result, campaign.controller, quick=options.quick, seed=options.seed),
+        verdict=details.verdict,
+        sentence=sentence,
+        causes=tuple(causes),
+        extended=details.extended,
+        warnings=tuple(details.warnings),
+        details=details,
+        residuals=residuals,
         where=where,
     )
 

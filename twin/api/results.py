@@ -40,6 +40,13 @@ def write_text(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
+def _save(folder: Path | str, texts: Mapping[str, str | Mapping[str, Any]]) -> None:
+    """Write texts, and data as JSON, by the names of their files.  Raises UsageError."""
+    make_folder(Path(folder))
+    for name, text in texts.items():
+        write_text(Path(folder) / name, text if isinstance(text, str) else as_text(text) + "\n")
+
+
 def save_figures(figures: Mapping[str, Figure], folder: Path | str, kind: str) -> None:
     """Write each figure as a file of its name, of the kind png, pdf or svg.
 
@@ -109,9 +116,7 @@ class FrequencyResponses:
         Raises:
             UsageError: the folder cannot be written.
         """
-        make_folder(Path(folder))
-        write_text(Path(folder) / "bode.json", as_text(self.to_json()) + "\n")
-        write_text(Path(folder) / "bode.html", self.to_html(title))
+        _save(folder, {"bode.json": self.to_json(), "bode.html": self.to_html(title)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,23 +151,13 @@ class Validated:
 
     def figures(self) -> dict[str, Figure]:
         """The paper's figures 7, 8, 11 and 12, prediction errors and residuals; those without data are left out."""
-        from twin.validation import figures as draw
+        from twin.validation.figures import loop_figure
+        from twin.validation.report import drawn
 
-        result, travel_m = self.details, self.details.model.plant.travel_m
-        drawn: dict[str, Figure] = {}
-        if not isinstance(result.amplifier, str):
-            drawn["amplifier"] = draw.amplifier_figure(result.amplifier, result.model.T_A)
-        if not isinstance(result.windows, str):
-            drawn["ball"] = draw.ball_figure(result.windows, travel_m)
-        if result.ahead:
-            drawn["prediction"] = draw.ahead_figure(result.ahead)
-        if not isinstance(result.channels, str):
-            drawn["residuals"] = draw.residual_figure(result.channels)
-        if not isinstance(result.loop, str):
-            drawn |= {f"closed loop {run.name}": draw.loop_figure(run, travel_m) for run in result.loop.runs}
-            if result.loop.responses:
-                drawn["steps"] = draw.step_figure(result.loop.responses)
-        return drawn
+        loop, travel_m = self.details.loop, self.details.model.plant.travel_m
+        runs = () if isinstance(loop, str) else loop.runs
+        loops = {f"closed loop {run.name}": loop_figure(run, travel_m) for run in runs}
+        return {name: figure for name, (figure, _) in drawn(self.details).items()} | loops
 
     def save(self, folder: Path | str, *, title: str = "") -> None:
         """Write validation.json and report.html.
@@ -170,9 +165,7 @@ class Validated:
         Raises:
             UsageError: the folder cannot be written.
         """
-        make_folder(Path(folder))
-        write_text(Path(folder) / "validation.json", as_text(self.to_json()) + "\n")
-        write_text(Path(folder) / "report.html", self.to_html(title))
+        _save(folder, {"validation.json": self.to_json(), "report.html": self.to_html(title)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,14 +261,9 @@ class Diagnosed:
         Raises:
             UsageError: the folder cannot be written.
         """
-        make_folder(Path(folder))
-        files = {
-            "report.html": self.to_html(folder),
-            "diagnosis.json": as_text(self.to_json()) + "\n",
-            "extended_model.json": as_text(self.extended.to_json()) + "\n",
-        }
-        for name, content in files.items():
-            write_text(Path(folder) / name, content)
+        make_folder(Path(folder))  # before the work on the page
+        report, model = self.to_html(folder), self.extended.to_json()
+        _save(folder, {"report.html": report, "diagnosis.json": self.to_json(), "extended_model.json": model})
 
     @property
     def _flown(self) -> Diagnosis:

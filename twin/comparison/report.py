@@ -11,7 +11,7 @@ from twin.comparison.comparison import Comparison, micrometres
 from twin.comparison.errors import WHOLE, Change
 from twin.comparison.parameters import Course
 from twin.page.figures import Picture, inline
-from twin.page.plain import plain
+from twin.page.plain import columns, plain
 from twin.page.render import Mark, render
 
 TITLES = {
@@ -34,13 +34,11 @@ def to_text(result: Comparison) -> str:
     lines += [f"{n + 1}: {side}" for n, side in enumerate(sides)]
     if result.flights and result.kind == "models":
         lines.append(f"on {', '.join(result.flights)}")
-    tables = [(list(ERROR_HEAD), [_error_row(change) for change in result.changes])] if result.changes else []
+    if result.changes:
+        lines += ["", *columns([ERROR_HEAD, *map(_error_row, result.changes)])]
     if result.parameters:
-        tables.append((_parameter_head(result), [_parameter_row(course, result.kind) for course in result.parameters]))
-    for head, rows in tables:
-        cells = [head, *[[cell if isinstance(cell, str) else cell.text for cell in row] for row in rows]]
-        widths = [max(len(row[n]) for row in cells) for n in range(len(head))]
-        lines += ["", *["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells]]
+        rows = [_parameter_row(course, result.kind) for course in result.parameters]
+        lines += ["", *columns([_parameter_head(result), *rows])]
     return "\n".join(lines)
 
 

@@ -127,7 +127,7 @@ def design(model: Model, wanted: Specification | None = None) -> Design:
         DataError: K_A or K_c of the model is a placeholder.
         UsageError: the operating point is not possible, the weights have no solution, or a gain exceeds the format.
     """
-    require_known(model)
+    _require_known(model)
     wanted = Specification() if wanted is None else wanted
     law, sample_time_s = wanted.law, wanted.sample_time_s
     converters = Converters() if wanted.converters is None else wanted.converters
@@ -139,7 +139,7 @@ def design(model: Model, wanted: Specification | None = None) -> Design:
     quantised = quantise(gains, law, converters, sample_time_s)
     K_board = from_order_of(law, tuple(gain.value for gain in quantised))
     plant = plant_at(model, point.x_m, sample_time_s)
-    noise = _noise(model, sample_time_s, converters)
+    noise = _noise(model, sample_time_s, (converters.i_lsb_a, converters.x_lsb_m, converters.u_lsb_v))
     on_board = backward(K_board, sample_time_s)
     candidates = [
         ("ideal state feedback", ideal(K, sample_time_s)),
@@ -149,7 +149,12 @@ def design(model: Model, wanted: Specification | None = None) -> Design:
     filter_gain = kalman_gain(plant, noise) if wanted.with_observer else None
     if filter_gain is not None:
         candidates.append(("Kalman filter", observer(K, plant, filter_gain, sample_time_s)))
-    loops = tuple(_judge(model, point, name, controller, noise, sample_time_s) for name, controller in candidates)
+
+    def judged(name: str, controller: Controller) -> LoopAnalysis:
+        return _judge(model, point, name, controller, noise, sample_time_s)
+
+    loops = tuple(judged(name, controller) for name, controller in candidates)
+    replaced = wanted.before
 
     def robustness(controller: Controller) -> Robustness:
         return over_intervals(model, controller, point.x_m, sample_time_s, seed=wanted.seed)
@@ -169,21 +174,14 @@ def design(model: Model, wanted: Specification | None = None) -> Design:
         observer_robustness=None if filter_gain is None else robustness(candidates[-1][1]),
         stable_range_m=stable_range_m(model, on_board, point.x_m, sample_time_s),
         warnings=unsure(model) + _warnings(loops[2], box, point, wanted.u_max_v),
-        before=_before(model, point, wanted.before, noise, sample_time_s),
+        before=None
+        if replaced is None
+        else judged("before", backward(from_order_of(replaced.law, replaced.gains), sample_time_s)),
         causes=changes(model, point, weights, K, sample_time_s, law),
     )
 
 
-def _before(
-    model: Model, point: OperatingPoint, file: ControllerFile | None, noise: Noise, sample_time_s: float
-) -> LoopAnalysis | None:
-    if file is None:
-        return None
-    K = from_order_of(file.law, file.gains)
-    return _judge(model, point, "before", backward(K, sample_time_s), noise, sample_time_s)
-
-
-def require_known(model: Model) -> None:
+def _require_known(model: Model) -> None:
     """Check that K_A and K_c of a model are not placeholders.
 
     Raises:
@@ -198,15 +196,13 @@ def require_known(model: Model) -> None:
             )
 
 
-def _noise(model: Model, sample_time_s: float, converters: Converters | None) -> Noise:
-    rounding = (0.0, 0.0, 0.0)
-    if converters is not None:
-        rounding = (converters.i_lsb_a**2 / 12, converters.x_lsb_m**2 / 12, converters.u_lsb_v**2 / 12)
+def _noise(model: Model, sample_time_s: float, lsb: tuple[float, float, float]) -> Noise:
+    """The noise with converters of these counts of i_c, x and u_c; 0: no rounding."""
     n = model.noise
     return Noise(
-        i=n.sigma_i_c_a**2 + rounding[0],
-        x=n.sigma_x_m**2 + rounding[1],
-        u=rounding[2],
+        i=n.sigma_i_c_a**2 + lsb[0] ** 2 / 12,
+        x=n.sigma_x_m**2 + lsb[1] ** 2 / 12,
+        u=lsb[2] ** 2 / 12,
         process_i=n.process_i_c_a**2,
         process_v=(n.process_a_m_s2 * sample_time_s) ** 2,
     )
@@ -219,7 +215,7 @@ def _judge(
     poles = np.linalg.eigvals(closed_loop(plant, controller)).astype(np.complex128)
     model_delay_s = delay_s(model) if model.causes else 0.0
     x, u = noise_rms(plant, controller, noise)
-    x_analog, u_analog = noise_rms(plant, controller, _noise(model, sample_time_s, None))
+    x_analog, u_analog = noise_rms(plant, controller, _noise(model, sample_time_s, (0.0, 0.0, 0.0)))
     return LoopAnalysis(
         name=name,
         poles=poles[np.argsort(-np.abs(poles), kind="stable")],

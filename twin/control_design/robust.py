@@ -17,6 +17,7 @@ import numpy as np
 
 from twin.control import discrete
 from twin.control_design.loop import Controller, Plant, radius
+from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import PARAMETERS, Model, Parameter
 
 SAMPLES = 400
@@ -39,19 +40,14 @@ class Robustness:
 def over_intervals(model: Model, controller: Controller, x_m: float, sample_time_s: float, *, seed: int) -> Robustness:
     """Close the loop of `controller` with plants drawn from the intervals of `model`, linearised at `x_m`."""
     box = {}
-    for name, parameter in model.parameters.items():
-        if parameter.ci95 is not None:
-            _, lowest, highest = PARAMETERS[name]
-            low, high = sorted(min(max(end, lowest), highest) for end in parameter.ci95)
-            if high > low:
-                box[name] = (low, high)
     causes = {f"{cause.name}.{name}": p for cause in model.causes for name, p in cause.parameters.items()}
-    for name, parameter in causes.items():
+    listed = {**model.parameters, **causes}
+    for name, parameter in listed.items():
         if parameter.ci95 is not None:
-            low, high = (within_range(name, end) for end in sorted(parameter.ci95))
+            low, high = (_within_range(name, end) for end in sorted(parameter.ci95))
             if high > low:
                 box[name] = (low, high)
-    fixed = tuple(name for name in (*model.parameters, *causes) if name not in box)
+    fixed = tuple(name for name in listed if name not in box)
     rng = np.random.default_rng(seed)
     ends = list(itertools.islice(itertools.product(*box.values()), CORNERS))  # [()] without a box
     plants = [dict(zip(box, corner, strict=True)) for corner in ends]
@@ -73,16 +69,13 @@ def stable_range_m(model: Model, controller: Controller, x_m: float, sample_time
     """Return the (lowest, highest) position, m, up to which all linearisations from `x_m` are stable, on a grid."""
     travel = model.plant.travel_m
     grid = (travel * np.arange(1, POSITIONS + 1) / (POSITIONS + 1)).tolist()
-    low = high = x_m
-    for x in reversed([x for x in grid if x < x_m]):
-        if radius(plant_at(model, x, sample_time_s), controller) >= 1.0:
-            break
-        low = x
-    for x in [x for x in grid if x > x_m]:
-        if radius(plant_at(model, x, sample_time_s), controller) >= 1.0:
-            break
-        high = x
-    return low, high
+
+    def stable(x: float) -> bool:
+        return radius(plant_at(model, x, sample_time_s), controller) < 1.0
+
+    below = list(itertools.takewhile(stable, (x for x in reversed(grid) if x < x_m)))
+    above = list(itertools.takewhile(stable, (x for x in grid if x > x_m)))
+    return min(below, default=x_m), max(above, default=x_m)
 
 
 def plant_at(model: Model, x_m: float, sample_time_s: float) -> Plant:
@@ -90,11 +83,11 @@ def plant_at(model: Model, x_m: float, sample_time_s: float) -> Plant:
     return Plant(*discrete(model, x_m, sample_time_s))
 
 
-def within_range(name: str, value: float) -> float:
-    """Limit the value of the parameter `name`, a "cause.parameter", to its physical range."""
-    from twin.model.causes.catalogue import BY_NAME
-
+def _within_range(name: str, value: float) -> float:
+    """Limit the value of a parameter of the paper, or of a "cause.parameter", to its physical range."""
     cause, _, parameter = name.partition(".")
+    if not parameter:
+        return min(max(value, PARAMETERS[name][1]), PARAMETERS[name][2])
     known = next(entry for entry in BY_NAME[cause].parameters if entry.name == parameter)
     return min(max(value, known.low), known.high)
 

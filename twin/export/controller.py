@@ -8,9 +8,9 @@ from pathlib import Path
 from protocol.errors import DataError, UsageError
 from twin.control import LawNumbers
 from twin.control_design.board import Converters
-from twin.control_design.controller_file import Point, numbers_of, read_controller
+from twin.control_design.controller_file import REMEDY, Point, numbers_of, read_controller
 from twin.control_design.design import Design
-from twin.control_design.gains import Law, OperatingPoint, Weights
+from twin.control_design.gains import Law, Weights
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,22 +18,16 @@ class Controller:
     """A law with the weights it came from."""
 
     law: Law
-    gains: tuple[float, float, float, float]  # in the order of the law (protocol/README.md, rule 9), SI units
-    point: OperatingPoint
     weights: Weights
     numbers: LawNumbers  # as the twin runs it
-
-    @property
-    def sample_time_s(self) -> float:
-        """Return T_s, s."""
-        return self.numbers.sample_time_s
 
 
 def of_design(design: Design, *, u_max_v: float) -> Controller:
     """The law with the gains of a design and an input from 0 to `u_max_v`, V."""
-    return _controller(
-        design.law, design.gains, design.point, design.weights, design.sample_time_s, design.converters, u_max_v
-    )
+    point = Point(i_0_a=design.point.i_a, x_0_m=design.point.x_m, u_0_v=design.point.u_v)
+    range_v, lsb = _range_around(point, u_max_v), design.converters.x_lsb_m
+    numbers = numbers_of(design.law, design.gains, point, design.sample_time_s, u_range_v=range_v, x_lsb_m=lsb)
+    return Controller(law=design.law, weights=design.weights, numbers=numbers)
 
 
 def of_file(path: Path, *, u_max_v: float) -> Controller:
@@ -44,29 +38,18 @@ def of_file(path: Path, *, u_max_v: float) -> Controller:
     """
     file = read_controller(path)
     if file.weights is None:
-        raise DataError(
-            f"{path}: weights is missing", remedy="Give a controller.json as `board51 design --out` writes it"
-        )
-    at = file.operating_point
-    point = OperatingPoint(i_a=at.i_0_a, x_m=at.x_0_m, u_v=at.u_0_v)
+        raise DataError(f"{path}: weights is missing", remedy=REMEDY)
     weights = Weights(Q=file.weights.Q, R=file.weights.R)
-    return _controller(file.law, file.gains, point, weights, file.sample_time_s, Converters(), u_max_v)
+    range_v, lsb = _range_around(file.operating_point, u_max_v), Converters().x_lsb_m
+    numbers = numbers_of(file.law, file.gains, file.operating_point, file.sample_time_s, u_range_v=range_v, x_lsb_m=lsb)
+    return Controller(law=file.law, weights=weights, numbers=numbers)
 
 
-def _controller(
-    law: Law,
-    gains: tuple[float, float, float, float],
-    point: OperatingPoint,
-    weights: Weights,
-    sample_time_s: float,
-    converters: Converters,
-    u_max_v: float,
-) -> Controller:
-    if not 0.0 < point.u_v < u_max_v:
+def _range_around(point: Point, u_max_v: float) -> tuple[float, float]:
+    """Return the range of the input, V.  Raises UsageError if the input at rest is outside it."""
+    if not 0.0 < point.u_0_v < u_max_v:
         raise UsageError(
-            f"the input at the operating point is {point.u_v:.3g} V, and the range is 0 to {u_max_v:g} V",
+            f"the input at the operating point is {point.u_0_v:.3g} V, and the range is 0 to {u_max_v:g} V",
             remedy="Give the end of the range with --u-max",
         )
-    at = Point(i_0_a=point.i_a, x_0_m=point.x_m, u_0_v=point.u_v)
-    numbers = numbers_of(law, gains, at, sample_time_s, u_range_v=(0.0, u_max_v), x_lsb_m=converters.x_lsb_m)
-    return Controller(law=law, gains=gains, point=point, weights=weights, numbers=numbers)
+    return 0.0, u_max_v

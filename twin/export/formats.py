@@ -50,19 +50,7 @@ class Exported:
 def export(
     model: Model, controller: Controller, to: Format, *, fmi: FmiVersion = "2.0", compiler: str | None = None
 ) -> Exported:
-    """Export a model.
-
-    Args:
-        model: with or without causes.
-        controller: the law of its closed loop.
-        to: format.
-        fmi: of an FMU: version of FMI.
-        compiler: of an FMU: C compiler; None: the first of gcc, cc, clang; empty: none.
-
-    Raises:
-        NotTranslatableError: a part of the model has no form in this format; the message says which and why.
-        UsageError: the compiler refuses the sources.
-    """
+    """Export a model with the law of its closed loop; formats and errors as in `twin.export_model`."""
     if to == "fmu":
         made = fmu(model, controller.numbers, fmi=fmi, compiler=compiler)
         note = () if made.platform else ("no C compiler was found: the FMU has sources, and no binary",)

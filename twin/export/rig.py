@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from twin.control import LawNumbers
-from twin.export.translate.specialise import Program
+from twin.export.translate.specialise import Function, Program
 from twin.export.translate.values import Cells, Code, Known, Record, Value, name, parameter
 from twin.mirror.loop import advance
 from twin.model.causes.catalogue import BY_NAME, neutral
@@ -20,8 +20,6 @@ from twin.model.causes.cause import Cause, CauseParameter
 from twin.model.extended import Base
 from twin.model.parameters import Model
 from twin.model.simulate import ACT, LINES, SENSE, PlantNumbers, begin, delay_in_ticks
-
-MEMORY = "memory"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,9 +66,22 @@ def plant(model: Model, sample_time_s: float) -> Record:
     return Record({field: fields.get(field, Known(False)) for field in PlantNumbers._fields})
 
 
-def law(sample_time_s: float) -> Record:
-    """LawNumbers, as values."""
-    return Record({field: parameter(field) for field in LawNumbers._fields} | {"sample_time_s": Known(sample_time_s)})
+def add_begin(program: Program, model: Model, sample_time_s: float) -> Function:
+    """Add what fills the memory of a rig to a program."""
+    values = [plant(model, sample_time_s), _memory(), *variables_of("i", "x", "v", "u"), Known(-1.0)]
+    return program.add(begin, values)
+
+
+def add_tick(program: Program, model: Model, sample_time_s: float) -> Function:
+    """Add one tick of rig and law to a program."""
+    law = Record({field: parameter(field) for field in LawNumbers._fields} | {"sample_time_s": Known(sample_time_s)})
+    closed_loop = Code(name("closed_loop"), "bool")
+    values = [plant(model, sample_time_s), law, _memory(), closed_loop, *variables_of("x_ref", "u")]
+    return program.add(advance, values)
+
+
+def _memory() -> Cells:
+    return Cells(name("memory"), {})
 
 
 def rig(model: Model, sample_time_s: float) -> Rig:
@@ -80,10 +91,8 @@ def rig(model: Model, sample_time_s: float) -> Rig:
         NotTranslatableError: a kernel uses a construct that no other language has.
     """
     program = Program()
-    numbers, memory = plant(model, sample_time_s), Cells(name(MEMORY), {})
-    program.add(begin, [numbers, memory, *variables_of("i", "x", "v", "u"), Known(-1.0)])
-    closed_loop = Code(name("closed_loop"), "bool")
-    program.add(advance, [numbers, law(sample_time_s), memory, closed_loop, *variables_of("x_ref", "u")])
+    add_begin(program, model, sample_time_s)
+    add_tick(program, model, sample_time_s)
     known = constants(model)
     delays = ACT not in known or SENSE not in known
     if delays:

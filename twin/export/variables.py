@@ -57,6 +57,14 @@ _OF_LAW = {
     "u_high": ("V", "upper end of the range of u_c"),
     "s_max": ("m s", "largest integral of x_ref - x"),
 }
+_OUTPUTS = {
+    "i": (f"memory[{I_C}]", "A", "current of the coil"),
+    "x": (f"memory[{X}]", "m", "position of the ball, up from the bottom stop"),
+    "v": (f"memory[{V}]", "m/s", "speed of the ball, upwards"),
+    "y_i": (f"memory[{I_READ}]", "A", "reading of the current sensor"),
+    "y_x": (f"memory[{X_READ}]", "m", "reading of the position sensor"),
+    "u": ("u", "V", "u_c in force during the tick that ended last"),
+}
 
 
 def title(model: Model) -> str:
@@ -65,33 +73,34 @@ def title(model: Model) -> str:
 
 
 def variables(model: Model, law: LawNumbers) -> list[Variable]:
-    """All numbers of a rig, in a fixed order: inputs, outputs, parameters."""
-    return [*inputs(law), *outputs(), *parameters(model), *of_law(law), *starts(law)]
-
-
-def inputs(law: LawNumbers) -> list[Variable]:
-    """The inputs of the rig: u_c in open loop, x_ref in closed loop."""
+    """All numbers of a rig, in a fixed order: inputs, outputs, parameters, and the state at the beginning."""
+    inputs = {
+        "u_c": ("V", law.u_0, "input in open loop"),
+        "x_ref": ("m", law.x_0, "reference in closed loop"),
+    }
+    starts = {
+        "i": ("A", law.i_0, "reading of the current at the beginning, held for a long time"),
+        "x": ("m", law.x_0, "reading of the position at the beginning"),
+        "v": ("m/s", 0.0, "speed at the beginning"),
+        "u": ("V", law.u_0, "input before the beginning"),
+    }
     return [
-        Variable(name="u_c", field="u_c", role="input", unit="V", description="input in open loop", start=law.u_0),
-        Variable(
-            name="x_ref", field="x_ref", role="input", unit="m", description="reference in closed loop", start=law.x_0
+        *(
+            Variable(name=name, field=name, role="input", unit=unit, description=text, start=value)
+            for name, (unit, value, text) in inputs.items()
         ),
-    ]
-
-
-def outputs() -> list[Variable]:
-    """The state of the rig, its readings, and u_c."""
-
-    def output(name: str, field: str, unit: str, description: str) -> Variable:
-        return Variable(name=name, field=field, role="output", unit=unit, description=description)
-
-    return [
-        output("i", f"memory[{I_C}]", "A", "current of the coil"),
-        output("x", f"memory[{X}]", "m", "position of the ball, up from the bottom stop"),
-        output("v", f"memory[{V}]", "m/s", "speed of the ball, upwards"),
-        output("y_i", f"memory[{I_READ}]", "A", "reading of the current sensor"),
-        output("y_x", f"memory[{X_READ}]", "m", "reading of the position sensor"),
-        output("u", "u", "V", "u_c in force during the tick that ended last"),
+        *(
+            Variable(name=name, field=field, role="output", unit=unit, description=text)
+            for name, (field, unit, text) in _OUTPUTS.items()
+        ),
+        *parameters(model),
+        *of_law(law),
+        *(
+            Variable(
+                name=f"start.{name}", field=f"{name}_start", role="fixed", unit=unit, description=text, start=value
+            )
+            for name, (unit, value, text) in starts.items()
+        ),
     ]
 
 
@@ -154,20 +163,4 @@ def of_law(law: LawNumbers) -> list[Variable]:
             start=min(getattr(law, name), 1e300),  # a law without a converter has no largest integral
         )
         for name, (unit, description) in _OF_LAW.items()
-    ]
-
-
-def starts(law: LawNumbers) -> list[Variable]:
-    """The state of the rig when the simulation begins."""
-
-    def start(name: str, unit: str, value: float, description: str) -> Variable:
-        return Variable(
-            name=f"start.{name}", field=f"{name}_start", role="fixed", unit=unit, description=description, start=value
-        )
-
-    return [
-        start("i", "A", law.i_0, "reading of the current at the beginning, held for a long time"),
-        start("x", "m", law.x_0, "reading of the position at the beginning"),
-        start("v", "m/s", 0.0, "speed at the beginning"),
-        start("u", "V", law.u_0, "input before the beginning"),
     ]

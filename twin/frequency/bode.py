@@ -11,17 +11,16 @@ Rule 3: without the law there is neither loop gain nor simulation; amplifier, ba
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 
-from protocol.campaign import Campaign
 from twin.control import LawNumbers
 from twin.estimation.prepare import flights
 from twin.estimation.record import BoolArray, FloatArray, intervals
 from twin.evidence.checks.control_law import law_gap
-from twin.frequency.compare import Deviations, deviations, together
+from twin.frequency.compare import Deviations, deviations
 from twin.frequency.excitation import parts
 from twin.frequency.margins import DRAWS, Margin, with_intervals
 from twin.frequency.residual_psd import ResidualSpectrum, residual_spectra
@@ -32,8 +31,7 @@ from twin.frequency.verdict import Verdict, judge
 from twin.identification.pipeline import grouped
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
-from twin.validation.source import Source, filtered, sources_of
-from twin.validation.verdict import check_same_rig
+from twin.validation.source import Source, filtered
 
 SAME_HEIGHT = 0.05  # of the travel: parts nearer than that are of one height
 CURVE_POINTS = 200
@@ -55,6 +53,9 @@ class Measured:
     def certain(self) -> BoolArray:
         """The frequencies at which this is a measurement."""
         return np.asarray(self.std < CERTAIN * np.abs(self.value))
+
+
+T = TypeVar("T", Measured, Deviations)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,26 +87,9 @@ class _Flown:
     """A part of a flight with its coefficients and those of the model's simulation."""
 
     name: str
-    x_m: float
     setting: Setting
     spectra: Spectra
     quiet: Spectra | None
-
-
-def bode(campaign: Campaign, model: Model, *, data: Path | None = None) -> Bode:
-    """Compare the responses of a campaign with those of a model.
-
-    Args:
-        campaign: of `Campaign.load`.
-        model: to compare.
-        data: folder of the recordings, if it is not that of the campaign.
-
-    Raises:
-        DataError: a recording is missing, unreadable or implausible, or the model is of another rig.
-    """
-    check_same_rig(campaign, model)
-    sources, messages = sources_of(campaign, model, data=data, spare=True)
-    return bode_of([s for s in sources if s.record.kind == "closed-loop"], model, messages=messages)
 
 
 def bode_of(sources: Sequence[Source], model: Model, *, messages: Sequence[str] = ()) -> Bode:
@@ -154,7 +138,7 @@ def _flown(source: Source, model: Model, notes: list[str]) -> list[_Flown]:
                 notes.append(
                     f"{r.name}: the model's loop does not hold the ball there; compared with its linearisation"
                 )
-        result.append(_Flown(name=r.name, x_m=setting.x_m, setting=setting, spectra=made, quiet=quiet))
+        result.append(_Flown(name=r.name, setting=setting, spectra=made, quiet=quiet))
     return result
 
 
@@ -172,8 +156,8 @@ def _law_of(source: Source, model: Model, notes: list[str]) -> LawNumbers | None
 
 def _grouped(flown: Sequence[_Flown], reach_m: float) -> list[list[_Flown]]:
     groups: list[list[_Flown]] = []
-    for part in sorted(flown, key=lambda item: item.x_m):
-        if groups and part.x_m - groups[-1][0].x_m < reach_m:
+    for part in sorted(flown, key=lambda item: item.setting.x_m):
+        if groups and part.setting.x_m - groups[-1][0].setting.x_m < reach_m:
             groups[-1].append(part)
         else:
             groups.append([part])
@@ -188,12 +172,11 @@ def _height(group: Sequence[_Flown], model: Model) -> Height:
             measured.setdefault(name, []).append(item)
             differing.setdefault(name, []).append(difference)
     joined = {name: _joined(several) for name, several in measured.items()}
-    x_m = float(np.mean([part.x_m for part in group]))
+    x_m = float(np.mean([part.setting.x_m for part in group]))
     law = next((part.setting.law for part in group if part.setting.law is not None), None)
-    first = group[0].setting
-    setting = Setting(law=law, x_m=x_m, sample_time_s=first.sample_time_s, delay=first.delay)
+    setting = replace(group[0].setting, law=law, x_m=x_m)
     every = np.concatenate([m.f_hz for m in joined.values()] or [np.array([1.0])])
-    top = min(2.0 * every.max(), 0.49 / first.sample_time_s)
+    top = min(2.0 * every.max(), 0.49 / setting.sample_time_s)
     dense = np.geomspace(0.5 * every.min(), top, CURVE_POINTS)
     measured_margins, model_margins = _margins(joined.get("loop"), model, setting)
     return Height(
@@ -201,7 +184,7 @@ def _height(group: Sequence[_Flown], model: Model) -> Height:
         recordings=tuple(dict.fromkeys(part.name for part in group)),
         measured=joined,
         model=curves(model, setting, dense),
-        deviations={name: together(several) for name, several in differing.items() if name not in ("S", "T")},
+        deviations={name: _joined(several) for name, several in differing.items() if name not in ("S", "T")},
         margins=measured_margins,
         model_margins=model_margins,
     )
@@ -238,15 +221,11 @@ def _compared(part: _Flown, model: Model) -> dict[Name, tuple[Measured, Deviatio
     return result
 
 
-def _joined(several: Sequence[Measured]) -> Measured:
-    order = np.argsort(np.concatenate([m.f_hz for m in several]), kind="stable")
-    return Measured(
-        f_hz=np.concatenate([m.f_hz for m in several])[order],
-        value=np.concatenate([m.value for m in several])[order],
-        std=np.concatenate([m.std for m in several])[order],
-        dof=np.concatenate([m.dof for m in several])[order],
-        coherence=np.concatenate([m.coherence for m in several])[order],
-    )
+def _joined(several: Sequence[T]) -> T:
+    """Join the numbers of several parts, by rising frequency."""
+    order = np.argsort(np.concatenate([part.f_hz for part in several]), kind="stable")
+    names = [field.name for field in fields(several[0])]
+    return replace(several[0], **{name: np.concatenate([getattr(p, name) for p in several])[order] for name in names})
 
 
 def _margins(loop: Measured | None, model: Model, setting: Setting) -> tuple[dict[str, Margin], dict[str, Margin]]:

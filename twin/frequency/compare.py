@@ -9,18 +9,16 @@ Rule 2: all frequencies of a response together: the parameters' error is the sam
         usual sum of |z|^2 / variance.
 Rule 3: each frequency alone: F(2, 2 nu); nu is that of the noise's estimate, larger where the parameters' part, which
         is no estimate, dominates (Satterthwaite, Biometrics Bull. 2, 1946).
-Rule 4: Holm's method (Scand. J. Statist. 6, 1979) holds the rate of any false alarm, whatever the dependence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from twin.distributions import chi2_above, fisher_above
-from twin.estimation.record import BoolArray, FloatArray
+from twin.estimation.record import FloatArray
 from twin.frequency.spectra import ComplexArray, Spectra
 
 
@@ -65,23 +63,6 @@ def deviations(
     )
 
 
-def together(several: Sequence[Deviations]) -> Deviations:
-    """Join the deviations of several parts, by rising frequency."""
-    order = np.argsort(np.concatenate([d.f_hz for d in several]), kind="stable")
-
-    def joined(name: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-        return np.asarray(np.concatenate([getattr(d, name) for d in several])[order])
-
-    return Deviations(
-        f_hz=joined("f_hz"),
-        z=joined("z").astype(complex),
-        variance=joined("variance"),
-        dof=joined("dof"),
-        slopes=joined("slopes").astype(complex),
-        predicted=joined("predicted").astype(complex),
-    )
-
-
 def chances(d: Deviations) -> tuple[FloatArray, float]:
     """Return (p of each frequency, shape (F,); p of all together) under a right model."""
     slopes = np.stack((d.slopes.real, d.slopes.imag), axis=1)  # (F, 2, p)
@@ -104,12 +85,3 @@ def _chance(z: FloatArray, noise: FloatArray, parameter_part: FloatArray, dof: F
     share = np.trace(noise, axis1=1, axis2=2) / np.trace(whole, axis1=1, axis2=2)
     size = 0.5 * np.einsum("fa,fab,fb->f", z, np.linalg.inv(whole), z)
     return np.asarray(fisher_above(size, 2.0, 2.0 * dof / share**2))
-
-
-def holm(p: FloatArray, level: float) -> BoolArray:
-    """Return which of these hypotheses are rejected at `level` for all together, shape of `p`."""
-    order = np.argsort(p)
-    passed = np.asarray(p)[order] <= level / np.arange(len(p), 0, -1)
-    rejected = np.zeros(len(p), dtype=np.bool_)
-    rejected[order[: len(p) if passed.all() else int(np.argmin(passed))]] = True
-    return rejected

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.signal import welch
 
 from twin.distributions import chi2_below, chi2_quantile
+from twin.estimation.family import holm
 from twin.estimation.record import FloatArray, runs
 from twin.estimation.rollout import SETTLE_S
-from twin.frequency.compare import holm
 from twin.validation.source import Filtered
 
 SEGMENT_S = 0.5
@@ -64,6 +64,6 @@ def _spectrum(filtered: Sequence[Filtered], column: int, name: str) -> ResidualS
     dof = 36.0 * segments**2 / (19.0 * segments - 1.0)
     tail = chi2_below(dof * power, dof)
     tested = slice(1, None, BINS)
-    wrong = holm(2.0 * np.minimum(tail, 1.0 - tail)[tested], LEVEL)
+    wrong = np.array(holm((2.0 * np.minimum(tail, 1.0 - tail)[tested]).tolist(), LEVEL), np.bool_)
     low, high = (chi2_quantile(tail_p, dof) / dof for tail_p in (0.025, 0.975))
     return ResidualSpectrum(channel=name, f_hz=f_hz, power=power, low=low, high=high, wrong_hz=f_hz[tested][wrong])

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from twin.estimation.family import holm
 from twin.estimation.record import BoolArray, FloatArray
-from twin.frequency.compare import Deviations, chances, holm
+from twin.frequency.compare import Deviations, chances
 from twin.frequency.responses import Name
 from twin.frequency.spectra import ComplexArray
 
@@ -97,11 +98,12 @@ def judge(tested: Sequence[Tested]) -> Verdict:
             tests=(), from_hz=np.nan, to_hz=np.nan,
         )  # fmt: skip
     each, joint = zip(*(chances(d) for _, _, d, _ in listed), strict=True)
-    refused = holm(np.array(joint), LEVEL / 2.0)
-    singles = np.split(holm(np.concatenate(each), LEVEL / 2.0), np.cumsum([len(p) for p in each])[:-1])
+    refused = holm(joint, LEVEL / 2.0)
+    single = np.array(holm(np.concatenate(each).tolist(), LEVEL / 2.0), np.bool_)
+    singles = np.split(single, np.cumsum([len(p) for p in each])[:-1])
     tests = tuple(
-        _test(known, p_each, p, whole, single)
-        for known, p_each, p, whole, single in zip(listed, each, joint, refused.tolist(), singles, strict=True)
+        _test(known, p_each, p, whole, refused_each)
+        for known, p_each, p, whole, refused_each in zip(listed, each, joint, refused, singles, strict=True)
     )
     low, high = _range(tested)
     return Verdict(

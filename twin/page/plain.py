@@ -1,12 +1,14 @@
-"""Results as plain values for a JSON file."""
+"""Results as plain values for a JSON file, and as columns of text."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+from twin.page.render import Mark
 
 
 def plain(table: Mapping[str, object], digits: int = 17) -> dict[str, Any]:
@@ -24,3 +26,10 @@ def _plain(value: object, digits: int) -> object:
     if isinstance(value, float | np.floating):
         return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     return value
+
+
+def columns(rows: Sequence[Sequence[str | Mark]]) -> list[str]:
+    """Return a line of text for each row, its cells below one another."""
+    cells = [[cell if isinstance(cell, str) else cell.text for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells]

@@ -57,10 +57,13 @@ class Amplifier:
     steps: tuple[Compared, ...]  # measured against (1), step by step; empty without steps of u_c
 
 
-def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
-    """Return the NRMSE fit in percent, as `compare` of MATLAB; NaN for a constant signal."""
-    spread = float(np.linalg.norm(measured - measured.mean()))
-    return 100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread) if spread > 0 else float("nan")
+def fit_percent(error: FloatArray, centred: FloatArray) -> float:
+    """Return the NRMSE fit in percent, as `compare` of MATLAB; NaN for a constant signal.
+
+    `centred`: the measured signal without its mean.
+    """
+    spread = float(np.linalg.norm(centred))
+    return 100.0 * (1.0 - float(np.linalg.norm(error)) / spread) if spread > 0.0 else float("nan")
 
 
 def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
@@ -75,17 +78,16 @@ def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
         return "no stretch of u_c and i_c without gaps"
     # Each trace is compared with its own mean: differences between recordings must not count as explained.
     errors = np.concatenate([t.measured_a - t.simulated_a for t in traces])
-    spread = np.concatenate([t.measured_a - t.measured_a.mean() for t in traces])
-    power = float(np.linalg.norm(spread))
-    lsb = max(s.record.lsb[0] for s in judges)
+    centred = np.concatenate([t.measured_a - t.measured_a.mean() for t in traces])
+    noise_a = float(np.hypot(model.noise.sigma_i_c_a, max(s.record.lsb[0] for s in judges) / np.sqrt(12.0)))
     return Amplifier(
         traces=tuple(traces),
-        fit_percent=100.0 * (1.0 - float(np.linalg.norm(errors)) / power) if power > 0 else float("nan"),
+        fit_percent=fit_percent(errors, centred),
         rmse_a=float(np.sqrt(np.mean(errors**2))),
-        noise_a=float(np.hypot(model.noise.sigma_i_c_a, lsb / np.sqrt(12.0))),
+        noise_a=noise_a,
         from_steps=bool(stepped),
         fitted=fitted,
-        steps=_steps(traces, float(np.hypot(model.noise.sigma_i_c_a, lsb / np.sqrt(12.0)))),
+        steps=_steps(traces, noise_a),
     )
 
 

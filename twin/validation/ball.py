@@ -19,6 +19,7 @@ from twin.estimation.rollout import SETTLE_S, window
 from twin.identification.horizon import HORIZONS_S
 from twin.identification.horizon import errors as error_ahead
 from twin.inference.theta import FLOORS
+from twin.validation.amplifier import fit_percent
 from twin.validation.source import Filtered
 
 WINDOW_S = 0.04
@@ -149,8 +150,7 @@ def windows(runs_: Sequence[Filtered], *, window_s: float = 0.8) -> Windows | No
             centred.append(s.x[good] - s.x[good].mean())
     if best is None or not errors:
         return None
-    error, spread = np.concatenate(errors), np.concatenate(centred)
-    power = float(np.linalg.norm(spread))
+    error = np.concatenate(errors)
     _, run, part, simulated = best
     return Windows(
         name=run.source.record.name,
@@ -158,7 +158,7 @@ def windows(runs_: Sequence[Filtered], *, window_s: float = 0.8) -> Windows | No
         u_c_v=run.series.u[part],
         measured_m=run.source.record.x[part],
         simulated_m=simulated[part],
-        fit_percent=100.0 * (1.0 - float(np.linalg.norm(error)) / power) if power > 0.0 else float("nan"),
+        fit_percent=fit_percent(error, np.concatenate(centred)),
         rmse_m=float(np.sqrt(np.mean(error**2))),
         count=count,
     )

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import FIGURES, Compared, RigFigure, definition
@@ -86,7 +87,7 @@ def to_html(result: Validation, *, title: str, further: Section | None = None) -
         + f"; K_c and b {assumption(plant)}" * plant.assumed,
         result=result,
         failures=failures if len(failures) > 1 else [],
-        pictures=_pictures(result),
+        pictures={part: inline(figure, caption) for part, (figure, caption) in drawn(result).items()},
         loops=_loops(result),
         ahead=[_ahead_row(row) for row in result.ahead],
         residuals=[] if isinstance(result.channels, str) else [_residual_row(channel) for channel in result.channels],
@@ -99,22 +100,22 @@ def to_html(result: Validation, *, title: str, further: Section | None = None) -
     )
 
 
-def _pictures(result: Validation) -> dict[str, Picture]:
-    """Draw the figures of all testable parts, by the part of the page."""
-    drawn = {}
+def drawn(result: Validation) -> dict[str, tuple[Figure, str]]:
+    """Draw the figures of all testable parts but the closed loops: figure and caption by name."""
+    pictures = {}
     if not isinstance(result.amplifier, str):
         figure = figures.amplifier_figure(result.amplifier, result.model.T_A)
-        drawn["amplifier"] = figure, "measured current against equation (1)"
+        pictures["amplifier"] = figure, "measured current against equation (1)"
     if not isinstance(result.windows, str):
         figure = figures.ball_figure(result.windows, result.model.plant.travel_m)
-        drawn["ball"] = figure, "measured position and short predictions"
-    if len(result.ahead) > 1:  # of one horizon the table says all
-        drawn["ahead"] = figures.ahead_figure(result.ahead), "error over the horizon"
+        pictures["ball"] = figure, "measured position and short predictions"
+    if result.ahead:
+        pictures["prediction"] = figures.ahead_figure(result.ahead), "error over the horizon"
     if not isinstance(result.channels, str):
-        drawn["residuals"] = figures.residual_figure(result.channels), "residual correlations"
-    if not isinstance(result.loop, str) and result.loop.steps:
-        drawn["steps"] = figures.step_figure(result.loop.responses), "mean step response of rig and simulation"
-    return {part: inline(figure, caption) for part, (figure, caption) in drawn.items()}
+        pictures["residuals"] = figures.residual_figure(result.channels), "residual correlations"
+    if not isinstance(result.loop, str) and result.loop.responses:
+        pictures["steps"] = figures.step_figure(result.loop.responses), "mean step response of rig and simulation"
+    return pictures
 
 
 def _loops(result: Validation) -> list[Picture]:

@@ -58,10 +58,8 @@ def residuals(runs: Sequence[Filtered]) -> tuple[Channel, ...]:
 
 
 def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None:
-    lag_products, lag_pairs = np.zeros(LAGS), np.zeros(LAGS)
-    cross, cross_pairs = np.zeros(LAGS), np.zeros(LAGS)
-    u_products, u_pairs = np.zeros(LAGS), np.zeros(LAGS)
-    power, total, count, u_power, u_count = 0.0, 0.0, 0, 0.0, 0
+    pairs, lag_products, cross, u_products = np.zeros((4, LAGS))
+    power, total, count, u_power = 0.0, 0.0, 0, 0.0
     for run in runs:
         e, u, group = _aligned(run, column)
         good = np.isfinite(e)
@@ -73,28 +71,24 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
         total += float(e0.sum())
         count += int(good.sum())
         u_power += float(u0 @ u0)
-        u_count += int(good.sum())
         for lag in range(1, LAGS + 1):
             same = good[lag:] & good[:-lag] & (group[lag:] == group[:-lag])
-            pairs = float(same.sum())
+            pairs[lag - 1] += float(same.sum())
             lag_products[lag - 1] += float(np.sum(e0[lag:] * e0[:-lag] * same))
-            lag_pairs[lag - 1] += pairs
             cross[lag - 1] += float(np.sum(e0[lag:] * u0[:-lag] * same))
-            cross_pairs[lag - 1] += pairs
             u_products[lag - 1] += float(np.sum(u0[lag:] * u0[:-lag] * same))
-            u_pairs[lag - 1] += pairs
-    if count < 10 * LAGS or lag_pairs.min() < 50 or power == 0.0:
+    if count < 10 * LAGS or pairs.min() < 50 or power == 0.0:
         return None
-    rho = lag_products / lag_pairs / (power / count)
-    p_white = chi2_above(float(np.sum(lag_pairs * rho**2)), LAGS)
+    rho = lag_products / pairs / (power / count)
+    p_white = chi2_above(float(np.sum(pairs * rho**2)), LAGS)
     p_input, r = 1.0, np.zeros(LAGS)
     if u_power > 0.0:
-        r = cross / cross_pairs / np.sqrt(power / count * u_power / u_count)
+        r = cross / pairs / np.sqrt(power / count * u_power / count)
         # r of different lags is correlated: its covariance is the autocorrelation of u_c over n.
-        of_u = np.concatenate(([1.0], u_products[:-1] / u_pairs[:-1] / (u_power / u_count)))
+        of_u = np.concatenate(([1.0], u_products[:-1] / pairs[:-1] / (u_power / count)))
         values, vectors = np.linalg.eigh(toeplitz(of_u))
         retained = values > 1e-3 * values.max()
-        statistic = float(np.mean(cross_pairs)) * float(np.sum((vectors.T @ r)[retained] ** 2 / values[retained]))
+        statistic = float(np.mean(pairs)) * float(np.sum((vectors.T @ r)[retained] ** 2 / values[retained]))
         p_input = chi2_above(statistic, int(retained.sum()))
     size = power / count
     # The stated noise was estimated from a recording of similar length: both estimates have a scatter of sqrt(2 / n).
@@ -107,7 +101,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
         mean=total / count,
         autocorrelation=rho,
         cross_correlation=r,
-        bound=float(BOUND_99 / np.sqrt(np.mean(lag_pairs))),
+        bound=float(BOUND_99 / np.sqrt(np.mean(pairs))),
         p_white=p_white,
         p_input=p_input,
         white=p_white > LEVEL or float(np.max(np.abs(rho))) < SMALL,

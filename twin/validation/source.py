@@ -118,18 +118,7 @@ def source_at(
     data: Path | None = None,
     board: str | None = None,
 ) -> Source:
-    """Read a flight with its control law, by the path of its recording.
-
-    Args:
-        recording: path.
-        model: of the rig.
-        campaign: that lists it, with its columns, skip_s and [controller]; None: the default columns.
-        data: folder of the recordings, if it is not that of the campaign.
-        board: to read, in a log of several boards.
-
-    Raises:
-        DataError: the recording is unreadable, or is not one of the campaign.
-    """
+    """Read a flight with its control law, by the path of its recording; arguments and errors as `read_flight`."""
     entry, path = located(recording, campaign, data=data, board=board)
     controller = None if campaign is None else campaign.controller
     return source_of(read_recording(path, entry), model, controller=controller, announced=_announced(path, entry.board))

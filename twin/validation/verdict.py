@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from twin.validation.amplifier import Amplifier, amplifier, fit_percent
 from twin.validation.ball import Ahead, Windows, multi_step, windows
 from twin.validation.loop import closed_loops, measured_loops
 from twin.validation.residuals import Channel, residuals
-from twin.validation.source import FLYING, Filtered, Source, chosen, filtered, sources_of
+from twin.validation.source import FLYING, Filtered, Source, chosen, filtered
 
 RMSE_TOLERANCE = 1.5  # of a simulation's error over that of noise alone: a smaller one is not visible in the figure
 
@@ -190,33 +189,6 @@ def _difference(row: Compared) -> str:
     return f"{text} (difference {low:+.3g} to {high:+.3g} {unit})"
 
 
-def validate(
-    campaign: Campaign, model: Model, *, data: Path | None = None, progress: Callable[[str], None] = lambda _: None
-) -> Validation:
-    """Validate a model on the recordings of a campaign.
-
-    Args:
-        campaign: of `Campaign.load`.
-        model: to validate.
-        data: folder of the recordings, if it is not that of the campaign.
-        progress: is called with lines of progress.
-
-    Raises:
-        DataError: a recording is missing, unreadable or implausible, or the model is of another rig.
-    """
-    sources, messages = sources_of_rig(campaign, model, data=data, progress=progress)
-    return validate_sources(sources, model, messages=messages, progress=progress)
-
-
-def sources_of_rig(
-    campaign: Campaign, model: Model, *, data: Path | None = None, progress: Callable[[str], None] = lambda _: None
-) -> tuple[list[Source], list[str]]:
-    """Return `sources_of` a campaign of the model's rig; arguments and errors as `validate`."""
-    check_same_rig(campaign, model)
-    progress("reading the recordings")
-    return sources_of(campaign, model, data=data)
-
-
 def check_same_rig(campaign: Campaign, model: Model) -> None:
     """Raise DataError if the model is of another rig than the campaign."""
     for name in ("mass_kg", "travel_m", "x_max_m"):
@@ -235,7 +207,7 @@ def validate_sources(
     messages: Sequence[str] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> Validation:
-    """Run `validate` with recordings in memory; the notes begin with `messages`."""
+    """Validate a model on recordings; the notes begin with `messages`, and `progress` is called with lines."""
     notes = [assumption_warning(model.plant)] if model.plant.assumed else []
     notes += [*messages, *(note for source in sources for note in source.record.notes), *left_out(model)]
     notes += [
@@ -298,12 +270,13 @@ def _closed_loop(runs: list[Filtered], model: Model, unflown: str) -> ClosedLoop
         return "; ".join(dict.fromkeys(without))
     measured, quiet = (np.concatenate(parts) for parts in ([r.x_m for r in loops], [r.quiet_x_m for r in loops]))
     known = np.isfinite(measured)
+    error = (measured - quiet)[known]
     expected = [r.expected_std_m**2 * len(r.x_m) for r in loops]
     sigma = float(runs[0].system.noise.sigma_x_m)
     return ClosedLoop(
         runs=tuple(loops),
-        fit_percent=fit_percent(measured[known], quiet[known]),
-        rmse_m=float(np.sqrt(np.mean((measured - quiet)[known] ** 2))),
+        fit_percent=fit_percent(error, measured[known] - measured[known].mean()),
+        rmse_m=float(np.sqrt(np.mean(error**2))),
         expected_m=float(np.sqrt(sum(expected) / len(measured))),
         steps=compare_steps(loops, sigma),
         responses=tuple(responses(loops, sigma)),

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, grid, inline, legend_above, styled
-from twin.page.plain import plain
+from twin.page.plain import columns, plain
 from twin.page.render import Mark, render
 from twin.what_if.forecast import ALL_FIGURES, Expected, Forecast, first_change
 
@@ -32,13 +32,8 @@ def to_csv(result: Forecast) -> str:
 
 def to_text(result: Forecast) -> str:
     """The answer, then the figures as lines of text."""
-    rows = [_head(result)]
-    rows += [
-        [cell if isinstance(cell, str) else cell.text for cell in _row(figure, result)] for figure in result.figures
-    ]
-    widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join([result.answer(), "", *lines])
+    rows: list[list[str | Mark]] = [[*_head(result)], *(_row(figure, result) for figure in result.figures)]
+    return "\n".join([result.answer(), "", *columns(rows)])
 
 
 def to_html(result: Forecast) -> str:

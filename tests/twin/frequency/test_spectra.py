@@ -13,7 +13,8 @@ from scipy.stats import binom
 from scipy.stats import f as f_distribution
 
 from tests.harness.twin.linear_loops import LAW, TICK_S, Loop, chirp, multisine
-from twin.frequency.compare import Deviations, chances, deviations, holm
+from twin.estimation.family import holm
+from twin.frequency.compare import Deviations, chances, deviations
 from twin.frequency.excitation import Part
 from twin.frequency.responses import Name, pairs, position_law
 from twin.frequency.spectra import ComplexArray, Spectra, spectra
@@ -158,9 +159,9 @@ def test_what_is_hidden_shows_in_its_own_response(hidden: dict[str, float], seen
 
 
 def test_holm_rejects_one_by_one_from_the_smallest() -> None:
-    assert holm(np.array([0.012, 0.6, 0.02, 0.001]), 0.05).tolist() == [True, False, True, True]
-    assert holm(np.array([0.02, 0.03]), 0.05).tolist() == [True, True]
-    assert not holm(np.array([0.03, 0.03]), 0.05).any()
+    assert holm([0.012, 0.6, 0.02, 0.001], 0.05) == [True, False, True, True]
+    assert holm([0.02, 0.03], 0.05) == [True, True]
+    assert not any(holm([0.03, 0.03], 0.05))
 
 
 def test_too_short_a_part_has_no_spectra() -> None:

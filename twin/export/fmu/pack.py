@@ -48,18 +48,7 @@ class Fmu:
 
 
 def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None = None) -> Fmu:
-    """Export a model as a co-simulation FMU.
-
-    Args:
-        model: with or without causes.
-        law: the control law of the closed loop; its T_s is that of the FMU.
-        fmi: version of FMI, 2.0 or 3.0.
-        compiler: C compiler; None: the first of gcc, cc, clang; empty: none.
-
-    Raises:
-        NotTranslatableError: a kernel of the model has no form in C.
-        UsageError: the compiler refuses the sources.
-    """
+    """Export a model as a co-simulation FMU, whose T_s is that of the law; compiler and errors as in `export_model`."""
     T_s = law.sample_time_s
     program, listed = rig(model, T_s), variables(model, law)
     absent = tuple(left_out(model))
@@ -113,11 +102,11 @@ def compiled(sources: dict[str, str], units: list[str], compiler: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
-        done = subprocess.run(
+        compilation = subprocess.run(
             [compiler, *FLAGS, *units, "-o", "fmu.bin", "-lm"], cwd=folder, capture_output=True, text=True, check=False
         )
-        if done.returncode:
-            first = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[0]
+        if compilation.returncode:
+            first = (compilation.stderr.strip() or f"exit code {compilation.returncode}").splitlines()[0]
             raise UsageError(
                 f"{compiler} does not compile the FMU: {first}",
                 remedy="Give --compiler '' for an FMU with sources only",

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 
 from twin.export.script.content import Content
+from twin.export.variables import of_law
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
 
@@ -91,7 +92,7 @@ def _causes(parts: Content) -> str:
     texts = [r"\section*{Causes}", "What changes in (1) and (6), each with its own parameters."]
     for cause in parts.model.causes:
         known = BY_NAME[cause.name]
-        rows = [_row(one.symbol, cause.parameters[one.name]) for one in known.parameters]
+        rows = [_row(item.symbol, cause.parameters[item.name]) for item in known.parameters]
         texts += [
             rf"\subsection*{{{_escaped(cause.name)}: {_escaped(known.title)}}}",
             rf"\raggedright ${_math(known.equation)}$",
@@ -103,20 +104,11 @@ def _causes(parts: Content) -> str:
 
 
 def _law(parts: Content) -> str:
-    c = parts.controller.numbers
+    law = parts.controller.numbers
+    used = [(v.field, v.start, v.unit) for v in of_law(law) if v.field not in ("u_low", "u_high", "s_max")]
     values = ", ".join(
         f"${symbol} = {_number(value, wrap=False)}$~{_unit(unit)}"
-        for symbol, value, unit in (
-            ("u_0", c.u_0, "V"),
-            ("i_0", c.i_0, "A"),
-            ("x_0", c.x_0, "m"),
-            ("k_i", c.k_i, "V/A"),
-            ("k_x", c.k_x, "V/m"),
-            ("k_p", c.k_p, "V/m"),
-            ("k_v", c.k_v, "V s/m"),
-            ("k_s", c.k_s, "V/(m s)"),
-            ("T_s", c.sample_time_s, "s"),
-        )
+        for symbol, value, unit in (*used, ("T_s", law.sample_time_s, "s"))
     )
     return (
         "\\[u_c = u_0 - k_i (i_c - i_0) - k_x (x - x_0) + k_p (x_{\\mathrm{ref}} - x)\n"

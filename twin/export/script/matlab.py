@@ -92,16 +92,11 @@ _TICK = """\
 
 
 def _main(head: str, body: str, program: Program, called: Function) -> str:
-    return "\n".join([f"function {head}", body.replace("CALL", _call(called)) + "end\n", functions(program)])
-
-
-def _call(written: Function) -> str:
-    arguments = [*(["m"] if written.uses_model else []), *written.arrays, *(key for key, _ in written.parameters)]
-    return f"{written.name}({', '.join(arguments)})"
+    return "\n".join([f"function {head}", body.replace("CALL", called.call) + "end\n", functions(program)])
 
 
 def _parameters(parts: Content) -> str:
-    noise, T_s = parts.model.noise, parts.controller.sample_time_s
+    noise, T_s = parts.model.noise, parts.controller.numbers.sample_time_s
     lines = [
         "function m = rig_parameters()",
         f"% {parts.title}: all numbers, in SI units.  (N) is equation N of the paper.",
@@ -139,8 +134,8 @@ def _ode(parts: Content) -> str:
             "%   ode45(@(t, s) rig_ode(t, s, m.u_0, m), [0 0.05], [m.i_0; m.x_0; 0])",
             "    i = state(1); x = state(2); v = state(3);",
             "    dx = zeros(3, 1); y = zeros(2, 1);",
-            f"    [dx(1), dx(2), dx(3)] = {_call(right)};",
-            f"    [y(1), y(2)] = {_call(read)};",
+            f"    [dx(1), dx(2), dx(3)] = {right.call};",
+            f"    [y(1), y(2)] = {read.call};",
             "end",
             "",
             functions(program),
@@ -166,7 +161,7 @@ function s = rig_linear()
     % Without states that no channel measures: the plant of (18).
     s.Phi_prompt = {_matrix(linear.Phi_prompt)};
     s.Gamma_prompt = {_matrix(linear.Gamma_prompt)};
-    s.T_s = {number(parts.controller.sample_time_s)};
+    s.T_s = {number(parts.controller.numbers.sample_time_s)};
 end
 """
 

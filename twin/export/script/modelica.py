@@ -46,7 +46,7 @@ def _parameters(parts: Content) -> str:
     return "\n".join(
         [
             'record Parameters "Numbers of the rig, SI units"',
-            f'  Real T_s(unit="s") = {number(parts.controller.sample_time_s)} "sampling interval of the law";',
+            f'  Real T_s(unit="s") = {number(parts.controller.numbers.sample_time_s)} "sampling interval of the law";',
             *elements,
             f'  Real c[{PLACES}] = {{{", ".join(c)}}} "parameters of the causes";',
             "end Parameters;",
@@ -58,11 +58,6 @@ def _parameters(parts: Content) -> str:
 def _unit(unit: str) -> str:
     """A unit as Modelica writes it: N.m2/A2 and V/(m.s)."""
     return unit.replace("^", "").replace(" ", ".")
-
-
-def _call(written: Function) -> str:
-    arguments = [*(["m"] if written.uses_model else []), *(key for key, _ in written.parameters)]
-    return f"{written.name}({', '.join(arguments)})"
 
 
 def _rig(rates: Function, readings: Function) -> str:
@@ -80,8 +75,8 @@ protected
   Boolean bottom "the ball rests on the bottom stop";
   Boolean top "the ball is held against the top stop";
 equation
-  (di, dx, dv) = {_call(rates)};
-  (y_i, y_x) = {_call(readings)};
+  (di, dx, dv) = {rates.call};
+  (y_i, y_x) = {readings.call};
   bottom = x <= 0 and v <= 0 and dv <= 0;
   top = x >= m.travel_m and v >= 0 and dv >= 0;
   der(i) = di;

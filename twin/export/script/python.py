@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 from twin.export.script.content import STEP_SHARE, Content
 from twin.export.translate.specialise import Function, Program
-from twin.export.translate.values import MODEL
 from twin.model.causes.cause import PLACES
 from twin.model.extended import I_C, V, X
 from twin.model.simulate import I_READ, X_BEFORE, X_READ
@@ -122,19 +121,19 @@ def python(parts: Content) -> Mapping[str, str]:
     program, begin = parts.begin()
     ticks, tick = parts.tick()
     texts = _functions(program) | _functions(ticks)
-    bodies = [*texts.values(), TAIL.replace("BEGIN", _call(begin)).replace("TICK", _call(tick))]
+    bodies = [*texts.values(), TAIL.replace("BEGIN", begin.call).replace("TICK", tick.call)]
     if not parts.without_rates:
         rates_program, rates, _ = parts.rates()
         bodies[-1:-1] = [text for key, text in _functions(rates_program).items() if key not in texts]
         bodies.append(
             "def rates(i, x, v, u):\n"
             '    """Return the rates of i_c, x and x\', (11)-(12) with the causes, between the stops."""\n'
-            f"    return {_call(rates)}\n"
+            f"    return {rates.call}\n"
         )
     head = HEAD.format(
         title=parts.title,
         notes="".join(f"{note}.\n" for note in parts.notes),
-        T_s=parts.controller.sample_time_s,
+        T_s=parts.controller.numbers.sample_time_s,
         count=PLACES,
         numbers="\n".join(_numbers(parts)),
     )
@@ -167,12 +166,6 @@ def _functions(program: Program) -> dict[str, str]:
 
 
 def _text(written: Function) -> str:
-    arguments = [*([MODEL] if written.uses_model else []), *written.arrays, *(key for key, _ in written.parameters)]
     body = [ast.unparse(ast.fix_missing_locations(statement)) for statement in written.body]
     lines = [f"    {line}" for text in body for line in text.splitlines()]
-    return "\n".join([f"def {written.name}({', '.join(arguments)}):", f'    """{written.summary}"""', *lines, ""])
-
-
-def _call(written: Function) -> str:
-    arguments = [*([MODEL] if written.uses_model else []), *written.arrays, *(key for key, _ in written.parameters)]
-    return f"{written.name}({', '.join(arguments)})"
+    return "\n".join([f"def {written.call}:", f'    """{written.summary}"""', *lines, ""])

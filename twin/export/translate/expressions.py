@@ -14,22 +14,12 @@ from twin.export.translate.values import Cells, Code, Known, Record, Several, Va
 _OF_PYTHON = (min, max, abs, float, int)
 
 
-class Writes(Protocol):
-    """The body that a call stands in."""
-
-    def emit(self, statement: ast.stmt) -> None:
-        """Write a statement."""
-
-    def keep_results(self, call: ast.expr, called: str) -> str:
-        """Write a call with several results; returns the variable that holds them."""
-
-
 class Calls(Protocol):
     """The program that a body belongs to."""
 
     tables: dict[str, tuple[float, ...]]
 
-    def call(self, function: Callable[..., Any], arguments: Sequence[Value], caller: Writes) -> Value | None:
+    def call(self, function: Callable[..., Any], arguments: Sequence[Value], caller: Expressions) -> Value | None:
         """Return the value of a call."""
 
 

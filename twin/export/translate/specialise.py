@@ -9,6 +9,7 @@ Rule 2: a function whose result is one expression, in which each argument stands
 from __future__ import annotations
 
 import ast
+import copy
 import inspect
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from twin.export.translate.expressions import Writes
+from twin.export.translate.expressions import Expressions
 from twin.export.translate.statements import Body
 from twin.export.translate.values import (
     MODEL,
@@ -51,6 +52,16 @@ class Function:
     body: Sequence[ast.stmt]
     uses_model: bool
 
+    @property
+    def arguments(self) -> list[str]:
+        """The names of all that it takes, in their order."""
+        return [*([MODEL] if self.uses_model else []), *self.arrays, *(key for key, _ in self.parameters)]
+
+    @property
+    def call(self) -> str:
+        """The text of a call with variables of these names, which is the same in each language but C."""
+        return f"{self.name}({', '.join(self.arguments)})"
+
 
 @dataclass(slots=True)
 class Program:
@@ -72,7 +83,7 @@ class Program:
         """
         return self._specialised(function, arguments)[0]
 
-    def call(self, function: Callable[..., Any], arguments: Sequence[Value], caller: Writes) -> Value | None:
+    def call(self, function: Callable[..., Any], arguments: Sequence[Value], caller: Expressions) -> Value | None:
         """Return the value of a call; its function becomes part of the program unless it vanishes."""
         written, simple = self._specialised(function, arguments)
         parameters = [parameter for parameter, _ in _parameters(function)]
@@ -84,11 +95,9 @@ class Program:
         if simple is not None:
             del self.functions[written.name]
             return _put_in(simple, run_time)
-        names = [*written.arrays, *(key for key, _ in written.parameters)]
         passed = dict(zip(parameters, arguments, strict=True))
-        nodes = [_array_or_number(passed[key]) for key in names]
-        model = [name(MODEL)] if written.uses_model else []
-        node = ast.Call(name(written.name), [*model, *nodes], [])
+        nodes = [_array_or_number(passed[key]) if key in passed else name(MODEL) for key in written.arguments]
+        node = ast.Call(name(written.name), nodes, [])
         if not written.results:
             caller.emit(ast.Expr(node))
             return None
@@ -218,5 +227,5 @@ def _put_in(value: Value, nodes: Mapping[str, ast.expr]) -> Value:
         return Several(tuple(_put_in(item, nodes) for item in value.items))
     if isinstance(value, Known):
         return value
-    copied = ast.parse(ast.unparse(ast.fix_missing_locations(ast.Expression(node_of(value)))), mode="eval").body
+    copied = copy.deepcopy(node_of(value))
     return Code(_Exchange(nodes).visit(copied), kind_of(value))

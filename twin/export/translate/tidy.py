@@ -6,6 +6,7 @@ Rule: an expression with a call that gets an array is never left out or moved: t
 from __future__ import annotations
 
 import ast
+import copy
 from collections import Counter
 from collections.abc import Sequence
 
@@ -108,24 +109,13 @@ def _both(first: ast.stmt, second: ast.stmt, loads: Counter[str], arrays: set[st
             return None
     if loads[key] != 1 or key not in names(second) or _changes(second, arrays) or key in names_of_targets(second):
         return None
-    copied = (
-        ast.parse(ast.unparse(ast.fix_missing_locations(second))).body[0]
-        if not isinstance(second, ast.Return)
-        else _copied_return(second)
-    )
-    merged = _Substitution(key, value).visit(copied)
+    merged = _Substitution(key, value).visit(copy.deepcopy(second))
     return merged if len(ast.unparse(ast.fix_missing_locations(merged))) <= LONGEST else None
 
 
 def names_of_targets(statement: ast.stmt) -> set[str]:
     """The names in the places that a statement assigns to, their indices included."""
     return set().union(*map(names, statement.targets)) if isinstance(statement, ast.Assign) else set()
-
-
-def _copied_return(statement: ast.Return) -> ast.stmt:
-    assert statement.value is not None
-    text = ast.unparse(ast.fix_missing_locations(ast.Expression(statement.value)))
-    return ast.Return(ast.parse(text, mode="eval").body)
 
 
 class _Substitution(ast.NodeTransformer):

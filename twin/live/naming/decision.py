@@ -144,7 +144,8 @@ class Decision:
         since = slice(first, None)
         contradiction = size * slopes[since, probe] - 0.5 * size**2 * information[since, probe]
         if contradiction.min() < -GONE:
-            self._keep(len(self._windows) - first - int(np.argmin(contradiction)))
+            for _ in range(first + int(np.argmin(contradiction))):
+                self._windows.popleft()
             return None
         # Gains that are wrong by a share of the largest tell causes apart no better than that.
         scale = max(1.0, (1.0 - SAME_SHARE) * top / 3.0)
@@ -158,11 +159,6 @@ class Decision:
             since=self.proposal.since if self.proposal is not None and first == 0 else self._windows[first].window,
             until=self._windows[-1].window,
         )
-
-    def _keep(self, count: int) -> None:
-        """Forget all but the newest windows."""
-        while len(self._windows) > count:
-            self._windows.popleft()
 
 
 def _strength(signature: Signature, size: float) -> float:

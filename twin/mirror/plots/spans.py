@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from twin.mirror.plots.traces import Traces, shade
-from twin.page.figures import MEASURED, MODEL, REFERENCE, styled
+from twin.mirror.plots.traces import Traces, pair, shade
+from twin.page.figures import MODEL, REFERENCE, styled
 
 CUT_SHARE = 0.005  # of the samples at either end may lie outside the axes of the errors
 
@@ -71,9 +71,9 @@ def _column(
     end = float(np.nanmax(t))
     position, current, difference, surprise = axes
     position.set_title(column.label)
-    _measured(position, t, x * 1e3, twin_x * 1e3)
+    pair(position, t, x * 1e3, twin_x * 1e3)
     position.plot(t, x_ref * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference", zorder=1)
-    _measured(current, t, i, twin_i)
+    pair(current, t, i, twin_i)
     error = i - twin_i
     difference.axhline(0.0, color=REFERENCE, lw=0.8)
     difference.plot(t, error * 1e3, color=MODEL, lw=0.7)
@@ -92,11 +92,6 @@ def _column(
         difference.set_ylabel("i_c: measured - twin\n[mA]")
         surprise.set_ylabel("x: one-step\ninnovation [µm]")
     return error * 1e3, innovation * 1e6
-
-
-def _measured(axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64]) -> None:
-    axis.plot(t, measured, color=MEASURED, lw=2.4, label="measured")
-    axis.plot(t, twin, color=MODEL, lw=1.1, label="twin")
 
 
 def _write_rms(axis: Axes, values: NDArray[np.float64], unit: str) -> None:

@@ -34,10 +34,10 @@ class Traces:
     def add(self, state: pb.State, twin: pb.TwinState | None, divergence: pb.Divergence | None) -> None:
         """Add a sample."""
         nan = float("nan")
-        compared = twin is not None and twin.sync != OUT_OF_STEP
-        visible = twin if compared and twin is not None else None
+        visible = twin if twin is not None and twin.sync != OUT_OF_STEP else None
         comparison = divergence if divergence is not None and divergence.HasField("x_m") else None
-        in_step = comparison is not None and comparison.sync == IN_STEP
+        in_step = comparison if comparison is not None and comparison.sync == IN_STEP else None
+        judged = divergence if divergence is not None and divergence.innovation_valid else None
         std = nan
         if comparison is not None and comparison.x_m.normalised != 0.0:
             std = abs(comparison.x_m.error / comparison.x_m.normalised)
@@ -51,11 +51,11 @@ class Traces:
                 visible.x_m if visible else nan,
                 visible.i_c_a if visible else nan,
                 visible.u_c_v if visible else nan,
-                abs(comparison.x_m.error) if in_step and comparison else nan,
-                comparison.x_m.rolling_rmse if in_step and comparison else nan,
+                abs(in_step.x_m.error) if in_step else nan,
+                in_step.x_m.rolling_rmse if in_step else nan,
                 std,
-                divergence.nis_mean if divergence is not None and divergence.innovation_valid else nan,
-                divergence.innovation_x_m if divergence is not None and divergence.innovation_valid else nan,
+                judged.nis_mean if judged else nan,
+                judged.innovation_x_m if judged else nan,
             )
         )
 
@@ -111,10 +111,12 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     axes = figure.subplots(5, 1, sharex=True, height_ratios=[2.4, 1.3, 1.3, 1.5, 1.2])
     figure.suptitle(title, fontsize=13)
 
-    _pair(axes[0], t, x * 1e3, twin_x * 1e3, "position x [mm]")
+    for axis, name in zip(axes, ("position x [mm]", "current i_c [A]", "input u_c [V]"), strict=False):
+        axis.set_ylabel(name)
+    pair(axes[0], t, x * 1e3, twin_x * 1e3)
     axes[0].plot(t, x_ref * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference", zorder=1)
-    _pair(axes[1], t, i, twin_i, "current i_c [A]")
-    _pair(axes[2], t, u, twin_u, "input u_c [V]")
+    pair(axes[1], t, i, twin_i)
+    pair(axes[2], t, u, twin_u)
 
     axes[3].semilogy(t, np.maximum(error * 1e6, FLOOR_UM), color="#bbbbbb", lw=0.6, label="|error|")
     axes[3].semilogy(t, rmse * 1e6, color=MODEL, lw=1.6, label="rolling RMSE")
@@ -140,12 +142,10 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     figure.savefig(out)
 
 
-def _pair(
-    axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64], label: str
-) -> None:
+def pair(axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64]) -> None:
+    """Draw a signal of rig and twin over one another."""
     axis.plot(t, measured, color=MEASURED, lw=2.4, label="measured")
     axis.plot(t, twin, color=MODEL, lw=1.1, label="twin" if np.isfinite(twin).any() else None)
-    axis.set_ylabel(label)
 
 
 def _continuous(t: NDArray[np.float64]) -> NDArray[np.float64]:
