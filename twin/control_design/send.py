@@ -84,7 +84,7 @@ def check_board(design: Design, parameters: pb.Parameters) -> None:
 
 
 def _parameters(session: zenoh.Session, site: str, board: str) -> pb.Parameters:
-    messages: queue.SimpleQueue[pb.Parameters] = queue.SimpleQueue()
+    messages: queue.Queue[pb.Parameters] = queue.Queue()
 
     def take(sample: zenoh.Sample) -> None:
         message = parse(pb.Parameters, sample.payload.to_bytes())

@@ -198,7 +198,7 @@ def _play(
 
 def _orders() -> Callable[[float], str | None]:
     """Return a function of seconds to wait, which returns the next line of standard input, or None."""
-    orders: queue.SimpleQueue[str] = queue.SimpleQueue()
+    orders: queue.Queue[str] = queue.Queue()  # a signal may prolong the time limit of a SimpleQueue for ever
 
     def listen() -> None:
         for line in sys.stdin:
