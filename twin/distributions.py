@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import betaincc, chdtrc, chdtri, fdtrc, fdtri, gammainc, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 FloatArray = NDArray[np.float64]
+Z_95 = 1.96  # standard errors on either side of an estimate that make a 95 % interval
 
 
 def normal_above(z: float) -> float:
@@ -21,6 +22,11 @@ def normal_above(z: float) -> float:
 def normal_exceeded(probability: float) -> float:
     """Return the number that a standard normal one exceeds with this probability."""
     return float(-ndtri(probability))
+
+
+def robust_spread(deviations: FloatArray) -> float:
+    """Return the standard deviation of normal deviations from 0, by their median size: outliers do not widen it."""
+    return 1.4826 * float(np.median(np.abs(deviations)))
 
 
 def chi2_above(value: float, freedom: float) -> float:

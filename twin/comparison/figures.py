@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from twin.comparison.errors import Change
 from twin.comparison.parameters import Course
+from twin.distributions import Z_95
 from twin.page.figures import EXTENDED, MODEL, REFERENCE, grid, legend_above, styled
 
 COLUMNS = 2
@@ -45,7 +46,7 @@ def course_figure(courses: Sequence[Course], days: Sequence[str], names: Sequenc
     at = np.array(days, dtype="datetime64[D]") if dated else np.arange(1, len(names) + 1)
     for n, course in enumerate(courses):
         ax = axes[n // COLUMNS][n % COLUMNS]
-        half = 1.96 * np.array(course.stds)
+        half = Z_95 * np.array(course.stds)
         ax.errorbar(at, course.values, yerr=half, color=MODEL if course.significant else "black", marker="o", capsize=4)
         ax.set_title(course.name + (": changed" if course.significant else ""))
         ax.set_ylabel(f"{course.name.split(': ')[-1]} [{course.unit or '-'}]")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.distributions import chi2_above
+from twin.distributions import Z_95, chi2_above
 from twin.estimation.family import holm
 from twin.model.parameters import Model, Parameter
 
@@ -56,7 +56,7 @@ def _std(parameter: Parameter | None) -> float:
         return math.nan
     if parameter.std is not None:
         return parameter.std
-    return (parameter.ci95[1] - parameter.ci95[0]) / (2.0 * 1.96) if parameter.ci95 is not None else math.nan
+    return (parameter.ci95[1] - parameter.ci95[0]) / (2.0 * Z_95) if parameter.ci95 is not None else math.nan
 
 
 def _course(name: str, estimates: Sequence[Parameter | None]) -> Course:
@@ -71,7 +71,7 @@ def _course(name: str, estimates: Sequence[Parameter | None]) -> Course:
         first, last = known[0], known[-1]
         if values[first]:
             change = float(values[last] / values[first] - 1.0)
-            half = 1.96 * math.hypot(stds[last], stds[first]) / abs(float(values[first]))
+            half = Z_95 * math.hypot(stds[last], stds[first]) / abs(float(values[first]))
     return Course(
         name=name,
         unit=next(parameter.unit for parameter in estimates if parameter is not None),

@@ -10,6 +10,7 @@ from twin.comparison import figures
 from twin.comparison.comparison import Comparison, micrometres
 from twin.comparison.errors import WHOLE, Change
 from twin.comparison.parameters import Course
+from twin.distributions import Z_95
 from twin.page.figures import Picture, inline
 from twin.page.plain import columns, plain
 from twin.page.render import Mark, render
@@ -101,7 +102,7 @@ def _parameter_head(result: Comparison) -> list[str]:
 def _parameter_row(course: Course, kind: str) -> list[str | Mark]:
     cells: list[str | Mark] = [f"{course.name} [{course.unit or '-'}]"]
     for value, std in zip(course.values, course.stds, strict=True):
-        spread = f" ± {1.96 * std:.2g}" if math.isfinite(std) else ""
+        spread = f" ± {Z_95 * std:.2g}" if math.isfinite(std) else ""
         cells.append(f"{value:.5g}{spread}" if math.isfinite(value) else "-")
     if not math.isfinite(course.chance):
         return [*cells, "-", "-", "not testable"]

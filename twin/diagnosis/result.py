@@ -13,6 +13,7 @@ from twin.diagnosis.judge.prediction_gain import Gain
 from twin.diagnosis.remainder.remainder import Remainder
 from twin.diagnosis.remainder.rivals import Rival
 from twin.diagnosis.search.state import Selection
+from twin.distributions import Z_95
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import colours_json
 from twin.evidence.noise_levels import to_json as noise_json
@@ -274,12 +275,12 @@ def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, 
             unit=parameter.unit,
             std=float(spread) if known else None,
             ci95=(
-                max(float(value - 1.96 * spread), parameter.low),
-                min(float(value + 1.96 * spread), parameter.high),
+                max(float(value - Z_95 * spread), parameter.low),
+                min(float(value + Z_95 * spread), parameter.high),
             )
             if known
             else None,
-            verdict="identified" if known and 1.96 * spread < 0.25 * max(abs(value), 1e-300) else "weak",
+            verdict="identified" if known and Z_95 * spread < 0.25 * max(abs(value), 1e-300) else "weak",
             method="maximum likelihood of the innovations, all recordings together",
             equation=BY_NAME[cause].equation,
         )

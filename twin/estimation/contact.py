@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from protocol.campaign import Plant
+from twin.distributions import robust_spread
 from twin.estimation.periodogram import highest_hz, periodogram
 from twin.estimation.prepare import scatter
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
@@ -71,7 +72,7 @@ def _swing(x: FloatArray, step_s: float) -> float:
         return 0.0
     # Differences, and none of a ball that moves: they would hide the line of one at rest, or be one.
     steps = np.diff(x)
-    moves = np.abs(steps) > CLEAR_STEP * 1.4826 * float(np.median(np.abs(steps)))
+    moves = np.abs(steps) > CLEAR_STEP * robust_spread(steps)
     spectrum = periodogram([np.where(maximum_filter1d(moves, HELD_SAMPLES), np.nan, steps)], step_s)
     if spectrum is None:
         return 0.0
@@ -102,7 +103,7 @@ def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> B
     # The line over the current takes out crosstalk: else a changing current would look like a ball that moves.
     rest_m = line_over(i_c[held], x[held])(i_c) if np.isfinite(i_c).all() else np.median(x[held])
     off = uniform_filter1d(x - rest_m, BOUNCE_SAMPLES)
-    spread = max(1.4826 * float(np.median(np.abs(off[held]))), sigma / np.sqrt(BOUNCE_SAMPLES))
+    spread = max(robust_spread(off[held]), sigma / np.sqrt(BOUNCE_SAMPLES))
     away = np.abs(off) > BOUNCE_SCALES * spread
     for piece in runs(away, 1):
         # Without rest on both sides it is a lift-off or a landing.

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from protocol.campaign import Plant
+from twin.distributions import robust_spread
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, Record, intervals, runs
 
@@ -123,7 +124,7 @@ def scatter(values: FloatArray) -> float:
         return 0.0
     # The median, not the mean square: an impact makes a few large differences, which would dominate a mean.
     third = np.diff(values, 3)
-    return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
+    return robust_spread(third - np.median(third)) / float(np.sqrt(20.0))
 
 
 def _series(record: Record, plant: Plant, usage: Usage, number: int, min_gap_m: float) -> Series:
@@ -220,7 +221,7 @@ def spikes(x: FloatArray, plant: Plant) -> BoolArray:
     steps = steps[np.isfinite(steps) & (steps > 0)]
     count = float(np.min(steps)) if steps.size else 0.0
     # At least one count of the converter: a smaller scale would take its rounding for outliers.
-    scale = max(1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 0.0, count)
+    scale = max(robust_spread(off[off > 0]) if (off > 0).any() else 0.0, count)
     # Only the largest of neighbours: a wrong reading puts those beside it off their own cubic, too.
     wild[1:-1] = (off[1:-1] > SPIKE_SCALES * scale) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
     middle, difference = 0.5 * (x[:-2] + x[2:]), np.abs(x[2:] - x[:-2])

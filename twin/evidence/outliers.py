@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.distributions import robust_spread
 from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray
 from twin.evidence.gather import Evidence
@@ -63,7 +64,7 @@ def _wild(series: Series, column: int) -> BoolArray:
         # The median, not the standard deviation: outliers must not hide themselves by widening the scale.
         usual = off[kind & whole]
         if len(usual) >= settings.OUTLIER_READINGS:
-            spread = max(1.4826 * float(np.median(np.abs(usual))), min_spread)
+            spread = max(robust_spread(usual), min_spread)
             scaled[kind] = off[kind] / spread if spread > 0.0 else np.nan
     wild = np.abs(np.nan_to_num(scaled)) > settings.OUTLIER_ERRORS
     if column == 0:
@@ -81,7 +82,7 @@ def _wild(series: Series, column: int) -> BoolArray:
 def _steps(u: FloatArray) -> BoolArray:
     """Mark samples after an unusually large step of u_c, shape (n,): the response of i_c can have any shape."""
     change = np.abs(np.diff(u, prepend=u[:1]))
-    far = change > settings.OUTLIER_ERRORS * 1.4826 * float(np.median(change))
+    far = change > settings.OUTLIER_ERRORS * robust_spread(change)
     return np.asarray(np.convolve(far, np.ones(settings.INPUT_SHOWS))[: len(u)] > 0.0)
 
 

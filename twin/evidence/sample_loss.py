@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.distributions import Z_95
 from twin.estimation.record import Record
 from twin.model.causes.catalogue import cause_of_detector
 from twin.settings import diagnosis as settings
@@ -42,7 +43,7 @@ def lost_samples(records: Sequence[Record]) -> Lost | None:
     if gaps < settings.MIN_GAPS or missing < settings.MIN_MISSING * total:
         return None
     n = missing + total
-    p, z = missing / n, 1.96
+    p, z = missing / n, Z_95
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
     return Lost(probability=p, ci95=(middle - half, middle + half), worst=worst[0])

@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from twin.distributions import fisher_quantile
+from twin.distributions import Z_95, fisher_quantile
 from twin.estimation.record import FloatArray
 from twin.frequency.bode import Height, Measured
 from twin.frequency.residual_psd import ResidualSpectrum
@@ -86,7 +86,7 @@ def _gain(ax: Axes, measured: Measured, curve: Curve | None, unit: str) -> None:
     drawn = measured.std < np.abs(measured.value)
     size, bar = np.abs(measured.value)[drawn], radius(measured)[drawn]
     if curve is not None:
-        gain, spread = np.abs(curve.value), np.exp(1.96 * curve.log_gain_std)
+        gain, spread = np.abs(curve.value), np.exp(Z_95 * curve.log_gain_std)
         ax.fill_between(curve.f_hz, gain / spread, gain * spread, color=MODEL, alpha=0.25, lw=0, label="model, 95 %")
         ax.loglog(curve.f_hz, gain, color=MODEL, lw=1.4, label="model")
     ax.errorbar(
@@ -118,7 +118,7 @@ def _phase(ax: Axes, measured: Measured, curve: Curve | None) -> None:
     if curve is not None:
         line = np.degrees(np.unwrap(np.angle(curve.value)))
         line = line - 360.0 * np.ceil((np.median(line) - 90.0) / 360.0)  # an unstable plant begins at -180, not at 180
-        spread = 1.96 * np.degrees(curve.phase_std)
+        spread = Z_95 * np.degrees(curve.phase_std)
         ax.fill_between(curve.f_hz, line - spread, line + spread, color=MODEL, alpha=0.25, lw=0)
         ax.semilogx(curve.f_hz, line, color=MODEL, lw=1.4)
         expected = np.interp(f_hz, curve.f_hz, line)  # the turn nearest to the model's

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from twin.control import LawNumbers, discrete
+from twin.distributions import Z_95
 from twin.estimation.record import FloatArray
 from twin.frequency.spectra import ComplexArray, Spectra
 from twin.model.parameters import PARAMETERS, Model, Parameter
@@ -34,7 +35,6 @@ TITLES: Mapping[Name, str] = {
     "T": "complementary sensitivity T",
 }
 UNITS: Mapping[Name, str] = {"amplifier": "A/V", "ball": "m/A", "plant": "m/V", "loop": "-", "S": "-", "T": "-"}
-Z_95 = 1.96
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from twin.distributions import Z_95
 from twin.estimation.family import holm
 from twin.estimation.record import BoolArray, FloatArray
 from twin.frequency.compare import Deviations, chances
@@ -155,7 +156,7 @@ def forms(d: Deviations) -> list[Form]:
         slope = (left(kind, value - step) - left(kind, value + step)) / (2.0 * step)
         std = float((2.0 * weight @ np.abs(slope) ** 2) ** -0.5)
         p_left = chances(replace(d, z=left(kind, value)))[1]
-        result.append(Form(kind=kind, value=value, low=value - 1.96 * std, high=value + 1.96 * std, p_left=p_left))
+        result.append(Form(kind=kind, value=value, low=value - Z_95 * std, high=value + Z_95 * std, p_left=p_left))
     return sorted(result, key=lambda form: -form.p_left)
 
 

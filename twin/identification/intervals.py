@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.distributions import Z_95
 from twin.identification.fit import Blocks, fit
 from twin.inference.optimiser import Fit
 from twin.inference.theta import FLOORS, PARAMETERS, moved
 from twin.settings import identification as settings
 
-Z = 1.96
 _ROUNDS = 6
 _PASSES = 6
 
@@ -50,16 +50,16 @@ def quadratic_or_profile(likelihood: Blocks, fitted: Fit, robust: Fit | None) ->
         )
         if not crooked:
             low, high = (
-                (value - Z * std, value + Z * std)
+                (value - Z_95 * std, value + Z_95 * std)
                 if name == "b"
-                else (value * float(np.exp(-Z * relative)), value * float(np.exp(Z * relative)))
+                else (value * float(np.exp(-Z_95 * relative)), value * float(np.exp(Z_95 * relative)))
             )
             method = "sandwich covariance (residuals are coloured)" if robust else "Fisher information"
         else:
             # With coloured residuals the profile is too narrow by the ratio of the two standard errors.
             inflate = max(std / max(fitted.std(name, plant), 1e-300), 1.0) if robust and np.isfinite(std) else 1.0
-            high = _profile(likelihood, fitted, name, 1, Z * inflate)
-            low = 0.0 if floored else _profile(likelihood, fitted, name, -1, Z * inflate)
+            high = _profile(likelihood, fitted, name, 1, Z_95 * inflate)
+            low = 0.0 if floored else _profile(likelihood, fitted, name, -1, Z_95 * inflate)
             std = float("inf") if floored else std
             method = "profile likelihood"
         result[name] = Interval(value=value, std=std, low=low, high=high, method=method)

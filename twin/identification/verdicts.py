@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from protocol.campaign import Plant
+from twin.distributions import Z_95
 from twin.evidence.starting.levels import Levels, Shape
 from twin.evidence.starting.liftoff import ForceConstant
 from twin.evidence.starting.regression import BallStart
@@ -219,7 +220,7 @@ def _impossible_drag(b: float, std: float) -> Parameter:
         value=b,
         unit=PARAMETERS["b"][0],
         std=std,
-        ci95=(max(b - 1.96 * std, 0.0), b + 1.96 * std),
+        ci95=(max(b - Z_95 * std, 0.0), b + Z_95 * std),
         verdict="not-identifiable",
         method=f"regression over 60 ms windows, {why}; board51 diagnose looks for it",
         equation="(5), (6)",
@@ -237,9 +238,9 @@ def _parameter(name: str, value: float, spread: Interval | float, method: str, e
     if isinstance(spread, Interval):
         std, low, high, method = spread.std, spread.low, spread.high, f"{method}; {spread.method}"
     else:
-        std, low, high = spread, value - 1.96 * spread, value + 1.96 * spread
+        std, low, high = spread, value - Z_95 * spread, value + Z_95 * spread
     min_std = settings.MIN_RELATIVE_ERROR * abs(value)  # without noise the standard error would be 0
-    std, low, high = max(std, min_std), min(low, value - 1.96 * min_std), max(high, value + 1.96 * min_std)
+    std, low, high = max(std, min_std), min(low, value - Z_95 * min_std), max(high, value + Z_95 * min_std)
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)
     high = high if math.isfinite(high) else highest

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.distributions import Z_95
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.prediction_floor import TOLERANCE, floor_rmse
 from twin.estimation.record import BoolArray, FloatArray, runs
@@ -84,8 +85,8 @@ def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
             continue
         spread = np.sqrt(2.0 / effective)
         ratio = float(np.sqrt(mean2 / floor2))
-        low = ratio / np.sqrt(1.0 + 1.96 * spread)
-        high = ratio / np.sqrt(max(1.0 - 1.96 * spread, 0.05))
+        low = ratio / np.sqrt(1.0 + Z_95 * spread)
+        high = ratio / np.sqrt(max(1.0 - Z_95 * spread, 0.05))
         unmoved = float(np.sqrt(np.mean(np.concatenate(constants) ** 2)))
         rows.append(
             Ahead(
@@ -97,7 +98,7 @@ def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
                 still_m=unmoved,
                 count=count,
                 at_floor=bool(low <= TOLERANCE),
-                beats_still=bool(np.sqrt(mean2 / (1.0 + 1.96 * spread)) <= unmoved),
+                beats_still=bool(np.sqrt(mean2 / (1.0 + Z_95 * spread)) <= unmoved),
             )
         )
     return tuple(rows)

@@ -38,6 +38,7 @@ from twin.diagnosis.remainder.curve_fits import (
 from twin.diagnosis.remainder.rivals import Rival
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, refine, within_range
 from twin.diagnosis.search.score_test import screen
+from twin.distributions import Z_95
 from twin.estimation.pace import pace_of
 from twin.estimation.prediction_floor import floor_rmse
 from twin.estimation.record import BoolArray, FloatArray
@@ -384,4 +385,4 @@ def _shape(fit: Fit, curve: Cause, values: dict[str, FloatArray]) -> Shape:
     at = np.linspace(low, high, POINTS)
     over = values[curve.parameters[0].name.removeprefix("from_")]
     share, error = band(fit, curve, at, over[np.isfinite(over)])
-    return Shape(curve=curve, at=at, share=share, low=share - 1.96 * error, high=share + 1.96 * error)
+    return Shape(curve=curve, at=at, share=share, low=share - Z_95 * error, high=share + Z_95 * error)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from protocol.campaign import Campaign, Plant
 from twin.diagnosis.result import fit_parameters
+from twin.distributions import Z_95
 from twin.estimation.record import Record, day_of
 from twin.inference.fisher_scoring import Fit
 from twin.inference.theta import PARAMETERS
@@ -32,8 +33,8 @@ def model_of(
             value=value,
             unit=unit,
             std=float(std) if known else None,
-            ci95=(max(value - 1.96 * std, low), value + 1.96 * std) if known else None,
-            verdict=file.verdict_by(1.96 * std, value) if known else "assumed",
+            ci95=(max(value - Z_95 * std, low), value + Z_95 * std) if known else None,
+            verdict=file.verdict_by(Z_95 * std, value) if known else "assumed",
             method=_METHOD,
             equation=_EQUATIONS[name],
         )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import Score
+from twin.distributions import Z_95
 from twin.inference.budget import millions
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause, CauseParameter
@@ -158,7 +159,7 @@ def bound_sentence(cause: Cause, score: Score) -> str:
     strength = cause.strength
     if score.detectable <= 0.0:
         return "no effect on these recordings"
-    reach = abs(score.step) + 1.96 / score.detectable
+    reach = abs(score.step) + Z_95 / score.detectable
     if math.isinf(strength.neutral):
         if score.step <= 0.0:
             return f"not reached: {quantity(score.probe, strength.unit)} would already show"

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from twin.diagnosis.report.figures import panel
 from twin.diagnosis.report.sentences import quantity, scale_of
+from twin.distributions import Z_95
 from twin.inference.theta import parameter_of
 from twin.inference.trade_offs import END_DROP, TradeOff
 from twin.model.parameters import PARAMETERS
@@ -81,7 +82,7 @@ def _axis_scale(largest: float, unit: str) -> tuple[float, str]:
 
 def _change(pair: TradeOff, k: int) -> str:
     """Return the half width of the 95 % interval of one of them, in percent where it is one of the paper's."""
-    half, name = 1.96 * pair.stds[k], pair.names[k]
+    half, name = Z_95 * pair.stds[k], pair.names[k]
     return quantity(half, _unit(name)) if "." in name else f"{100.0 * half / pair.values[k]:.2g} %"
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.distributions import student_quantile
+from twin.distributions import Z_95, robust_spread, student_quantile
 from twin.estimation.record import FloatArray, Record, intervals, runs
 from twin.settings import identification as settings
 
@@ -95,7 +95,7 @@ def find_levels(records: list[Record]) -> Levels | None:
         scaled = weight * error
         solution = np.linalg.lstsq(row * scaled[:, None], i / total * scaled, rcond=None)[0]
         residual = i - columns @ solution
-        extra = 1.4826 * float(np.median(np.abs(residual))) if distinct > 2 else 0.0
+        extra = robust_spread(residual) if distinct > 2 else 0.0
         ratio = np.abs(residual) / np.maximum(np.sqrt(error**2 + extra**2), 1e-12)
         weight = (
             np.where(ratio > settings.HUBER_ERRORS, np.sqrt(settings.HUBER_ERRORS / np.maximum(ratio, 1e-12)), 1.0)
@@ -104,7 +104,7 @@ def find_levels(records: list[Record]) -> Levels | None:
     total = np.sqrt(error**2 + extra**2) / np.maximum(weight * error, 1e-6)
     covariance = np.linalg.inv((columns / total[:, None] ** 2).T @ columns)
     # With few levels their scatter is uncertain: Student's factor.
-    widen = student_quantile(0.975, max(len(u) - 2, 1)) / 1.96 if distinct > 2 else 1.0
+    widen = student_quantile(0.975, max(len(u) - 2, 1)) / Z_95 if distinct > 2 else 1.0
     bend, at, systematic = _bend(u, i - columns @ solution, error)
     return Levels(
         K_A=float(solution[0]),
@@ -140,7 +140,7 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
     k = int(np.argmax(np.abs(mean)))
     at = np.array([float(u[g].mean()) for g in groups])
     slope_error = float(np.sqrt(np.sum(mean**2) / (len(mean) - 2) / np.sum((at - at.mean()) ** 2)))
-    return float(mean[k]), float(at[k]), slope_error * (student_quantile(0.975, len(mean) - 2) / 1.96)
+    return float(mean[k]), float(at[k]), slope_error * (student_quantile(0.975, len(mean) - 2) / Z_95)
 
 
 def _plateaus(record: Record) -> list[Level]:
@@ -175,7 +175,7 @@ def _level(u: float, i: FloatArray) -> Level | None:
     if n < settings.LEVEL_SAMPLES // 2:
         return None
     first, last = i[: n // 2], i[n // 2 :]
-    noise = max(1.4826 * float(np.median(np.abs(i - np.median(i)))), float(np.std(np.diff(i))) / np.sqrt(2.0))
+    noise = max(robust_spread(i - np.median(i)), float(np.std(np.diff(i))) / np.sqrt(2.0))
     error = 1.2533 * noise / np.sqrt(n)
     drift = abs(float(np.mean(last) - np.mean(first)))
     if drift > 4.0 * 2.0 * noise / np.sqrt(n) and drift > 0.01 * max(abs(float(np.median(i))), 1e-12):

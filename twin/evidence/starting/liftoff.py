@@ -19,6 +19,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from protocol.campaign import Plant
+from twin.distributions import robust_spread
 from twin.estimation.record import FloatArray, Record, runs
 from twin.settings import identification as settings
 
@@ -81,7 +82,7 @@ def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
     values = np.array([point.K_c for point in points])
     K_c = float(np.median(values))
     error = float(np.sqrt(np.mean([point.relative_error**2 for point in points])))
-    scatter = 1.4826 * float(np.median(np.abs(values / K_c - 1.0))) if len(values) > 2 else 0.0
+    scatter = robust_spread(values / K_c - 1.0) if len(values) > 2 else 0.0
     if len(values) > 2:
         scatter = max(scatter, float(np.std(values / K_c, ddof=1)) / 2.0)
     gaps = np.array([point.gap_m for point in points])
@@ -119,7 +120,7 @@ def _departures(record: Record, plant: Plant) -> list[LiftOff]:
         return []
     step = float(np.median(np.diff(t)))
     width = max(round(0.1 / step), 8)
-    noise = max(1.4826 * float(np.median(np.abs(np.diff(x)))) / np.sqrt(2.0), 1e-7)
+    noise = max(robust_spread(np.diff(x)) / np.sqrt(2.0), 1e-7)
     jump = np.zeros(len(x))
     jump[width:] = x[width:] - x[:-width]
     moved = jump > max(0.1 * plant.travel_m, 20.0 * noise)  # a tenth of a second later the ball is far away
@@ -149,7 +150,7 @@ def _departure(track: _Track, first: int, last: int, plant: Plant) -> LiftOff | 
     if last - first < 12:
         return None
     rest = float(np.median(x[first : first + (last - first) // 2]))
-    rest_scatter = 1.4826 * float(np.median(np.abs(x[first : first + (last - first) // 2] - rest)))
+    rest_scatter = robust_spread(x[first : first + (last - first) // 2] - rest)
     if rest_scatter > 5.0 * noise + 1e-3 * plant.travel_m:
         return None  # it was not at rest
     above = np.flatnonzero(x[first:] > rest + settings.DEPARTURE_ERRORS * max(noise, rest_scatter))
