@@ -242,7 +242,7 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
         criterion=criterion,
         floor=floor,
         candidates=testable_causes(records, options.without),
-        max_candidates=3 if options.quick else 6,
+        max_candidates=settings.CANDIDATES_QUICK if options.quick else settings.CANDIDATES,
         min_share=options.share,
         quick=options.quick,
         report=say,

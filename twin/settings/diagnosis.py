@@ -126,6 +126,7 @@ PAIR_PROMISE = 0.2
 MIN_BENEFIT = 0.5
 BENEFIT_HORIZON_S = 0.02
 BENEFIT_PREDICTIONS = 200
+BENEFIT_QUANTILE = 0.99  # of the errors before; those above are due to single events
 # Tuned.  Share of what the causes gain together, below which a gain corrects their form and is not a further cause.
 MINOR_SHARE = 0.005
 # Tuned.  The same once hardly more than noise is left.
@@ -189,8 +190,11 @@ BUDGET_RESERVED = 0.2
 # With --quick, samples of a closed-loop or open-loop recording (four seconds at 500 Hz), and of all flights together.
 QUICK_FLIGHT_SAMPLES = 2000
 QUICK_SAMPLES = 40_000
-CANDIDATES = 5  # fitted in a round
+CANDIDATES = 6  # fitted in a round
+CANDIDATES_QUICK = 3  # the same with --quick
 MIN_SCORE_SHARE = 0.02  # of the best score: candidates below are not fitted
+MIN_SCORE = 0.5  # of MIN_GAIN: candidates below are not fitted, as a score is a parabola's gain
+MIN_CLASS_SCORE = 0.3  # the same of candidates for a class, which they may join with a lower gain
 PASSES = 30  # of a fit, at most
 PASSES_FIRST = 2  # of a candidate's first fit
 # Measured.  A climb towards a goal is given up where this many times what its slope promised, or its last step gained,
@@ -214,9 +218,16 @@ ROUND_TRIPS = 3  # forward and backward, while causes replace each other
 # one overshoots where the likelihood is far from a parabola; sizes of a cause in the place of another, in probes.
 START_MAX_REACH = 20.0
 START_MIN_REACH = 0.05
+START_USUAL_REACH = 0.3  # where the step is shorter than that
 START_PARTS = (1.0, 0.3, 0.1)
 START_SIZES = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)
-STEADY_SAMPLES = 5  # of the same u_c, before i_c / u_c is K_A
+# Samples of the same u_c before i_c / u_c is K_A, change of u_c that counts as the same, share of the largest u_c from
+# which the ratio counts, and readings without which it is not computed.
+STEADY_SAMPLES = 5
+STEADY_CHANGE = 0.02
+STEADY_INPUT = 0.2
+STEADY_READINGS = 20
+STEP_EXPLAINED = 0.9  # share of the variance of a step response from which its T_A counts
 EXACT_SLOPES_SQUARE = 1.5  # mean square of the innovations above which rough slopes may point the wrong way
 
 # --- Checks: is it the same effect in all recordings? ---

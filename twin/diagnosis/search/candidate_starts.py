@@ -101,10 +101,10 @@ def robust_gain(records: Sequence[Record]) -> float | None:
         u, i = record.u_c, record.i_c
         steady = np.ones(len(u), np.bool_)
         for lag in range(1, settings.STEADY_SAMPLES):
-            steady[lag:] &= np.abs(u[lag:] - u[:-lag]) <= 0.02 * np.abs(u[lag:])
+            steady[lag:] &= np.abs(u[lag:] - u[:-lag]) <= settings.STEADY_CHANGE * np.abs(u[lag:])
         steady[: settings.STEADY_SAMPLES] = False
-        good = steady & (u > 0.2 * np.nanmax(u)) & np.isfinite(i)
-        if good.sum() >= 20:
+        good = steady & (u > settings.STEADY_INPUT * np.nanmax(u)) & np.isfinite(i)
+        if good.sum() >= settings.STEADY_READINGS:
             ratios.append(i[good] / u[good])
     if not ratios:
         return None
@@ -132,7 +132,7 @@ def shortest_time_constant(records: Sequence[Record]) -> float | None:
             singles.append(replace(record, captures=()))
         for single in singles:
             start = amplifier_start([single])
-            if start is not None and start.K_A > 0.0 and start.share > 0.9:
+            if start is not None and start.K_A > 0.0 and start.share > settings.STEP_EXPLAINED:
                 time_constants.append(start.T_A)
     return min(time_constants) if time_constants else None
 
@@ -153,7 +153,7 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part
     strength = cause.strength
     max_reach = settings.START_MAX_REACH / min(score.fineness, 1.0)
     reach = min(max(score.step, -max_reach), max_reach)
-    reach = reach if abs(reach) > settings.START_MIN_REACH else 0.3
+    reach = reach if abs(reach) > settings.START_MIN_REACH else settings.START_USUAL_REACH
     shorter = min(
         [1.0, *(max_step(name) / max(abs(move * reach), 1e-300) for name, move in score.moves if name in names)]
     )

@@ -208,7 +208,7 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
     similar |= {entry.name for entry in search.candidates if entry.family == cause.family}
     decided = {cause.name, *same, *(trial.cause for trial in known)}
     scores = [score for score in scores if score.cause not in decided and score.testable]
-    scores = [score for score in scores if score.gain > 0.3 * settings.MIN_GAIN]
+    scores = [score for score in scores if score.gain > settings.MIN_CLASS_SCORE * settings.MIN_GAIN]
     cutoff_gain = -math.inf if fit_all else selected.gain - settings.OUT_OF_CLASS_GAIN
     if not fit_all:
         # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only

@@ -67,7 +67,8 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
     if min_share > settings.MIN_SHARE and material:
         min_gain = max(min_gain, min_share * excess)
     min_score = max(
-        0.5 * settings.MIN_GAIN, settings.MIN_SCORE_SHARE * max((score.gain for score in scores), default=0.0)
+        settings.MIN_SCORE * settings.MIN_GAIN,
+        settings.MIN_SCORE_SHARE * max((score.gain for score in scores), default=0.0),
     )
     chosen = [
         score

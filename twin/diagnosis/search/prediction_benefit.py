@@ -23,8 +23,7 @@ def error_reduction(criterion: Criterion, before: Theta, after: Theta) -> float:
     both = np.isfinite(first) & np.isfinite(second)
     if np.count_nonzero(both) < settings.BENEFIT_PREDICTIONS:
         return 0.0
-    # The worst hundredth is due to single events, not to the rig.
-    usual = both & (first <= np.quantile(first[both], 0.99))
+    usual = both & (first <= np.quantile(first[both], settings.BENEFIT_QUANTILE))
     return 1.0 - float(second[usual].mean() / max(first[usual].mean(), 1e-300))
 
 
