@@ -166,7 +166,14 @@ class Capture:
 
 
 def read_log(path: Path | str | Sequence[Path], *, board: str | None = None) -> Samples:
-    """Read the samples of one board from an MCAP file, or the files of one log: arrays of shape (n,), SI units.
+    """Read the samples of one board from an MCAP log.
+
+    Args:
+        path: An MCAP file, or the files of one log.
+        board: Its name; None if the log has only one board.
+
+    Returns:
+        Arrays of shape (n,), SI units.
 
     Raises:
         DataError: the file is not a board51 log, is damaged, has samples of another version, does not have this

@@ -73,7 +73,7 @@ def line(tmp_path: Path) -> Iterator[Line]:
     tty = tmp_path / "tty"
     with ExitStack() as stack:
         services: list[list[object]] = [
-            ["emulate", "--pty", tty, "--effect", "quadratic-drag=2"],
+            ["emulate", "--pty", tty],
             ["gateway", "--board", f"rig={tty}", "--listen", endpoint, "--log-dir", "logs"],
             ["twin", *line.bus(), "--diagnosis-after", "2"],
         ]
@@ -116,7 +116,6 @@ def test_a_lasting_alarm_leads_to_a_diagnosis_of_the_flight_and_to_a_quiet_twin(
     assert code == 0, said
     assert "from logs/" in said, "out of the gateway's log, while it is being written"
     assert "air-gap-offset" in said, "the emulated coil is 2.4 mm above the nominal model's"
-    assert "quadratic-drag" in said
     rms = [float(x) for x in re.findall(r"innovation (?:before|after): +x ([0-9.]+) um", said)]
     assert len(rms) == 2, said
     assert rms[1] < 0.2 * rms[0]
