@@ -194,6 +194,7 @@ def test_the_whole_rig_is_explained_in_part_and_said_so(tmp_path: Path) -> None:
 
 @needs_inteco
 @pytest.mark.slow
+@pytest.mark.sample
 def test_with_the_iron_saturated_the_rig_s_own_laws_predict_to_40_micrometres() -> None:
     """Delay, wandering offset and gap law leave a pull that falls with the current, as saturated iron makes it."""
     campaign = load(CAMPAIGNS / "inteco-diagnosis.toml")

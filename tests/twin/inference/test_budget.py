@@ -184,6 +184,7 @@ def searched(criterion: Criterion) -> Selection:
 
 
 @pytest.mark.slow
+@pytest.mark.sample
 def test_wherever_a_budget_ends_what_is_known_by_then_is_sound(lagging: tuple[Criterion, Selection]) -> None:
     """Phases and numbers belong to each other, no class is told that was not looked for, the bound holds."""
     criterion, whole = lagging
