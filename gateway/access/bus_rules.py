@@ -69,13 +69,7 @@ def access_control(site: str, people: Mapping[str, Role], *, upper: bool = False
     if upper:
         subjects.append({"id": ROUTER, "cert_common_names": [ROUTER]})
         policies.append({"subjects": [ROUTER], "rules": ["read", "told", "served", "asks-logs"]})
-    return {
-        "enabled": True,
-        "default_permission": "deny",
-        "rules": rules,
-        "subjects": subjects,
-        "policies": policies,
-    }
+    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
 
 
 def size_limits(site: str) -> list[dict[str, Any]]:
@@ -86,13 +80,7 @@ def size_limits(site: str) -> list[dict[str, Any]]:
         ("log-request", f"{site}/{topics.LOGS}/*", LARGEST_LOG_REQUEST),
     )
     return [
-        {
-            "id": f"largest-{what}",
-            "flows": ["ingress"],
-            "messages": ["query"],
-            "key_exprs": [key],
-            "size_limit": size,
-        }
+        {"id": f"largest-{what}", "flows": ["ingress"], "messages": ["query"], "key_exprs": [key], "size_limit": size}
         for what, key, size in sizes
     ]
 
@@ -115,10 +103,4 @@ def _as(site: str, topic: str, role: str, who: str) -> str:
 
 
 def _rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
-    return {
-        "id": name,
-        "permission": "allow",
-        "flows": [flow],
-        "messages": list(messages),
-        "key_exprs": list(keys),
-    }
+    return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}

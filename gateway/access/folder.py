@@ -28,7 +28,7 @@ from gateway.access.private import check_private, read_private, write_private
 from gateway.access.roles import Role
 from gateway.access.users import User, Users, remove_user, set_user
 from protocol.bus.endpoint import zenoh_config
-from protocol.bus.identity import Identity, load_identity
+from protocol.bus.identity import AUTHORITY, CERTIFICATE, KEY, SETTINGS, Identity, load_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import ConfigError, UsageError
 from protocol.files import make_folder, parse_toml, read_small, writing
@@ -176,8 +176,8 @@ class SecurityFolder:
             check_private(self.path / f"{stem}-key.pem", what="The key")
         for name in (*SERVICES, *people):
             identity = self.identity(name)
-            certificate = identity.folder / "certificate.pem"
-            valid[f"identities/{name}"] = check_certificate(certificate, what="The certificate", now=now)
+            certificate = check_certificate(identity.folder / CERTIFICATE, what="The certificate", now=now)
+            valid[f"identities/{name}"] = certificate
             if name in people and identity.role != people[name].word:
                 raise ConfigError(
                     f"{name} is {people[name].word} in users.toml and {identity.role} on the bus",
@@ -246,11 +246,11 @@ class SecurityFolder:
             f'password = "{password}"',
             f"valid_until = {issued.valid_until:%Y-%m-%dT%H:%M:%SZ}",
         ]
-        write_private(folder / "identity.toml", ("\n".join(lines) + "\n").encode())
-        write_private(folder / "key.pem", issued.key)
+        write_private(folder / SETTINGS, ("\n".join(lines) + "\n").encode())
+        write_private(folder / KEY, issued.key)
         with writing(folder):
-            (folder / "certificate.pem").write_bytes(issued.certificate)
-            (folder / "ca.pem").write_bytes(self.ca.read_bytes())
+            (folder / CERTIFICATE).write_bytes(issued.certificate)
+            (folder / AUTHORITY).write_bytes(self.ca.read_bytes())
 
     def _bus_passwords(self) -> dict[str, str]:
         if not self.passwords.exists():

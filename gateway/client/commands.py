@@ -124,8 +124,7 @@ def excite(
         duration_s = 0.0
     elif duration_s is None:
         raise UsageError(
-            f"The {shape} has no duration",
-            remedy="Give a duration in s, or an endless one (--duration endless)",
+            f"The {shape} has no duration", remedy="Give a duration in s, or an endless one (--duration endless)"
         )
     elif not duration_s > 0:  # 0 is endless on the bus
         raise UsageError(f"{duration_s:g} s is not a duration", remedy="Give a positive one")

@@ -36,19 +36,16 @@ JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be o
 STOP_PATIENCE_S = 10.0  # time for which STOP is repeated
 STOP_WAIT_S = 2.0  # for each answer
 _LAST_CALL_S = 2.0  # a subscription that ends waits so long for the callback under way
-_AT_REST = frozenset(
-    {"stop", "ping", "mark", "acknowledge", "set_plant", "set_stream", "set_host_loss"}
-)  # move nothing
+# Commands that move nothing.
+_AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_plant", "set_stream", "set_host_loss"})
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add `--connect`, `--site` and `--identity`."""
     parser.add_argument(
-        "--connect",
-        default=DEFAULT_ENDPOINT,
-        metavar="ENDPOINT",
+        "--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT",
         help=f"the router's endpoint (default {DEFAULT_ENDPOINT})",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--site", default=topics.DEFAULT_SITE, help=f"first chunk of the keys (default {topics.DEFAULT_SITE})"
     )

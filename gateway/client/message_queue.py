@@ -43,12 +43,7 @@ class MessageQueue(AbstractContextManager["MessageQueue"], Iterator[Message]):
     """
 
     def __init__(
-        self,
-        board: BusBoard,
-        names: Iterable[str],
-        *,
-        capacity: int = CAPACITY,
-        timeout_s: float | None = None,
+        self, board: BusBoard, names: Iterable[str], *, capacity: int = CAPACITY, timeout_s: float | None = None
     ) -> None:
         self._waiting = _Waiting(capacity)
         self._timeout_s = timeout_s
@@ -165,10 +160,6 @@ def check_topic(name: str) -> None:
     Raises:
         UsageError: it cannot; the message lists the topics.
     """
-    if (
-        name not in topics.TOPIC_OF_NAME
-        or topics.TOPIC_OF_NAME[name].source == "client"
-        or not topics.TOPIC_OF_NAME[name].bus
-    ):
-        available = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.source != "client")
-        raise UsageError(f"{name!r} is not a topic of the bus", remedy=f"Choose among {available}")
+    available = [topic.name for topic in topics.TOPICS if topic.bus and topic.source != "client"]
+    if name not in available:
+        raise UsageError(f"{name!r} is not a topic of the bus", remedy=f"Choose among {', '.join(available)}")

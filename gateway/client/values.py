@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     IntArray = npt.NDArray[np.int64]
 
 _MODES = {pb.MODE_IDLE: Mode.IDLE, pb.MODE_OPEN_LOOP: Mode.OPEN_LOOP, pb.MODE_CLOSED_LOOP: Mode.CLOSED_LOOP}
+_MEASURED = ("i_c_a", "x_m", "u_c_v", "x_ref_m")
 _LAST_TICK = (1 << 63) - 1  # the arrays hold no larger one
 
 
@@ -70,14 +71,12 @@ class Sample:
                 f"A sample of session {state.session} has the {what}, which this version does not know",
                 remedy="Install the same version as that of the gateway",
             )
+        measured = {name: getattr(state, name) if state.HasField(name) else math.nan for name in _MEASURED}
         return cls(
             tick=state.tick,
             session=state.session,
             t_s=state.t_s,
-            i_c_a=state.i_c_a if state.HasField("i_c_a") else math.nan,
-            x_m=state.x_m if state.HasField("x_m") else math.nan,
-            u_c_v=state.u_c_v if state.HasField("u_c_v") else math.nan,
-            x_ref_m=state.x_ref_m if state.HasField("x_ref_m") else math.nan,
+            **measured,
             mode=mode,
             flags=state.flags,
             lost_before=state.lost_before,

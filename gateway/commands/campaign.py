@@ -41,12 +41,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_rig_arguments(run_, who="campaign")
     run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
     run_.add_argument(
-        "--experiment",
-        action="append",
-        default=[],
-        metavar="NAME",
+        "--experiment", action="append", default=[], metavar="NAME",
         help="record only this experiment and add it to FOLDER; repeatable",
-    )
+    )  # fmt: skip
     run_.add_argument("--list", action="store_true", help="print the menu of experiments and end")
     run_.add_argument("--park", action="store_true", help="where the ball flies, land it first instead of giving up")
     run_.add_argument("--yes", action="store_true", help="the preparation by hand (blocked-ball) is done")

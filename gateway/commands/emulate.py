@@ -32,17 +32,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _examples()
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--pty",
-        metavar="PATH",
-        type=Path,
+        "--pty", metavar="PATH", type=Path,
         help="serve a pty behind the link PATH (several boards: PATH-1, PATH-2, ...)",
-    )
+    )  # fmt: skip
     where.add_argument(
-        "--tcp",
-        metavar="HOST:PORT",
-        default="127.0.0.1:0",
+        "--tcp", metavar="HOST:PORT", default="127.0.0.1:0",
         help="serve TCP; several boards take consecutive ports, port 0 free ones (default: %(default)s)",
-    )
+    )  # fmt: skip
     parser.add_argument("--boards", type=int, default=1, metavar="N", help="number of boards (default: 1)")
     parser.add_argument(
         "--board-id", type=int, default=1, metavar="ID", help="serial number of the first board (default: 1)"
@@ -69,12 +65,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--baud", type=int, default=115200, help="speed of the line, bits per second (default: 115200)")
     parser.add_argument(
-        "--speed",
-        type=float,
-        default=1.0,
-        metavar="N",
+        "--speed", type=float, default=1.0, metavar="N",
         help="multiple of real time; 0: as fast as possible, without --duration only while a host is connected",
-    )
+    )  # fmt: skip
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds of the boards' time")
     _add_deviations(parser)
     parser.add_argument("--json", action="store_true", help="print for machines: one JSON object per line")
@@ -103,12 +96,9 @@ def _examples() -> str:
 def _add_deviations(parser: argparse.ArgumentParser) -> None:
     """Add what makes board, line and plant differ from the nominal ones."""
     parser.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
+        "--effect", action="append", default=[], metavar="NAME=VALUE",
         help="effect that the model does not have; repeatable",
-    )
+    )  # fmt: skip
     parser.add_argument("--secret", type=int, metavar="SEED", help="draw hidden effects from SEED")
     parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: file for the sealed effects")
     parser.add_argument(

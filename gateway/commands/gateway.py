@@ -38,34 +38,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="TOML; every key is optional except the boards")
     parser.add_argument(
-        "--board",
-        action="append",
-        default=[],
-        metavar="NAME=PORT",
+        "--board", action="append", default=[], metavar="NAME=PORT",
         help="a board and its pyserial URL; may be repeated; replaces those of the file",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--plant",
-        action="append",
-        default=[],
-        metavar="[NAME=]FILE",
+        "--plant", action="append", default=[], metavar="[NAME=]FILE",
         help="state the plant card of a board now: TOML with the [plant] of its rig; may be repeated",
-    )
+    )  # fmt: skip
     parser.add_argument("--site", help="first chunk of every key (default board51)")
     parser.add_argument(
-        "--listen",
-        action="append",
-        default=[],
-        metavar="ENDPOINT",
+        "--listen", action="append", default=[], metavar="ENDPOINT",
         help="be the router here (default tcp/127.0.0.1:7447)",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--connect",
-        action="append",
-        default=[],
-        metavar="ENDPOINT",
+        "--connect", action="append", default=[], metavar="ENDPOINT",
         help="be a client of the router there instead; with --listen: be a router that joins it",
-    )
+    )  # fmt: skip
     log = parser.add_mutually_exclusive_group()
     log.add_argument("--log-dir", metavar="DIR", help="where the MCAP log goes (default logs)")
     log.add_argument("--no-log", action="store_true", help="write no log")

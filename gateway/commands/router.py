@@ -103,8 +103,7 @@ def run(args: argparse.Namespace) -> int:
         session = zenoh.open(config)
     except zenoh.ZError as error:
         raise ServiceError(
-            f"Cannot listen on {listen}: {_reason(error)}",
-            remedy="Free the port or choose another --listen",
+            f"Cannot listen on {listen}: {_reason(error)}", remedy="Free the port or choose another --listen"
         ) from None
     with session:
         print(f"router {session.info.zid()} listens on {listen}", flush=True)

@@ -50,12 +50,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--id", type=_text, default="", help="command id; a repetition uses the id of the first (default: a new one)"
     )
     parser.add_argument(
-        "--issued",
-        type=_unix_time,
-        default=0,
-        metavar="NS",
+        "--issued", type=_unix_time, default=0, metavar="NS",
         help="when it was first sent, Unix time; with --id it is executed at most once, also by a restarted gateway",
-    )
+    )  # fmt: skip
     parser.add_argument("--who", type=_text, default="", help="who sends it, for the log (default: the login name)")
     parser.add_argument("--timeout", type=_wait, default=5.0, metavar="S", help="wait this long for the answer (5 s)")
     parser.add_argument("--json", action="store_true", help="print the reply as JSON")

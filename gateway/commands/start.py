@@ -57,35 +57,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a board and its pyserial URL; may be repeated (first name: rig1)",
     )  # fmt: skip
     parser.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
+        "--effect", action="append", default=[], metavar="NAME=VALUE",
         help="hidden effect of the emulated plant; repeatable",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--rig",
-        type=Path,
-        metavar="FILE",
+        "--rig", type=Path, metavar="FILE",
         help="file of another emulated rig, as of `board51 emulate`; states its plant",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--plant",
-        action="append",
-        default=[],
-        metavar="[NAME=]FILE",
+        "--plant", action="append", default=[], metavar="[NAME=]FILE",
         help="state the plant card of a board: TOML with the [plant] of its rig, as for `campaign run`; repeatable",
-    )
+    )  # fmt: skip
     parser.add_argument("--model", default="ce152", metavar="FILE", help="model of the twin (default ce152)")
     parser.add_argument(
         "--page", default=PAGE, metavar="HOST:PORT", help=f"address of the control room (default {PAGE})"
     )
     parser.add_argument(
-        "--listen",
-        default=DEFAULT_ENDPOINT,
-        metavar="ENDPOINT",
+        "--listen", default=DEFAULT_ENDPOINT, metavar="ENDPOINT",
         help=f"endpoint of the bus (default {DEFAULT_ENDPOINT})",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="folder of the MCAP logs (default logs)"
     )

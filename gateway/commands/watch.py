@@ -32,11 +32,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_bus_arguments(parser)
     parser.add_argument("--board", default="*", help="only this board")
     parser.add_argument(
-        "--topic",
-        action="append",
-        choices=[t.name for t in topics.TOPICS if t.bus and t.source != "client"],
+        "--topic", action="append", choices=[t.name for t in topics.TOPICS if t.bus and t.source != "client"],
         help="only this topic; repeat for more (default: those slower than the tick)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--table",
         action="store_true",

@@ -10,7 +10,6 @@ import random
 from collections.abc import Sequence
 
 from gateway.emulator.faults import Fault
-from gateway.emulator.firmware_model.board import AnalogSide
 from gateway.emulator.firmware_model.flash import BoardProfile, ConverterScale
 from gateway.emulator.plant.levitation import EmulatedPlant
 
@@ -19,8 +18,7 @@ class FaultyWiring:
     """The analog side of a board, behind wires that may be wrong."""
 
     def __init__(self, plant: EmulatedPlant, profile: BoardProfile, *, seed: int = 0) -> None:
-        self._plant: AnalogSide = plant
-        self._rig = plant
+        self._plant = plant
         self._pins = {"i": profile.pin(current=True), "x": profile.pin(current=False)}
         self._top = (1 << profile.adc_bits) - 1
         self._random = random.Random(seed)
@@ -32,7 +30,7 @@ class FaultyWiring:
         if faults != self._faults:
             self._faults = faults
             self._held.clear()
-            self._rig.reverse_coil(any(fault.name == "coil-reversed" for fault in faults))
+            self._plant.reverse_coil(any(fault.name == "coil-reversed" for fault in faults))
 
     def advance(self, u_v: float, duration_s: float) -> None:
         """Advance the time with the input's pin held; a coil that is not connected sees nothing of it."""

@@ -15,14 +15,16 @@ from array import array
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import accumulate
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import zstandard
 from google.protobuf.message import Message
 
+from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse, stamp_ns
 from protocol.bus.topics import TOPIC_OF_NAME, TOPICS, split
 from protocol.errors import DataError
+from protocol.log.reader import RawLogRecord
 
 TICKS_BITS = 14  # of a block: 33 s at 500 Hz
 SECONDS = 64  # of a block of other topics
@@ -30,18 +32,6 @@ MAX_IDS = 1 << 20  # of a block; a longer list is not unpacked
 LARGEST_REPLY = 16_000_000  # bytes, unpacked
 EVERY_TICK = frozenset(t.name for t in TOPICS if t.bus and t.logged and t.rate.startswith("every tick"))
 LOGGED = tuple(t.name for t in TOPICS if t.bus and t.logged)
-
-
-class Record(Protocol):
-    """A `protocol.log.reader.RawLogRecord`, or what is written as one."""
-
-    @property
-    def key(self) -> str:
-        """<site>/<board>/<topic>."""
-
-    @property
-    def data(self) -> bytes:
-        """The serialised message."""
 
 
 class BlockId(NamedTuple):
@@ -67,7 +57,7 @@ def _topic_of(key: str) -> tuple[str, str, type[Message]] | None:
     return None if parts is None else (f"{parts[0]}/{parts[1]}", parts[2], TOPIC_OF_NAME[parts[2]].message)
 
 
-def locate(record: Record) -> Located | None:
+def locate(record: RawLogRecord | pb.LogRecord) -> Located | None:
     """Return where a record belongs; None if to no block."""
     known = _topic_of(record.key)
     if known is None:

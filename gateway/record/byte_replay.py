@@ -179,11 +179,7 @@ class RecordedBoard:
     def _refuse(self, command: Message, reason: Reason, detail: int) -> bytes:
         self.refused += 1
         return encode_body(
-            "NACK",
-            id=command.int("id"),
-            command=ROW_OF_NAME[command.name].type,
-            reason=int(reason),
-            detail=detail,
+            "NACK", id=command.int("id"), command=ROW_OF_NAME[command.name].type, reason=int(reason), detail=detail
         )
 
 

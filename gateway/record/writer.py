@@ -108,11 +108,7 @@ class LogWriter:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        metadata: Mapping[str, Mapping[str, str]] | None = None,
-        compression: Compression = "lz4",
+        self, path: Path, *, metadata: Mapping[str, Mapping[str, str]] | None = None, compression: Compression = "lz4"
     ) -> None:
         self.path = path
         try:
@@ -122,9 +118,7 @@ class LogWriter:
         self.messages = 0
         self._finished = False
         self._memory = _Memory()
-        self._context = (
-            Context()
-        )  # separate context: channels of one file must not reach another file or a Foxglove server
+        self._context = Context()  # its own: channels of one file must not reach another file or a Foxglove server
         self._descriptors = encoding.descriptor_set()
         self._channels: dict[str, BaseChannel] = {}
         self._mcap = open_mcap(

@@ -130,12 +130,9 @@ def _reported(bench: Bench, first: int, unexpected: int) -> Iterator[Verdict]:
         codes = {event.code for event in events if event.code in RESETS - {EventCode.RESET_COMMANDED}}
         causes = ", ".join(sorted(code.name for code in codes)) or "no event said why"
         yield fault(
-            "unexpected-reset",
-            "restarts that nobody ordered",
-            f"{unexpected}, {causes}",
-            bound="0",
+            "unexpected-reset", "restarts that nobody ordered", f"{unexpected}, {causes}", bound="0",
             remedy="look at the supply under load, the brown-out level, the reset line and the watchdog",
-        )
+        )  # fmt: skip
     if any(event.code == EventCode.OVERRUN for event in events):
         yield fault("overruns", "the board reports", "OVERRUN", remedy=OVERRUN_REMEDY)
     for code in sorted({event.code for event in events} & _REPORTED):

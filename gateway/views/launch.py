@@ -11,10 +11,8 @@ from gateway.processes.supervisor import Service
 from gateway.views.listen import ACCOUNT, address
 from protocol.errors import require
 
-NEEDS = {
-    "opcua": ("opcua", "asyncua"),
-    "hmi": ("web", "starlette", "uvicorn", "jinja2", "prometheus_client"),
-}  # view: extra, libraries
+# View: extra, libraries.
+NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn", "jinja2", "prometheus_client")}
 
 
 def views_for(config: GatewayConfig) -> list[Service]:

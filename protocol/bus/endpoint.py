@@ -16,7 +16,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from protocol.bus.identity import Identity
+from protocol.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from protocol.errors import ConfigError, ServiceError
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -89,9 +89,9 @@ def zenoh_config(
     if identity is not None:
         config["transport"]["auth"] = {"usrpwd": {"user": identity.name, "password": identity.password}}
         link["tls"] = {
-            "root_ca_certificate": str(identity.folder / "ca.pem"),
-            "connect_certificate": str(identity.folder / "certificate.pem"),
-            "connect_private_key": str(identity.folder / "key.pem"),
+            "root_ca_certificate": str(identity.folder / AUTHORITY),
+            "connect_certificate": str(identity.folder / CERTIFICATE),
+            "connect_private_key": str(identity.folder / KEY),
             "enable_mtls": True,
             "verify_name_on_connect": True,
         }

@@ -23,8 +23,8 @@ from protocol.files import OTHERS, open_regular, parse_toml, read_small
 
 VARIABLE = "BOARD51_IDENTITY"
 HELP = f"identity on a guarded bus: DIR/identities/NAME of `board51 security init` (default ${VARIABLE})"  # --identity
-FILES = ("identity.toml", "certificate.pem", "key.pem", "ca.pem")
-_PRIVATE = ("identity.toml", "key.pem")
+SETTINGS, CERTIFICATE, KEY, AUTHORITY = FILES = ("identity.toml", "certificate.pem", "key.pem", "ca.pem")
+_PRIVATE = (SETTINGS, KEY)
 _REMEDY = "Give a folder that `board51 security init` made: DIR/identities/NAME"
 
 
@@ -82,8 +82,8 @@ def load_identity(folder: Path) -> Identity:
             raise ConfigError(
                 f"{folder / name} is open to others (mode {mode & 0o777:04o})", remedy=f"chmod 600 {folder / name}"
             )
-    where = str(folder / "identity.toml")
-    text = read_small(folder / "identity.toml", remedy=_REMEDY, error=ConfigError)
+    where = str(folder / SETTINGS)
+    text = read_small(folder / SETTINGS, remedy=_REMEDY, error=ConfigError)
     table = parse_toml(text, where=where, remedy=_REMEDY)
     try:
         name, role, password = (str(table[key]) for key in ("name", "role", "password"))

@@ -43,13 +43,7 @@ def run(args: argparse.Namespace) -> int:
             f"-o {args.out}: its suffix names no format", remedy="Use .csv, .mat or .parquet, or give --format"
         )
     files = export(
-        args.logs,
-        args.out,
-        form=form,
-        topic=args.topic,
-        boards=args.board,
-        start_s=args.start,
-        end_s=args.end,
+        args.logs, args.out, form=form, topic=args.topic, boards=args.board, start_s=args.start, end_s=args.end
     )
     if args.json:
         print(json.dumps([{"file": str(path), "rows": rows} for path, rows in files], indent=2))

@@ -36,12 +36,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--out", type=Path, required=True, help="MCAP file; with --campaign a directory")
     parser.add_argument(
-        "--map",
-        action="append",
-        default=[],
-        metavar="CHANNEL=COLUMN[,scale=S][,offset=O][,table=R:V;R:V...]",
+        "--map", action="append", default=[], metavar="CHANNEL=COLUMN[,scale=S][,offset=O][,table=R:V;R:V...]",
         help="column of a channel; a channel without --map is searched under its own name",
-    )
+    )  # fmt: skip
     parser.add_argument("--kind", choices=KINDS, help="default: closed-loop if x_ref is mapped, else free")
     parser.add_argument("--board", help="name in the log; default: the plant's, or 'imported'")
     parser.add_argument("--site", default=DEFAULT_SITE)

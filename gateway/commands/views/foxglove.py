@@ -41,9 +41,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def layout(kind: str, site: str, board: str) -> str:
     """The shipped layout for one board."""
     text = (files("gateway.views") / "layouts" / LAYOUTS[kind]).read_text(encoding="utf-8")
-    return text.replace("board51/rig1/", f"{site}/{board}/").replace(
-        '"rig1"', f'"{board}"'
-    )  # a key; the 3D panel's frame
+    # The keys, and the frame of the 3D panel.
+    return text.replace("board51/rig1/", f"{site}/{board}/").replace('"rig1"', f'"{board}"')
 
 
 def run(args: argparse.Namespace) -> int:

@@ -43,30 +43,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="logs of the gateway (default logs)"
     )
     parser.add_argument(
-        "--data",
-        type=Path,
-        default=Path("hmi-data"),
-        metavar="DIR",
+        "--data", type=Path, default=Path("hmi-data"), metavar="DIR",
         help="folder for recordings and campaigns (default hmi-data)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--reports", type=Path, action="append", default=[], metavar="DIR",
         help="a folder below which `board51 diagnose` writes; repeatable (diagnosis, and that of --data)",
     )  # fmt: skip
-    parser.add_argument(
-        "--idle-min",
-        type=float,
-        default=30.0,
-        metavar="MIN",
-        help="a session ends after this time without an action (default 30)",
-    )
-    parser.add_argument(
-        "--session-h",
-        type=float,
-        default=12.0,
-        metavar="H",
-        help="a session ends after this time in any case (default 12)",
-    )
+    for option, unit, default, when in (
+        ("--idle-min", "MIN", 30.0, "after this time without an action"),
+        ("--session-h", "H", 12.0, "after this time in any case"),
+    ):
+        text = f"a session ends {when} (default {default:g})"
+        parser.add_argument(option, type=float, default=default, metavar=unit, help=text)
 
 
 def run(args: argparse.Namespace) -> int:

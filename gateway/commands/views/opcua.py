@@ -33,17 +33,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         parser, "opcua", security="encryption, logins, roles", insecure="serve other machines without --security"
     )
     parser.add_argument(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="10 to 50 values per second, each with min and max (20)",
+        "--rate", type=float, metavar="HZ", help="10 to 50 values per second, each with min and max (20)"
     )
-    parser.add_argument(
-        "--history",
-        type=float,
-        metavar="S",
-        help="length of the history, 10 to 3600 s (300)",
-    )
+    parser.add_argument("--history", type=float, metavar="S", help="length of the history, 10 to 3600 s (300)")
     parser.add_argument(
         "--anonymous",
         choices=("off", "viewer", "operator", "engineer"),

@@ -16,14 +16,7 @@ from typing import Protocol
 
 from gateway.emulator.firmware_model.answers import Answers
 from gateway.emulator.firmware_model.calibration import Calibration
-from gateway.emulator.firmware_model.commands import (
-    HANDLERS,
-    Nack,
-    acknowledge,
-    identity,
-    parameters,
-    refuse_range,
-)
+from gateway.emulator.firmware_model.commands import HANDLERS, Nack, acknowledge, identity, parameters, refuse_range
 from gateway.emulator.firmware_model.control_loop import ControlLoop, CountedEvent, HostWatch, Tick
 from gateway.emulator.firmware_model.flash import (
     BOOT_TICKS,

@@ -12,12 +12,7 @@ import ctypes
 from pathlib import Path
 
 from gateway.emulator.firmware_model.board import AnalogSide
-from gateway.emulator.firmware_model.flash import (
-    CE152_BOARD,
-    T_S_US,
-    BoardProfile,
-    Settings,
-)
+from gateway.emulator.firmware_model.flash import CE152_BOARD, T_S_US, BoardProfile, Settings
 from gateway.emulator.firmware_model.output import OutputFault
 from gateway.emulator.native.build import library
 from gateway.emulator.native.library import CView, load
@@ -36,12 +31,7 @@ class NativeFirmware:
     """
 
     def __init__(
-        self,
-        plant: AnalogSide,
-        *,
-        board_id: int = 1,
-        profile: BoardProfile = CE152_BOARD,
-        path: Path | None = None,
+        self, plant: AnalogSide, *, board_id: int = 1, profile: BoardProfile = CE152_BOARD, path: Path | None = None
     ) -> None:
         self._plant = plant
         self._profile = profile

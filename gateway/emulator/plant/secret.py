@@ -101,8 +101,7 @@ def open_sealed(path: Path) -> dict[str, float]:
         intact = False
     if not intact:
         raise DataError(
-            f"Sealed file {path}: content and commitment differ",
-            remedy="Use the original file; this one was changed",
+            f"Sealed file {path}: content and commitment differ", remedy="Use the original file; this one was changed"
         )
     try:
         effects = {str(name): float(value) for name, value in json.loads(content)["effects"].items()}

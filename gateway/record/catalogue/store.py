@@ -106,12 +106,9 @@ def query(folder: Path, sql: str, *, limit_s: float = LIMIT_S) -> Answer:
             cursor = database.execute(sql)
             rows = cursor.fetchmany(MAX_ROWS + 1)
         except (sqlite3.Error, sqlite3.Warning) as error:
-            is_overdue = time.monotonic() > deadline
-            problem = (
-                f"The question took more than {limit_s:g} s"
-                if is_overdue
-                else f"The question cannot be answered: {error}"
-            )
+            problem = f"The question cannot be answered: {error}"
+            if time.monotonic() > deadline:
+                problem = f"The question took more than {limit_s:g} s"
             raise UsageError(problem, remedy=f"Use SQL over these columns: {', '.join(COLUMNS)}") from None
         if len(rows) > MAX_ROWS:
             raise UsageError(f"The question finds more than {MAX_ROWS} rows", remedy="Ask for fewer, or for sums")

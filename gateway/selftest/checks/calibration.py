@@ -35,11 +35,9 @@ def calibration(bench: Bench) -> Iterator[Verdict]:
         yield passed("calibration-kept", "the board corrects x for good, before that", before)
     else:
         yield warning(
-            "calibration-kept",
-            "the board corrects x until its next reset, before that",
-            before,
+            "calibration-kept", "the board corrects x until its next reset, before that", before,
             remedy="this chip keeps none: calibrate again after each reset",
-        )
+        )  # fmt: skip
 
 
 def corrected_points(in_force: Message, ground: float, top: float, truth: tuple[float, float]) -> dict[str, int]:
@@ -109,14 +107,11 @@ def _is_right(bench: Bench, ground_m: float, top_m: float) -> bool:
 def _travel(bench: Bench, top_m: float) -> Verdict:
     travel_m = bench.rig.travel_m
     return judge(
-        "travel",
-        "x at the ceiling",
-        1e3 * top_m,
-        "mm",
+        "travel", "x at the ceiling", 1e3 * top_m, "mm",
         good=(1e3 * (travel_m - _CLOSE_M), 1e3 * (travel_m + _CLOSE_M)),
         possible=(1e3 * (travel_m - 0.6e-3), 1e3 * (travel_m + 0.6e-3)),
         remedy="the position sensor has another slope: see the next line",
-    )
+    )  # fmt: skip
 
 
 def _both(bench: Bench, ground_m: float, top_m: float, *, corrects: bool) -> Verdict:
@@ -125,9 +120,7 @@ def _both(bench: Bench, ground_m: float, top_m: float, *, corrects: bool) -> Ver
         return passed("calibration", "calibration of x", f"{value}: nothing to do")
     repeat = "put the ball at the bottom and repeat with --only calibration --calibrate: the board then corrects x"
     return warning(
-        "calibration",
-        "calibration of x",
-        value,
+        "calibration", "calibration of x", value,
         bound=f"0 and {1e3 * bench.rig.travel_m:g} mm within {1e3 * _CLOSE_M:g} mm",
         remedy=repeat if corrects else "flash firmware 1.4 or newer, then repeat with --calibrate",
-    )
+    )  # fmt: skip

@@ -49,10 +49,8 @@ def _judge(bench: Bench, channel: str, values: set[int], now: set[int], lowest: 
         return skipped(name, what, "the reading does not move: see above")
     if not exercised:
         return fault(
-            name,
-            what,
-            f"only {len(values)} codes were seen",
+            name, what, f"only {len(values)} codes were seen",
             remedy="the reading does not move: run polarity and staircase",
-        )
+        )  # fmt: skip
     reach = f"bits {exercised[0]} to {exercised[-1]} change" if exercised else ""
     return passed(name, what, f"{reach}, {len(values)} codes from {min(values)} to {max(values)}", "no bit stuck")

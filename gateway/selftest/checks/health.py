@@ -23,23 +23,16 @@ def health(bench: Bench) -> Iterator[Verdict]:
         yield skipped("stack", "free stack", "the board watches none")
     else:
         yield judge(
-            "stack",
-            "stack that was never used",
-            free,
-            "bytes",
-            good=(_SPARE_BYTES, math.inf),
-            possible=(_CANARY_BYTES, math.inf),
+            "stack", "stack that was never used", free, "bytes",
+            good=(_SPARE_BYTES, math.inf), possible=(_CANARY_BYTES, math.inf),
             remedy="the firmware needs more stack than it has: report what the board was doing",
-        )
+        )  # fmt: skip
     if u_power_on == NOT_KNOWN:
         yield skipped("input-at-power-on", "u_c at power-on", "the converter has no memory, or it does not answer")
     elif u_power_on:
         yield fault(
-            "input-at-power-on",
-            "u_c at power-on",
-            f"code {u_power_on}",
-            bound="0",
+            "input-at-power-on", "u_c at power-on", f"code {u_power_on}", bound="0",
             remedy="current flows until the firmware starts, and the converter stores no 0: replace it",
-        )
+        )  # fmt: skip
     else:
         yield passed("input-at-power-on", "u_c at power-on", "0", "stored in the converter")

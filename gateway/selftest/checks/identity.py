@@ -36,14 +36,9 @@ def identity(bench: Bench) -> Iterator[Verdict]:
             )
         )
     yield judge(
-        "sample-time",
-        "T_s",
-        message.int("sample_time") / 1e3,
-        "ms",
-        good=(2.0, 2.0),
-        possible=(0.5, 20.0),
+        "sample-time", "T_s", message.int("sample_time") / 1e3, "ms", good=(2.0, 2.0), possible=(0.5, 20.0),
         remedy="the gains and this test are made for 2 ms",
-    )
+    )  # fmt: skip
     scaling = scaling_of(message)
     if isinstance(scaling, str):
         yield fault("scalings", "scalings", scaling.partition(".  ")[0], remedy=_CORRECT)
@@ -60,23 +55,18 @@ def _range_verdict(scaling: Scaling, rig: RigNumbers) -> Verdict:
         return passed("scalings", "ranges of the converters", value)
     alternatives = " or ".join(f"--rig {name}" for name, other in RIGS.items() if other is not rig)
     return fault(
-        "scalings",
-        "ranges of the converters",
-        value,
-        bound=f"those of a {rig.title}",
+        "scalings", "ranges of the converters", value, bound=f"those of a {rig.title}",
         remedy=f"{_CORRECT}, or give {alternatives}",
-    )
+    )  # fmt: skip
 
 
 def _settings(bench: Bench, scaling: Scaling) -> Iterator[Verdict]:
     rejected = [event for event in bench.begin.events if event.code == EventCode.SETTINGS_REJECTED]
     if rejected:
         yield fault(
-            "settings-rejected",
-            "stored settings",
-            f"field {rejected[0].detail} is out of range",
+            "settings-rejected", "stored settings", f"field {rejected[0].detail} is out of range",
             remedy="its program's settings are in force: write the EEPROM again",
-        )
+        )  # fmt: skip
     parameters = bench.parameters
     if parameters is None:
         yield fault("settings", "settings", "not answered", remedy=_CORRECT)

@@ -32,14 +32,10 @@ def latency(bench: Bench) -> Iterator[Verdict]:
         time_constant_s, lag_s = first_order(missing, bench.scaling.capture_time_s)
         good, possible = bench.rig.T_A_max_s
         yield judge(
-            "time-constant",
-            f"T_A after a delay of {1e3 * lag_s:.2f} ms,",
-            1e3 * time_constant_s,
-            "ms",
-            good=(0.02, 1e3 * good),
-            possible=(-0.05, 1e3 * possible),
+            "time-constant", f"T_A after a delay of {1e3 * lag_s:.2f} ms,", 1e3 * time_constant_s, "ms",
+            good=(0.02, 1e3 * good), possible=(-0.05, 1e3 * possible),
             remedy="the coil, its free-wheeling diode or the driver is another one, or its slew rate is limited",
-        )
+        )  # fmt: skip
     edges = _edges(bench, u_v)
     bench.idle()
     yield _delay(bench, edges, time_constant_s)
@@ -104,22 +100,15 @@ def _delay(bench: Bench, edges: Sequence[Sequence[float]], time_constant_s: floa
     ticks = next((n for n in range(1, 5) if shares[n] > 0.5), 5)
     if ticks > 1:
         return fault(
-            "delay",
-            "delay of the loop",
-            f"{ticks - 1} ticks at least",
-            bound=f"below {1e3 * tick_s:g} ms",
+            "delay", "delay of the loop", f"{ticks - 1} ticks at least", bound=f"below {1e3 * tick_s:g} ms",
             remedy="the input is written a tick late: look at the order within a tick (rule 4)",
-        )
+        )  # fmt: skip
     missing = 1.0 - shares[1]
     if missing < _SIGMAS * noise:
         limit_s = max(tick_s + time_constant_s * math.log(_SIGMAS * noise), 0.0)
         return passed("delay", "delay of the loop", f"below {1e3 * limit_s:.2f} ms", f"below {0.5e3 * tick_s:g} ms")
     return judge(
-        "delay",
-        "delay of the loop",
-        1e3 * max(tick_s + time_constant_s * math.log(missing), 0.0),
-        "ms",
-        good=(0.0, 0.5e3 * tick_s),
-        possible=(0.0, 0.9e3 * tick_s),
+        "delay", "delay of the loop", 1e3 * max(tick_s + time_constant_s * math.log(missing), 0.0), "ms",
+        good=(0.0, 0.5e3 * tick_s), possible=(0.0, 0.9e3 * tick_s),
         remedy="the law or the input converter takes long: the twin has to know it (actuation-delay)",
-    )
+    )  # fmt: skip

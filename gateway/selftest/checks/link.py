@@ -21,14 +21,9 @@ def link(bench: Bench) -> Iterator[Verdict]:
     """Judge the line."""
     begin = bench.begin
     yield judge(
-        "answer",
-        "first answer after the port was opened",
-        begin.answer_s,
-        "s",
-        good=(0.0, 4.0),
-        possible=(0.0, BOOT_S),
-        remedy="the boot loader is slow, or the line lost the first calls",
-    )
+        "answer", "first answer after the port was opened", begin.answer_s, "s",
+        good=(0.0, 4.0), possible=(0.0, BOOT_S), remedy="the boot loader is slow, or the line lost the first calls",
+    )  # fmt: skip
     if begin.boot_s is None:
         yield fault("boot", "answer after RESET", "none", bound=f"within {BOOT_S:g} s", remedy="look at its supply")
         return
@@ -42,32 +37,23 @@ def no_answer(bench: Bench) -> Verdict:
     line = bench.line
     if line.version_refused is not None:
         return fault(
-            "protocol-version",
-            "version of the protocol",
-            str(line.version_refused),
-            bound=str(VERSION),
+            "protocol-version", "version of the protocol", str(line.version_refused), bound=str(VERSION),
             remedy="flash firmware of this version",
-        )
+        )  # fmt: skip
     if line.session.counters.valid_frames:
         return fault(
-            "deaf-board",
-            "answer to HELLO",
-            "none, but states come",
+            "deaf-board", "answer to HELLO", "none, but states come",
             remedy="the line to the board is open: look at its RX and the adapter's TX",
-        )
+        )  # fmt: skip
     if line.bytes_received:
         return fault(
-            "garbage",
-            "valid frames",
-            f"none in {line.bytes_received} bytes",
+            "garbage", "valid frames", f"none in {line.bytes_received} bytes",
             remedy="the baud rate or the crystal is wrong, or this is another device",
-        )
+        )  # fmt: skip
     return fault(
-        "silence",
-        "bytes from the board",
-        f"none in {BOOT_S:g} s",
+        "silence", "bytes from the board", f"none in {BOOT_S:g} s",
         remedy="look at the supply, at the board's TX, at the ground, and whether firmware is in it",
-    )
+    )  # fmt: skip
 
 
 def _pings(bench: Bench) -> Iterator[Verdict]:
@@ -84,33 +70,18 @@ def _pings(bench: Bench) -> Iterator[Verdict]:
             trips_s.append(line.wire.now_s() - sent_s)
     bad = line.order("PING").int("bad_frames") - bad_before
     yield judge(
-        "ping-loss",
-        f"PINGs without an answer, of {count}:",
-        lost,
-        "",
-        good=(0, 0),
-        possible=(0, count // 200),
+        "ping-loss", f"PINGs without an answer, of {count}:", lost, "", good=(0, 0), possible=(0, count // 200),
         remedy=_WIRES,
-    )
+    )  # fmt: skip
     if trips_s:
         yield judge(
-            "round-trip",
-            "round trip of a PING, median",
-            1e3 * median(trips_s),
-            "ms",
-            good=(0.0, 20.0),
-            possible=(0.0, 50.0),
-            remedy="set the adapter's latency timer to 1 ms; take another hub",
-        )
+            "round-trip", "round trip of a PING, median", 1e3 * median(trips_s), "ms",
+            good=(0.0, 20.0), possible=(0.0, 50.0), remedy="set the adapter's latency timer to 1 ms; take another hub",
+        )  # fmt: skip
         yield judge(
-            "round-trip-longest",
-            "round trip of a PING, longest",
-            1e3 * max(trips_s),
-            "ms",
-            good=(0.0, 100.0),
-            possible=(0.0, 300.0),
-            remedy="this computer is busy, or the board is",
-        )
+            "round-trip-longest", "round trip of a PING, longest", 1e3 * max(trips_s), "ms",
+            good=(0.0, 100.0), possible=(0.0, 300.0), remedy="this computer is busy, or the board is",
+        )  # fmt: skip
     yield judge("bad-to-board", "damaged frames to the board", bad, "", good=(0, 0), possible=(0, 2), remedy=_WIRES)
 
 
@@ -136,26 +107,16 @@ def _stream(bench: Bench) -> Iterator[Verdict]:
     arrivals_s = [*(sample.arrived_s for sample in samples), line.wire.now_s()]
     longest_s = max(b - a for a, b in pairwise(arrivals_s))
     yield judge(
-        "jitter",
-        "longest time between two states",
-        1e3 * longest_s,
-        "ms",
-        good=(0.0, 50.0),
-        possible=(0.0, 300.0),
+        "jitter", "longest time between two states", 1e3 * longest_s, "ms", good=(0.0, 50.0), possible=(0.0, 300.0),
         remedy="this computer is busy, or the adapter collects bytes",
-    )
+    )  # fmt: skip
     if samples[0].session != samples[-1].session:
         yield skipped("crystal", "the board's clock", "the board restarted meanwhile")
         return
     ppm, interval = clock_error([s.tick for s in samples], [s.arrived_s for s in samples], tick_s)
     verdict = judge(
-        "crystal",
-        "the board's clock against this computer's",
-        ppm,
-        "ppm",
-        good=(-5000, 5000),
-        possible=(-10000, 10000),
-        remedy=_CRYSTAL,
-    )
+        "crystal", "the board's clock against this computer's", ppm, "ppm",
+        good=(-5000, 5000), possible=(-10000, 10000), remedy=_CRYSTAL,
+    )  # fmt: skip
     yield replace(verdict, value=f"{round(ppm):+d} ± {interval:.0f} ppm")
     yield passed("tick", "T_s", f"{1e3 * tick_s:g} ms")

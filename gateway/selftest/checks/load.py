@@ -39,35 +39,23 @@ def load(bench: Bench) -> Iterator[Verdict]:
         return
     counted = after.int("bad_frames") - before.int("bad_frames")
     yield judge(
-        "unaccounted",
-        f"PINGs neither answered nor counted, of {flood.pings}:",
-        flood.pings - flood.answers - counted,
-        "",
-        good=(0, 0),
-        possible=(-2, flood.pings // 500),
+        "unaccounted", f"PINGs neither answered nor counted, of {flood.pings}:",
+        flood.pings - flood.answers - counted, "", good=(0, 0), possible=(-2, flood.pings // 500),
         remedy="the board drops frames without counting them, or the line loses them",
-    )
+    )  # fmt: skip
     if counted and not flood.overload:
         yield fault("overload", "event OVERLOAD", f"missing, {counted} dropped", remedy="the firmware must send it")
     else:
         yield passed("overload", "answered and dropped", f"{flood.answers} and {counted}", "dropped with its event")
     yield judge(
-        "load-states",
-        f"states lost meanwhile, of {len(flood.states) + flood.lost_states}:",
-        flood.lost_states,
-        "",
-        good=(0, 0),
-        possible=(0, len(flood.states) // 1000),
+        "load-states", f"states lost meanwhile, of {len(flood.states) + flood.lost_states}:", flood.lost_states, "",
+        good=(0, 0), possible=(0, len(flood.states) // 1000),
         remedy="if link loses none, answers delay states (rule 5)",
-    )
+    )  # fmt: skip
     yield judge(
-        "overruns",
-        "ticks longer than T_s",
-        after.int("overruns") - before.int("overruns"),
-        "",
-        good=(0, 0),
+        "overruns", "ticks longer than T_s", after.int("overruns") - before.int("overruns"), "", good=(0, 0),
         remedy=OVERRUN_REMEDY,
-    )
+    )  # fmt: skip
     yield _stop_in_flood(bench)
 
 
@@ -89,14 +77,9 @@ def _stop_in_flood(bench: Bench) -> Verdict:
     if not on or any(state.u_c == 0 for at_s, state in flood.states if at_s <= stop_s):
         return fault("stop-in-load", "u_c in a full line", "0 before STOP", remedy="see staircase and safety")
     return judge(
-        "stop-in-load",
-        "STOP in a full line: u_c is 0 after",
-        1e3 * (off_s - stop_s),
-        "ms",
-        good=(0.0, 60.0),
-        possible=(0.0, 1e3 * _AFTER_STOP_S),
-        remedy="STOP must overtake what waits (rule 13)",
-    )
+        "stop-in-load", "STOP in a full line: u_c is 0 after", 1e3 * (off_s - stop_s), "ms",
+        good=(0.0, 60.0), possible=(0.0, 1e3 * _AFTER_STOP_S), remedy="STOP must overtake what waits (rule 13)",
+    )  # fmt: skip
 
 
 class Flood:

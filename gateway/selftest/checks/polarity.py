@@ -44,12 +44,10 @@ def polarity(bench: Bench) -> Iterator[Verdict]:
         yield passed("current-polarity", "i_c meanwhile", f"{current_a:.3g} A", f"above {_FLOWS * due_a:.2g} A")
     else:
         yield fault(
-            "current-sensor",
-            "i_c while the coil lifts the ball",
-            f"{current_a:.3g} A",
+            "current-sensor", "i_c while the coil lifts the ball", f"{current_a:.3g} A",
             bound=f"above {_FLOWS * due_a:.2g} A",
             remedy="the current sensor is unplugged, inverted or its amplifier dead",
-        )
+        )  # fmt: skip
 
 
 def _pulses(rig: RigNumbers) -> list[tuple[float, int]]:

@@ -72,14 +72,9 @@ def _stop(bench: Bench) -> Verdict:
     if ack is None:
         return fault("stop", "STOP", "without an ACK", remedy="the line to the board loses frames: see link")
     return judge(
-        "stop",
-        f"STOP: from {current_a:.3g} A to none in",
-        1e3 * (off.arrived_s - ordered_s),
-        "ms",
-        good=(0.0, 50.0),
-        possible=(0.0, 300.0),
-        remedy="the line is slow: see link",
-    )
+        "stop", f"STOP: from {current_a:.3g} A to none in", 1e3 * (off.arrived_s - ordered_s), "ms",
+        good=(0.0, 50.0), possible=(0.0, 300.0), remedy="the line is slow: see link",
+    )  # fmt: skip
 
 
 def _host_loss(bench: Bench) -> Iterator[Verdict]:
@@ -102,23 +97,17 @@ def _host_loss(bench: Bench) -> Iterator[Verdict]:
         yield fault("host-loss", "i_c without a host", _last(bench), bound=f"off after {_LOSS_MS} ms", remedy=CUT)
         return
     yield judge(
-        "host-loss",
-        f"no host for {_LOSS_MS} ms: coil off after",
-        1e3 * (off.arrived_s - called_s),
-        "ms",
-        good=(_LOSS_MS - 1e4 * scaling.sample_time_s, _LOSS_MS + 60.0),
-        possible=(0.0, 3.0 * _LOSS_MS),
+        "host-loss", f"no host for {_LOSS_MS} ms: coil off after", 1e3 * (off.arrived_s - called_s), "ms",
+        good=(_LOSS_MS - 1e4 * scaling.sample_time_s, _LOSS_MS + 60.0), possible=(0.0, 3.0 * _LOSS_MS),
         remedy="the time-out counts something else than ticks (rule 10), or the line is slow",
-    )
+    )  # fmt: skip
     if flagged and EventCode.HOST_BACK in codes:
         yield passed("host-back", "flag HOST_LOST and event HOST_BACK", "seen")
     else:
         yield fault(
-            "host-back",
-            "flag HOST_LOST and event HOST_BACK",
-            "flag missing" if not flagged else "event missing",
+            "host-back", "flag HOST_LOST and event HOST_BACK", "flag missing" if not flagged else "event missing",
             remedy="the coil is off, but the firmware does not say so (rule 10)",
-        )
+        )  # fmt: skip
 
 
 def _reset(bench: Bench) -> Verdict:

@@ -43,22 +43,15 @@ def staircase(bench: Bench) -> Iterator[Verdict]:
     fitted = line_through(low.u_v[len(low.u_v) // 4 :], low.i_a[len(low.u_v) // 4 :])
     if fitted.slope < _ALIVE * rig.K_A:
         yield fault(
-            "no-current",
-            "K_A",
-            f"{fitted.slope:.4f} A/V: i_c does not follow u_c",
-            bound=f"{rig.K_A:.4g} A/V",
+            "no-current", "K_A", f"{fitted.slope:.4f} A/V: i_c does not follow u_c", bound=f"{rig.K_A:.4g} A/V",
             remedy="look at the coil and its wires, its supply, the driver and the shunt",
-        )
+        )  # fmt: skip
         return
     yield judge(
-        "input-gain",
-        "K_A",
-        1e3 * fitted.slope,
-        "mA/V",
-        good=(0.93e3 * rig.K_A, 1.07e3 * rig.K_A),
-        possible=(0.88e3 * rig.K_A, 1.12e3 * rig.K_A),
+        "input-gain", "K_A", 1e3 * fitted.slope, "mA/V",
+        good=(0.93e3 * rig.K_A, 1.07e3 * rig.K_A), possible=(0.88e3 * rig.K_A, 1.12e3 * rig.K_A),
         remedy=f"{_AMPLIFIER}: i_c or u_c has a wrong scaling, or the coil another resistance",
-    )
+    )  # fmt: skip
     yield from _shape(bench, fitted, low, high)
 
 
@@ -83,11 +76,9 @@ def _not_followed(bench: Bench) -> Verdict | None:
         return None
     reported = bench.line.samples[-1].state.u_c
     return fault(
-        "input-not-followed",
-        "u_c in the states",
-        f"{reported} counts where {ordered} were ordered",
+        "input-not-followed", "u_c in the states", f"{reported} counts where {ordered} were ordered",
         remedy="the input converter confirms no write: look at its supply, address and bus",
-    )
+    )  # fmt: skip
 
 
 def _high_levels(bench: Bench) -> _Levels:
@@ -105,24 +96,15 @@ def _shape(bench: Bench, fitted: Line, low: _Levels, high: _Levels) -> Iterator[
     rig = bench.rig
     full_a = fitted.slope * rig.rest_input_v
     yield judge(
-        "linearity",
-        "largest deviation from a line",
-        100 * max(abs(r) for r in fitted.residuals) / full_a,
-        "%",
-        good=(0.0, 1.0),
-        possible=(0.0, 3.0),
-        remedy=_AMPLIFIER,
-    )
+        "linearity", "largest deviation from a line", 100 * max(abs(r) for r in fitted.residuals) / full_a, "%",
+        good=(0.0, 1.0), possible=(0.0, 3.0), remedy=_AMPLIFIER,
+    )  # fmt: skip
     good, possible = rig.dead_zone_v
     yield judge(
-        "dead-zone",
-        "dead zone",
-        (bench.rest().i_a - fitted.offset) / fitted.slope,
-        "V",
-        good=(-good, good),
-        possible=(-possible, possible),
+        "dead-zone", "dead zone", (bench.rest().i_a - fitted.offset) / fitted.slope, "V",
+        good=(-good, good), possible=(-possible, possible),
         remedy="look at the threshold of the output stage and at the zero of the input converter",
-    )
+    )  # fmt: skip
     fall_a = max(0.0, *(a - b for a, b in pairwise(low.i_a)))
     yield judge(
         "monotone", "largest fall of i_c over u_c", 1e3 * fall_a, "mA", good=(0.0, 20 * full_a), remedy=_AMPLIFIER
@@ -131,11 +113,7 @@ def _shape(bench: Bench, fitted: Line, low: _Levels, high: _Levels) -> Iterator[
         return
     share = 100 * min(i / fitted.at(u) for u, i in zip(high.u_v, high.i_a, strict=True))
     yield judge(
-        "saturation",
-        f"i_c up to {high.u_v[-1]:.3g} V, of the line",
-        share,
-        "%",
-        good=(96.0, 104.0),
-        possible=(90.0, 110.0),
+        "saturation", f"i_c up to {high.u_v[-1]:.3g} V, of the line", share, "%",
+        good=(96.0, 104.0), possible=(90.0, 110.0),
         remedy="the coil's supply is weak or its current limited, or i_c is clipped",
-    )
+    )  # fmt: skip

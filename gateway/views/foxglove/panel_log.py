@@ -27,8 +27,7 @@ def write_with_panels(logs: Path | Sequence[Path], out: Path) -> int:
     derived, count, last_ns = Derived(), 0, None
     records = reader.raw()
     first = next(records, None)  # the metadata comes before it, and is known from here on
-    writer = LogWriter(out, metadata={**reader.metadata, "foxglove": {"from": reader.name}})
-    try:
+    with LogWriter(out, metadata={**reader.metadata, "foxglove": {"from": reader.name}}) as writer:
         for record in chain([] if first is None else [first], records):
             last_ns = record.time_ns
             writer.write(record.key, record.data, last_ns)
@@ -37,9 +36,4 @@ def write_with_panels(logs: Path | Sequence[Path], out: Path) -> int:
                 writer.write(key, panel.encode(), last_ns, schema=panel.get_schema)
                 count += 1
         reader.check(last_ns=last_ns)
-        writer.close()
-    except BaseException:
-        writer.abandon()
-        out.unlink(missing_ok=True)
-        raise
     return count

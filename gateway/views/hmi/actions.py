@@ -32,9 +32,8 @@ from protocol.errors import Board51Error
 
 REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
 WRITTEN_S = 30.0  # a log that is open is flushed far more often
-_EVERYTHING = tuple(
-    word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
-)  # a replay shows what was seen, the twin of then included
+# A replay shows what was seen, the twin of then included.
+_EVERYTHING = [word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)]
 _RIGHTS = {  # the acts that whoever starts, and whoever ends, a job of this kind must be allowed
     "record": ("recording", "recording"), "campaign": ("campaign", "stop"), "replay": ("read", "read"),
     "hand-over": ("use_model", "use_model"), "identify": ("diagnose", "diagnose"), "bode": ("diagnose", "diagnose"),
@@ -193,26 +192,12 @@ class Actions:
         return pb.CommandReply(accepted=True)
 
     def log(self, name: str) -> LibraryFile:
-        """Return a log or recording.
-
-        Raises:
-            RefusalError: there is none of that name.
-        """
-        entry = self.logs.find(name)
-        if entry is None:
-            raise RefusalError("no-log", text_of("refusal.no_log"), status=404)
-        return entry
+        """Return a log or recording.  Raises RefusalError if there is none of that name."""
+        return _entry_of(self.logs, name, RefusalError("no-log", text_of("refusal.no_log"), status=404))
 
     def report(self, name: str) -> LibraryFile:
-        """Return a report of a diagnosis.
-
-        Raises:
-            RefusalError: there is none of that name.
-        """
-        entry = self.reports.find(name)
-        if entry is None:
-            raise RefusalError("no-report", text_of("refusal.no_report"), status=404)
-        return entry
+        """Return a report of a diagnosis.  Raises RefusalError if there is none of that name."""
+        return _entry_of(self.reports, name, RefusalError("no-report", text_of("refusal.no_report"), status=404))
 
     def delete_log(self, session: LoginSession, name: str) -> pb.CommandReply:
         """Delete a log or recording for good; never one of a campaign, or one that is being written."""
@@ -272,6 +257,13 @@ class Actions:
     def _check_board(self, board: str) -> None:
         if self.feed.board(board) is None:
             raise RefusalError("no-board", text_of("refusal.no_board", board=repr(board[:32])))
+
+
+def _entry_of(library: Library, name: str, refusal: RefusalError) -> LibraryFile:
+    entry = library.find(name)
+    if entry is None:
+        raise refusal
+    return entry
 
 
 def slug(text: str) -> str:

@@ -96,12 +96,12 @@ def _labelled(boards: list[BoardFeed]) -> Iterable[Metric]:
     active = GaugeMetricFamily(f"{PREFIX}alarm_active", "1 for each active alarm.", labels=["rig", "alarm", "severity"])
     for board in boards:
         status, state = board.latest(pb.Status), board.latest(pb.State)
-        for cause in CAUSES if status is not None else ():
-            assert status is not None
-            errors.add_metric([board.name, cause], status.bad_frames.get(cause, 0))
-        for mode, word in snapshot.MODES.items() if state is not None else ():
-            assert state is not None
-            modes.add_metric([board.name, word.replace(" ", "-")], float(state.mode == mode))
+        if status is not None:
+            for cause in CAUSES:
+                errors.add_metric([board.name, cause], status.bad_frames.get(cause, 0))
+        if state is not None:
+            for mode, word in snapshot.MODES.items():
+                modes.add_metric([board.name, word.replace(" ", "-")], float(state.mode == mode))
         raised = [alarm for alarm in board.alarms() if alarm.active]
         for severity in ("warning", "fault"):
             alarms.add_metric([board.name, severity], sum(alarm.severity == severity for alarm in raised))

@@ -27,11 +27,8 @@ from protocol.plant import in_words
 from protocol.wire.decoder import CAUSES
 from protocol.wire.messages import Flag
 
-MODES = {  # names of texts; static/hmi.js and stop.js compare with "idle"
-    pb.MODE_IDLE: "idle",
-    pb.MODE_OPEN_LOOP: "open loop",
-    pb.MODE_CLOSED_LOOP: "closed loop",
-}
+# Names of texts; static/hmi.js and stop.js compare with "idle".
+MODES = {mode: word_of(pb.Mode, mode) for mode in pb.Mode.values()}
 _FLAGS = {
     Flag.FAULT: "fault",
     Flag.HOST_LOST: "host-lost",

@@ -130,13 +130,7 @@ async def _keep_up(
             board = feed.board(name)
             if name not in boards and board is not None:
                 nodes = BoardNodes(
-                    inner,
-                    builder,
-                    site,
-                    board,
-                    rate_hz=settings.rate_hz,
-                    history=history,
-                    history_s=settings.history_s,
+                    inner, builder, site, board, rate_hz=settings.rate_hz, history=history, history_s=settings.history_s
                 )
                 boards[name] = nodes, Conditions(inner, builder, board, nodes.object)
                 _logger.info("%s is served", name)

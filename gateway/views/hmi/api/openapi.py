@@ -40,11 +40,7 @@ def document(endpoints: Sequence[Endpoint], *, release: str, has_users: bool) ->
         paths.setdefault(endpoint.path, {})[endpoint.method.lower()] = _operation(endpoint, schemas)
     return {
         "openapi": "3.1.0",
-        "info": {
-            "title": "Board51",
-            "version": release,
-            "description": f"{inspect.getdoc(shapes)}\n\n{_SOFT}",
-        },
+        "info": {"title": "Board51", "version": release, "description": f"{inspect.getdoc(shapes)}\n\n{_SOFT}"},
         "servers": [{"url": VERSION}],
         "security": [{"token": []}] if has_users else [],
         "paths": paths,

@@ -93,16 +93,9 @@ class Pages:
         reports = (await asyncio.to_thread(self._actions.reports.entries))[:MAX_REPORTS]
         folder, title = self._actions.reports.folders[0], text_of("title.library")
         return self._page(
-            request,
-            "library.html",
-            live="/live",
-            title=title,
-            logs=logs,
-            reports=reports,
-            folder=folder,
-            rig_of=rig_of,
-            campaign_of=campaign_of,
-        )
+            request, "library.html", live="/live", title=title, logs=logs, reports=reports, folder=folder,
+            rig_of=rig_of, campaign_of=campaign_of,
+        )  # fmt: skip
 
     async def api(self, request: Request) -> Response:
         """Return the list of what programs may ask."""

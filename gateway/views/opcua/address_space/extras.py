@@ -14,15 +14,8 @@ from gateway.views.opcua.address_space.values import Value, data_value
 from protocol.bus import board51_pb2 as pb
 
 _V = ua.VariantType
-LINK_STATES = (
-    "live",
-    "silent",
-    "absent",
-    "handshake",
-    "connecting",
-    "streaming",
-    "no-gateway",
-)  # LinkState of the NodeSet2 file
+# LinkState of the NodeSet2 file.
+LINK_STATES = ("live", "silent", "absent", "handshake", "connecting", "streaming", "no-gateway")
 
 
 class Extra(NamedTuple):
