@@ -104,15 +104,11 @@ def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> 
     except ValueError:
         raise ConfigError(f"{what} {path} is not a certificate in PEM", remedy="Give one, or renew it") from None
     if now >= certificate.not_valid_after_utc:
-        raise ConfigError(
-            f"{what} {path} expired on {certificate.not_valid_after_utc:%Y-%m-%d}",
-            remedy="Renew it with `board51 security renew DIR`",
-        )
+        problem = f"{what} {path} expired on {certificate.not_valid_after_utc:%Y-%m-%d}"
+        raise ConfigError(problem, remedy="Renew it with `board51 security renew DIR`")
     if now < certificate.not_valid_before_utc:
-        raise ConfigError(
-            f"{what} {path} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d}",
-            remedy="Set this machine's clock right",
-        )
+        problem = f"{what} {path} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d}"
+        raise ConfigError(problem, remedy="Set this machine's clock right")
     return certificate
 
 

@@ -179,10 +179,8 @@ class SecurityFolder:
             certificate = check_certificate(identity.folder / CERTIFICATE, what="The certificate", now=now)
             valid[f"identities/{name}"] = certificate
             if name in people and identity.role != people[name].word:
-                raise ConfigError(
-                    f"{name} is {people[name].word} in users.toml and {identity.role} on the bus",
-                    remedy="Run `board51 security renew` and restart the router",
-                )
+                problem = f"{name} is {people[name].word} in users.toml and {identity.role} on the bus"
+                raise ConfigError(problem, remedy="Run `board51 security renew` and restart the router")
         if (self.path / "ca-key.pem").exists():
             check_private(self.path / "ca-key.pem", what="The authority's key")
         return {name: days_left(certificate, now) for name, certificate in valid.items()}

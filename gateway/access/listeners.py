@@ -50,10 +50,8 @@ def check_listener(host: str, *, protected: bool, insecure: bool, what: str, rem
     if protected or is_loopback(host):
         return
     if not insecure:
-        raise ConfigError(
-            f"{what} would be open to the network without protection",
-            remedy=f"{remedy}, or listen on 127.0.0.1; --insecure opens it all the same",
-        )
+        problem = f"{what} would be open to the network without protection"
+        raise ConfigError(problem, remedy=f"{remedy}, or listen on 127.0.0.1; --insecure opens it all the same")
     _logger.warning("%s is open to the network WITHOUT PROTECTION (--insecure): whoever reaches it may command", what)
 
 
@@ -67,18 +65,11 @@ def check_bus_listeners(endpoints: Sequence[str], *, guarded: bool, insecure: bo
         protocol, host = endpoint_host(endpoint)
         if protocol.startswith("unix"):
             continue
-        remedy = (
-            f"Write {endpoint.replace(protocol, 'tls', 1)}"
-            if guarded
-            else "Make keys with `board51 security init DIR` and give --security DIR with a tls/ endpoint"
-        )
-        check_listener(
-            host,
-            protected=guarded and protocol in _ENCRYPTED,
-            insecure=insecure,
-            what=f"The bus at {endpoint}",
-            remedy=remedy,
-        )
+        remedy = "Make keys with `board51 security init DIR` and give --security DIR with a tls/ endpoint"
+        if guarded:
+            remedy = f"Write {endpoint.replace(protocol, 'tls', 1)}"
+        protected, what = guarded and protocol in _ENCRYPTED, f"The bus at {endpoint}"
+        check_listener(host, protected=protected, insecure=insecure, what=what, remedy=remedy)
 
 
 def endpoint_host(endpoint: str) -> tuple[str, str]:

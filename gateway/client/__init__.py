@@ -26,23 +26,9 @@ if TYPE_CHECKING:
     from gateway.client.values import Capture, Reply, Sample, Samples, read_log
 
 __all__ = [
-    "Capture",
-    "CommandNotDeliveredError",
-    "CommandRefusedError",
-    "HostLoss",
-    "Law",
-    "Mode",
-    "NoSamplesError",
-    "OperatingPoint",
-    "Recording",
-    "Reply",
-    "Rig",
-    "Sample",
-    "SampleStream",
-    "Samples",
-    "Shape",
-    "read_log",
-]
+    "Capture", "CommandNotDeliveredError", "CommandRefusedError", "HostLoss", "Law", "Mode", "NoSamplesError",
+    "OperatingPoint", "Recording", "Reply", "Rig", "Sample", "SampleStream", "Samples", "Shape", "read_log",
+]  # fmt: skip
 
 _HOMES = {
     "commands": ("HostLoss", "Law", "Mode", "OperatingPoint", "Shape"),

@@ -117,10 +117,8 @@ def excite(
     shape = _chosen(Shape, shape, "shape")
     if shape == Shape.NONE:
         if on_reference and offset is not None:
-            raise UsageError(
-                "An excitation of the reference that ends leaves it at its value: the offset has no effect",
-                remedy="Leave it out, and move the reference with the command for it",
-            )
+            problem = "An excitation of the reference that ends leaves it at its value: the offset has no effect"
+            raise UsageError(problem, remedy="Leave it out, and move the reference with the command for it")
         duration_s = 0.0
     elif duration_s is None:
         raise UsageError(

@@ -270,10 +270,8 @@ class BoardConnection:
     @property
     def _bus_board(self) -> BusBoard:
         if self._open is None:
-            raise UsageError(
-                f"The rig {self.site}/{self.board} is not open",
-                remedy="Use it in `with Rig(...) as rig:`, or open() it",
-            )
+            problem = f"The rig {self.site}/{self.board} is not open"
+            raise UsageError(problem, remedy="Use it in `with Rig(...) as rig:`, or open() it")
         return BusBoard(self._open, self.site, self.board)
 
     # --- commands

@@ -84,17 +84,14 @@ class MessageQueue(AbstractContextManager["MessageQueue"], Iterator[Message]):
 
 class _Waiting:
     def __init__(self, capacity: int) -> None:
-        self._messages: deque[tuple[str, bytes]] = deque()
-        self._capacity = capacity
+        self._messages: deque[tuple[str, bytes]] = deque(maxlen=capacity)
         self._changed = threading.Condition()
         self.dropped = 0
 
     def put(self, sample: zenoh.Sample) -> None:
         arrived = str(sample.key_expr), sample.payload.to_bytes()
         with self._changed:
-            if len(self._messages) >= self._capacity:
-                self._messages.popleft()
-                self.dropped += 1
+            self.dropped += len(self._messages) == self._messages.maxlen
             self._messages.append(arrived)
             self._changed.notify()
 

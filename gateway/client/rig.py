@@ -111,10 +111,8 @@ class BoardReader(BoardConnection):
             message = queue.first(kind, timeout_s)
         if message is not None:
             return message
-        raise ServiceError(
-            f"No {topic} from {self.site}/{self.board} within {timeout_s:g} s",
-            remedy="Is its gateway running, and is that the board's name?",
-        )
+        problem = f"No {topic} from {self.site}/{self.board} within {timeout_s:g} s"
+        raise ServiceError(problem, remedy="Is its gateway running, and is that the board's name?")
 
     def record(self, directory: Path | str, *, prefix: str = "bus") -> Recording:
         """Record this board to MCAP from now on, until the recording or the rig is closed; creates the directory.
@@ -203,15 +201,9 @@ class Rig(BoardReader):
             seed: For "prbs" and "multisine".
         """
         command = commands.excite(
-            shape,
-            duration_s=duration_s,
-            on_reference=on_reference,
-            amplitude=amplitude,
-            offset=offset,
-            period_s=period_s,
-            period_end_s=period_end_s,
-            seed=seed,
-        )
+            shape, duration_s=duration_s, on_reference=on_reference, amplitude=amplitude, offset=offset,
+            period_s=period_s, period_end_s=period_end_s, seed=seed,
+        )  # fmt: skip
         return self._execute(command)
 
     def capture(self, *, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> Capture:
@@ -228,10 +220,8 @@ class Rig(BoardReader):
             record = queue.first(pb.CaptureRecord, CAPTURE_WAIT_S, lambda record: record.tick >= reply.tick)
         if record is not None:
             return Capture.of(record)
-        raise ServiceError(
-            f"The samples of the capture did not arrive from {self.site}/{self.board} within {CAPTURE_WAIT_S:g} s",
-            remedy="Look at the events of the board: `board51 watch --topic event`",
-        )
+        problem = f"The samples of the capture did not arrive from {self.site}/{self.board} within {CAPTURE_WAIT_S:g} s"
+        raise ServiceError(problem, remedy="Look at the events of the board: `board51 watch --topic event`")
 
     def set_stream(self, divider: int) -> Reply:
         """Make the board send every `divider`-th tick; 0: none."""

@@ -67,10 +67,8 @@ class Sample:
         mode = _MODES.get(state.mode)
         if mode is None or state.tick > _LAST_TICK:
             what = f"mode {state.mode}" if mode is None else f"tick {state.tick}"
-            raise DataError(
-                f"A sample of session {state.session} has the {what}, which this version does not know",
-                remedy="Install the same version as that of the gateway",
-            )
+            problem = f"A sample of session {state.session} has the {what}, which this version does not know"
+            raise DataError(problem, remedy="Install the same version as that of the gateway")
         measured = {name: getattr(state, name) if state.HasField(name) else math.nan for name in _MEASURED}
         return cls(
             tick=state.tick,
@@ -129,10 +127,8 @@ class Samples:
         try:
             import pandas  # type: ignore[import-untyped, unused-ignore]  # optional, not among our dependencies
         except ImportError:
-            raise UsageError(
-                "pandas is not installed, and a DataFrame needs it",
-                remedy="Install pandas, or use the arrays: to_dict() has them by name",
-            ) from None
+            problem = "pandas is not installed, and a DataFrame needs it"
+            raise UsageError(problem, remedy="Install pandas, or use the arrays: to_dict() has them by name") from None
         return pandas.DataFrame(self.to_dict())
 
 

@@ -123,15 +123,9 @@ def run(args: argparse.Namespace) -> int:
         commitment = secret.seal(args.sealed, strengths)
     ports = pty_ports(args.pty, args.boards) if args.pty else tcp_ports(*_address(args), args.boards)
     lines = build_lines(
-        ports,
-        effects=strengths,
-        faults=args.fault,
-        seed=args.seed,
-        baud=args.baud,
-        board_id=args.board_id,
-        firmware=_firmware(args),
-        rig=args.rig,
-    )
+        ports, effects=strengths, faults=args.fault, seed=args.seed, baud=args.baud, board_id=args.board_id,
+        firmware=_firmware(args), rig=args.rig,
+    )  # fmt: skip
     server = Server(lines, speed=args.speed)
     on_end_signal(server.stop)
     for n, line in enumerate(lines):
@@ -194,10 +188,8 @@ def _check(args: argparse.Namespace) -> None:
     if (args.secret is None) != (args.sealed is None):
         raise UsageError("--secret and --sealed belong together", remedy="Give both, or --effect instead")
     if args.chip is not None and args.rig not in RIGS:
-        raise UsageError(
-            f"--rig {args.rig}: the image of a chip holds the numbers of its rig",
-            remedy="Leave out --chip, or --rig FILE",
-        )
+        problem = f"--rig {args.rig}: the image of a chip holds the numbers of its rig"
+        raise UsageError(problem, remedy="Leave out --chip, or --rig FILE")
     if args.secret is not None and args.rig != "ce152":
         raise UsageError(
             "--secret draws the strengths of a CE 152's effects", remedy="Leave --rig out, or give --effect"

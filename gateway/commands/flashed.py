@@ -52,10 +52,8 @@ def query_board(port: str, baud: int, build: bytes) -> str:
 
 def _verdict(identity: Message, states: list[State], build: bytes) -> str:
     if identity.bytes("build") != build:
-        raise ServiceError(
-            f"Written and verified, but the board says build {_text(identity.bytes('build'))}, not {_text(build)}",
-            remedy="Look whether the port is that of the board that was written",
-        )
+        problem = f"Written and verified, but the board says build {_text(identity.bytes('build'))}, not {_text(build)}"
+        raise ServiceError(problem, remedy="Look whether the port is that of the board that was written")
     scaling = scaling_of(identity)
     if isinstance(scaling, str):
         raise ServiceError(f"Written and verified, but the board's scalings are not usable: {scaling}", remedy=_CUT)

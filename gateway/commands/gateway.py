@@ -159,10 +159,8 @@ def _plant(text: str, config: GatewayConfig) -> tuple[str, Path]:
     if not equals and len(boards) == 1:
         name = boards[0]
     if name not in boards:
-        raise ConfigError(
-            f"--plant {text}: {name or 'nothing'} is not the name of a board",
-            remedy=f"Give one of {', '.join(boards)}=FILE",
-        )
+        problem = f"--plant {text}: {name or 'nothing'} is not the name of a board"
+        raise ConfigError(problem, remedy=f"Give one of {', '.join(boards)}=FILE")
     load_stated_plant(Path(file))
     return name, Path(file)
 

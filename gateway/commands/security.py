@@ -116,10 +116,8 @@ def run(args: argparse.Namespace) -> int:
             if args.out is not None:
                 write_private(args.out, f"{text}\n".encode())
             elif mode := open_output():
-                raise UsageError(
-                    f"The password of the bus would be printed into a file that others may read (mode {mode})",
-                    remedy="Give --out FILE, which makes it readable by you alone",
-                )
+                problem = f"The password of the bus would be printed into a file that others may read (mode {mode})"
+                raise UsageError(problem, remedy="Give --out FILE, which makes it readable by you alone")
             else:
                 print(text)
         case _:

@@ -75,14 +75,9 @@ def run(args: argparse.Namespace) -> int:
     wire = open_wire(args.board, args.baud)
     console = Console(as_json=args.json)
     bench = Bench(
-        line=Connection(wire),
-        rig=RIGS[args.rig],
-        port=args.board,
-        baud=args.baud,
-        quick=args.quick,
-        calibrate=args.calibrate,
-        progress=console.progress,
-    )
+        line=Connection(wire), rig=RIGS[args.rig], port=args.board, baud=args.baud, quick=args.quick,
+        calibrate=args.calibrate, progress=console.progress,
+    )  # fmt: skip
     started_s = time.time()
     try:
         with on_signals(_interrupt, signal.SIGTERM, signal.SIGINT):

@@ -88,40 +88,38 @@ def configure(parser: argparse.ArgumentParser) -> None:
     _add_options(options)
     parser.add_argument("board", help="name of the board")
     what = parser.add_subparsers(dest="what", required=True, metavar="COMMAND", prog=f"{parser.prog} BOARD")
-    what.add_parser("mode", parents=[options], help="idle, open-loop or closed-loop").add_argument(
-        "mode", choices=list(map(str, commands.Mode))
-    )
-    what.add_parser("reference", parents=[options], help="position to hold").add_argument(
-        "x_ref", type=quantity("x_ref"), metavar="METRES"
-    )
-    gains = what.add_parser("gains", parents=[options], help="control law, gains and operating point, SI (eq. 16-19)")
+
+    def add(name: str, purpose: str) -> argparse.ArgumentParser:
+        return what.add_parser(name, parents=[options], help=purpose)
+
+    add("mode", "idle, open-loop or closed-loop").add_argument("mode", choices=list(map(str, commands.Mode)))
+    add("reference", "position to hold").add_argument("x_ref", type=quantity("x_ref"), metavar="METRES")
+    gains = add("gains", "control law, gains and operating point, SI (eq. 16-19)")
     gains.add_argument("gains", type=_number, nargs=4, metavar="K", help="LQI: k_i k_x k_v k_int; PID: k_p k_int k_d 0")
     gains.add_argument("--law", choices=list(map(str, commands.Law)), default=str(commands.Law.LQI))
     gains.add_argument("--operating-point", nargs=3, required=True, metavar=("I_A", "X_M", "U_V"))
-    _add_excite_options(
-        what.add_parser("excite", parents=[options], help="play a signal on u_c (open loop) or x_ref (closed loop)")
-    )
-    capture = what.add_parser("capture", parents=[options], help="record i_c at 25 kHz around a step of u_c")
+    _add_excite_options(add("excite", "play a signal on u_c (open loop) or x_ref (closed loop)"))
+    capture = add("capture", "record i_c at 25 kHz around a step of u_c")
     for name in ("u-from", "u-to"):
         capture.add_argument(f"--{name}", type=quantity("u_c"), required=True, metavar="V")
     capture.add_argument("--duration", type=_number, default=0.04, metavar="S", help="length (0.04 s)")
     capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="time before the step (0.004 s)")
-    what.add_parser("stream", parents=[options], help="send every n-th tick").add_argument("divider", type=_whole)
-    loss = what.add_parser("host-loss", parents=[options], help="set what the board does without its host")
+    add("stream", "send every n-th tick").add_argument("divider", type=_whole)
+    loss = add("host-loss", "set what the board does without its host")
     loss.add_argument("policy", choices=list(map(str, commands.HostLoss)))
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="time without the host (1 s)")
-    what.add_parser("mark", parents=[options], help="write a remark into every log").add_argument("text", type=_text)
+    add("mark", "write a remark into every log").add_argument("text", type=_text)
     for name, purpose in _ALARM_ACTS.items():
-        alarm = what.add_parser(name, parents=[options], help=purpose)
+        alarm = add(name, purpose)
         alarm.add_argument("alarm", type=_text, help="its name, such as divergence-x")
         alarm.add_argument("--comment", type=_text, default="", metavar="TEXT", help="the reason")
         if name == "shelve":
             alarm.add_argument("--for", dest="for_s", type=_time, required=True, metavar="S", help="at most 24 h")
-    plant = what.add_parser("plant", parents=[options], help="state the plant card: ball, travel, x_max, gravity")
+    plant = add("plant", "state the plant card: ball, travel, x_max, gravity")
     plant.add_argument("file", type=Path, metavar="FILE", help="TOML with the [plant] of the rig")
     plant.add_argument("--confirmed", action="store_true", help="confirm that unusual values are right")
-    what.add_parser("stop", parents=[options], help="coil off at once")
-    what.add_parser("ping", parents=[options], help="sign of life")
+    add("stop", "coil off at once")
+    add("ping", "sign of life")
 
 
 def build(args: argparse.Namespace) -> pb.Command:
@@ -142,15 +140,10 @@ def build(args: argparse.Namespace) -> pb.Command:
         case "excite":
             channel = "x_ref" if args.on_reference else "u_c"
             return commands.excite(
-                args.shape,
-                on_reference=args.on_reference,
-                amplitude=units.quantity(args.amplitude, channel),
-                offset=None if args.offset is None else units.quantity(args.offset, channel),
-                period_s=args.period,
-                period_end_s=args.period_end,
-                seed=args.seed,
-                duration_s=args.duration,
-            )
+                args.shape, on_reference=args.on_reference, amplitude=units.quantity(args.amplitude, channel),
+                offset=None if args.offset is None else units.quantity(args.offset, channel), period_s=args.period,
+                period_end_s=args.period_end, seed=args.seed, duration_s=args.duration,
+            )  # fmt: skip
         case "capture":
             return commands.capture(u_from_v=args.u_from, u_to_v=args.u_to, duration_s=args.duration, pre_s=args.pre)
         case "stream":
@@ -178,14 +171,9 @@ def run(args: argparse.Namespace) -> int:
     command = build(args)
     command.id, command.issued_ns = args.id, args.issued
     rig = Rig(
-        args.board,
-        connect=args.connect,
-        site=args.site,
-        identity=args.identity,
-        who=args.who,
-        timeout_s=args.timeout,
+        args.board, connect=args.connect, site=args.site, identity=args.identity, who=args.who, timeout_s=args.timeout,
         stop_on_error=False,
-    )
+    )  # fmt: skip
     with rig:
         reply = rig.send(command)
     if args.json:

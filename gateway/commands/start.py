@@ -120,10 +120,8 @@ def run(args: argparse.Namespace) -> int:
                 wait_for_end(stopped.wait)
             elif not stopped.is_set():
                 outputs = ", ".join(str(service.output) for service in services)
-                raise ServiceError(
-                    f"the control room at {args.page} or the emulated board did not appear within {READY_S:.0f} s",
-                    remedy=f"The output of the processes is in {outputs}",
-                )
+                problem = f"the control room at {args.page} or the emulated board did not appear within {READY_S:.0f} s"
+                raise ServiceError(problem, remedy=f"The output of the processes is in {outputs}")
     print("everything stopped", file=sys.stderr)
     return 0
 

@@ -21,16 +21,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from gateway.emulator.firmware_model.flash import (
-    CE152_BOARD,
-    CURRENT,
-    INPUT,
-    K_LQI,
-    POSITION,
-    BoardProfile,
-    ConverterScale,
-    gains_in_counts,
-)
+from gateway.emulator.firmware_model import flash
 from gateway.emulator.plant.constants import CE152, PlantConstants
 from protocol.campaign import PlantFile
 from protocol.checked import Keys, Number, checked
@@ -63,7 +54,7 @@ class _File(PlantFile, Keys):
     emulated: _Emulated = _Emulated()
 
 
-def load_rig(path: Path) -> tuple[PlantConstants, BoardProfile]:
+def load_rig(path: Path) -> tuple[PlantConstants, flash.BoardProfile]:
     """Read the file of a rig; its constants, and the board that controls it.
 
     Raises:
@@ -90,21 +81,21 @@ def load_rig(path: Path) -> tuple[PlantConstants, BoardProfile]:
     return rig, profile_of(rig)
 
 
-def profile_of(rig: PlantConstants) -> BoardProfile:
+def profile_of(rig: PlantConstants) -> flash.BoardProfile:
     """Return the board of a rig: the CE 152's, stretched to the travel, with gains for the same poles."""
     stretch = rig.travel_m / CE152.travel_m
-    position = ConverterScale(offset=stretch * POSITION.offset, lsb=stretch * POSITION.lsb)
-    input_ = ConverterScale(offset=INPUT.offset, lsb=INPUT.lsb * rig.input_max_v / CE152.input_max_v)
-    current = ConverterScale(offset=CURRENT.offset, lsb=CURRENT.lsb * rig.current_max_a / CE152.current_max_a)
+    position = flash.ConverterScale(offset=stretch * flash.POSITION.offset, lsb=stretch * flash.POSITION.lsb)
+    input_ = replace(flash.INPUT, lsb=flash.INPUT.lsb * rig.input_max_v / CE152.input_max_v)
+    current = replace(flash.CURRENT, lsb=flash.CURRENT.lsb * rig.current_max_a / CE152.current_max_a)
     x_0_m = rig.travel_m / 2.0
     point = (rig.equilibrium_current_a(x_0_m), x_0_m, rig.equilibrium_input_v(x_0_m))
-    gains = gains_in_counts(Law.LQI, gains_of(rig), point, (current, position, input_))
-    return replace(CE152_BOARD, current=current, position=position, input=input_, gains=gains, build=BUILD)
+    gains = flash.gains_in_counts(Law.LQI, gains_of(rig), point, (current, position, input_))
+    return replace(flash.CE152_BOARD, current=current, position=position, input=input_, gains=gains, build=BUILD)
 
 
 def gains_of(rig: PlantConstants) -> tuple[float, float, float, float]:
     """Return (k_i V/A, k_x V/m, k_v V s/m, k_int V/(m s)) for the poles of the CE 152's loop at half the travel."""
-    k_i, k_x, k_v, k_int = K_LQI
+    k_i, k_x, k_v, k_int = flash.K_LQI
     loop_gain = k_i * CE152.amplifier_gain_a_v  # the same, so that 1 + K_A k_i is
     (a_0, b_0), (a, b) = _linear(CE152, loop_gain), _linear(rig, loop_gain)
     return loop_gain / rig.amplifier_gain_a_v, (b_0 * k_x - a_0 + a) / b, b_0 * k_v / b, b_0 * k_int / b
@@ -128,7 +119,7 @@ def _check_lift(rig: PlantConstants, path: Path) -> None:
         )
 
 
-def limits_toml(profile: BoardProfile, board: str) -> str:
+def limits_toml(profile: flash.BoardProfile, board: str) -> str:
     """Return the configuration of a gateway whose limits are those of this board; its port is given elsewhere."""
     limits, x = profile.limits, profile.position
     values = {

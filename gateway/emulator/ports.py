@@ -181,10 +181,8 @@ class PtyPort:
         except OSError as error:
             os.close(self._master)
             self._master = -1
-            raise UsageError(
-                f"Link {self._link} cannot be made: {error.strerror}",
-                remedy="Give --pty a path that is free in a folder you can write to",
-            ) from error
+            problem = f"Link {self._link} cannot be made: {error.strerror}"
+            raise UsageError(problem, remedy="Give --pty a path that is free in a folder you can write to") from error
 
     def close(self) -> None:
         """Hang up: the host's next read ends, and the link is removed."""

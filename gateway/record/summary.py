@@ -188,29 +188,19 @@ def as_json(summary: LogSummary) -> dict[str, object]:
 
 
 def _board_json(board: BoardSummary) -> dict[str, object]:
-    parameters = board.parameters
+    parameters, gaps = board.parameters, board.gaps
+    topics = {name: {"count": t.count, "rate_hz": t.rate_hz, "bytes": t.bytes} for name, t in board.topics.items()}
+    ranges = {n: {"low": r.low, "high": r.high, "mean": r.mean, "count": r.count} for n, r in board.ranges.items()}
+    keys = ("name", "sha256", "session", "since_tick", "who")
     return {
-        "topics": {
-            name: {"count": topic.count, "rate_hz": topic.rate_hz, "bytes": topic.bytes}
-            for name, topic in board.topics.items()
-        },
-        "ranges": {
-            name: {"low": span.low, "high": span.high, "mean": span.mean, "count": span.count}
-            for name, span in board.ranges.items()
-        },
-        "sessions": board.gaps.sessions,
+        "topics": topics,
+        "ranges": ranges,
+        "sessions": gaps.sessions,
         "resets": board.resets,
         "modes": sorted(board.modes),
-        "twin_models": [
-            {name: getattr(model, name) for name in ("name", "sha256", "session", "since_tick", "who")}
-            for model in board.models
-        ],
+        "twin_models": [{key: getattr(model, key) for key in keys} for model in board.models],
         "events": board.events,
-        "gaps": {
-            "count": board.gaps.count,
-            "samples_missing": board.gaps.missing,
-            "list": [asdict(gap) for gap in board.gaps.gaps],
-        },
+        "gaps": {"count": gaps.count, "samples_missing": gaps.missing, "list": [asdict(gap) for gap in gaps.gaps]},
         "sample_time_s": parameters.sample_time_s if parameters else None,
         "firmware": parameters.firmware if parameters else None,
         "gains": list(parameters.gains) if parameters else None,

@@ -203,16 +203,9 @@ class Bench:
 
     def _excite(self, shape: Shape, *, amplitude: int, offset: int, period: int = 1, duration: int = 0) -> Message:
         return self.line.order(
-            "EXCITE",
-            shape=int(shape),
-            target=0,
-            amplitude=amplitude,
-            offset=offset,
-            period=period,
-            period_end=1,
-            seed=1,
-            duration=duration,
-        )
+            "EXCITE", shape=int(shape), target=0, amplitude=amplitude, offset=offset, period=period, period_end=1,
+            seed=1, duration=duration,
+        )  # fmt: skip
 
 
 def too_few_states(count: int) -> FaultFoundError:

@@ -21,19 +21,10 @@ from protocol.wire.messages import FAULT_EVENTS, RESETS, EventCode
 
 _REPORTS = "reported-"
 _REPORTED = FAULT_EVENTS - RESETS
-UNSAFE = frozenset(  # faults after which no current may flow
-    {
-        "scalings",
-        "input-at-zero",
-        "stop",
-        "stop-unanswered",
-        "host-loss",
-        "reset",
-        "reported-output-fault",
-        "reported-uncommanded-current",
-        "reported-over-current",
-    }
-)
+UNSAFE = frozenset({  # faults after which no current may flow
+    "scalings", "input-at-zero", "stop", "stop-unanswered", "host-loss", "reset", "reported-output-fault",
+    "reported-uncommanded-current", "reported-over-current",
+})  # fmt: skip
 _STOP_REMEDY = "a STOP may not reach the board: look at its RX, keep a hand on the plug of the coil"
 _REMEDIES = {
     EventCode.OUTPUT_FAULT: "CUT THE SUPPLY OF THE COIL: the input converter confirms no write",

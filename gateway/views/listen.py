@@ -74,8 +74,6 @@ def views_identity(folder: str | None) -> Identity | None:
     """
     identity = find_identity(folder)
     if identity is not None and identity.role != ACCOUNT:
-        raise ConfigError(
-            f"The identity {identity.name} cannot send commands for others",
-            remedy=f"Give --identity DIR/identities/{ACCOUNT}",
-        )
+        problem = f"The identity {identity.name} cannot send commands for others"
+        raise ConfigError(problem, remedy=f"Give --identity DIR/identities/{ACCOUNT}")
     return identity

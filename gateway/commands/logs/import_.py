@@ -90,10 +90,8 @@ def _import_campaign(args: argparse.Namespace) -> Iterator[ImportReport]:
     sources = [campaign.path_of(recording, data=args.data) for recording in tables]  # all are there, or none begins
     single = args.out.suffix == ".mcap"
     if single and len(tables) != 1:
-        raise UsageError(
-            f"-o {args.out} is one file, but there are {len(tables)} recordings",
-            remedy="Give a directory, or use --only",
-        )
+        problem = f"-o {args.out} is one file, but there are {len(tables)} recordings"
+        raise UsageError(problem, remedy="Give a directory, or use --only")
     if not single:
         make_folder(args.out)
     for number, (recording, source) in enumerate(zip(tables, sources, strict=True), 1):

@@ -20,18 +20,8 @@ from gateway.record.catalogue.store import COLUMNS, Answer, Update, query, selec
 from protocol.errors import UsageError
 
 COLUMNS_OF_TABLE = (
-    "began",
-    "board",
-    "session",
-    "duration_s",
-    "flown_s",
-    "model",
-    "causes",
-    "alarms",
-    "nis",
-    "file",
-    "archived",
-)
+    "began", "board", "session", "duration_s", "flown_s", "model", "causes", "alarms", "nis", "file", "archived",
+)  # fmt: skip
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -69,18 +69,13 @@ def run(args: argparse.Namespace) -> int:
     identity = views_identity(args.identity)
     word = args.anonymous or anonymous(host, secured=args.security is not None, guarded=identity is not None)
     if word in ("operator", "engineer") and not is_loopback(host):
-        raise UsageError(
-            f"--anonymous {word} would let everybody in the network command",
-            remedy="Listen on 127.0.0.1, or give people names with `board51 security add-user`",
-        )
+        problem = f"--anonymous {word} would let everybody in the network command"
+        raise UsageError(problem, remedy="Listen on 127.0.0.1, or give people names with `board51 security add-user`")
     settings = OpcuaSettings(
-        host=host,
-        port=port,
-        rate_hz=served.rate_hz,
-        history_s=served.history_s,
+        host=host, port=port, rate_hz=served.rate_hz, history_s=served.history_s,
         anonymous=None if word == "off" else Role[word.upper()],
         security=Security(args.security) if args.security is not None else None,
-    )
+    )  # fmt: skip
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it writes a line or a traceback per bad request
     return asyncio.run(_serve(args, settings, identity))
 

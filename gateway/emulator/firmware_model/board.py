@@ -282,7 +282,8 @@ class Firmware:
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:
-                return HANDLERS[message.name](self.loop, message, tick)
+                if (answer := HANDLERS[message.name](self.loop, message, tick)) is not None:
+                    return answer
         return acknowledge(row.type, tick)
 
     def _hello(self, message: Message) -> Message | Nack:

@@ -1,7 +1,7 @@
 """Execution of commands on the control loop, and their refusals: rules 6 to 8, 12, 15 and 17 of protocol/README.md.
 
-A handler takes the loop, the message and the next tick, and returns a `Nack` or the answer.  A refused command
-changes nothing.  `board.py` executes the commands of session, stream and host loss.
+A handler takes the loop, the message and the next tick, and returns a `Nack` or the answer; None is an ACK.  A refused
+command changes nothing.  `board.py` executes the commands of session, stream and host loss.
 """
 
 from __future__ import annotations
@@ -9,19 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 
+from gateway.emulator.firmware_model import flash
 from gateway.emulator.firmware_model.calibration import Calibration
 from gateway.emulator.firmware_model.capture import FirmwareCapture
 from gateway.emulator.firmware_model.control_loop import TARGET_U, ControlLoop
 from gateway.emulator.firmware_model.excitation import Excitation, Signal
-from gateway.emulator.firmware_model.flash import (
-    CAPTURE_SIZE,
-    CAPTURE_US,
-    DAC_BITS,
-    FIRMWARE,
-    T_S_US,
-    BoardProfile,
-    Settings,
-)
 from gateway.emulator.firmware_model.law import Gains
 from protocol.wire.messages import ROW_OF_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape
 
@@ -34,7 +26,7 @@ class Nack:
     detail: int = 0
 
 
-Handler = Callable[[ControlLoop, Message, int], Nack | Message]  # the answer has no id yet
+Handler = Callable[[ControlLoop, Message, int], Nack | Message | None]  # the answer has no id yet
 
 
 def acknowledge(message_type: int, tick: int) -> Message:
@@ -59,9 +51,9 @@ def refuse_range(body: bytes) -> Nack:
     return Nack(Reason.OUT_OF_RANGE)
 
 
-def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardProfile) -> Message:
+def identity(board_id: int, tick: int, reset_cause: EventCode, profile: flash.BoardProfile) -> Message:
     """Return the answer to HELLO: identity and scalings (rule 14)."""
-    major, minor = FIRMWARE
+    major, minor = flash.FIRMWARE
     return Message(
         "IDENTITY",
         {
@@ -70,17 +62,17 @@ def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardPro
             "firmware_minor": minor,
             "board_id": board_id,
             "tick": tick,
-            "sample_time": T_S_US,
+            "sample_time": flash.T_S_US,
             "adc_bits": profile.adc_bits,
-            "dac_bits": DAC_BITS,
+            "dac_bits": flash.DAC_BITS,
             "i_offset": profile.current.offset,
             "i_lsb": profile.current.lsb,
             "x_offset": profile.position.offset,
             "x_lsb": profile.position.lsb,
             "u_offset": profile.input.offset,
             "u_lsb": profile.input.lsb,
-            "capture_time": CAPTURE_US,
-            "capture_size": CAPTURE_SIZE,
+            "capture_time": flash.CAPTURE_US,
+            "capture_size": flash.CAPTURE_SIZE,
             "reset_cause": int(reset_cause),
             "build": profile.build.ljust(8)[:8],
         },
@@ -89,7 +81,7 @@ def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardPro
 
 def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Message:
     """Return the answer to GET_PARAMETERS: the values in force."""
-    values = Settings(gains=loop.law.gains, limits=loop.limits).in_parameters()
+    values = flash.Settings(gains=loop.law.gains, limits=loop.limits).in_parameters()
     values |= {"divider": divider, "policy": int(policy), "timeout": timeout_ms, "tick": loop.gains_tick}
     return Message("PARAMETERS", values)
 
@@ -107,27 +99,27 @@ def _get_calibration(loop: ControlLoop, _message: Message, _tick: int) -> Messag
     return Message("CALIBRATION", {**asdict(loop.calibration), "kept": int(loop.stored_calibration is not None)})
 
 
-def _set_calibration(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
+def _set_calibration(loop: ControlLoop, message: Message, _tick: int) -> Nack | None:
     if hindrance := _hindrance(loop, Mode.IDLE):
         return hindrance
     points = Calibration(**{name: message.int(name) for name in asdict(loop.calibration)})
     if bound := points.bound_in_the_way():
         return Nack(Reason.OUT_OF_RANGE, bound)
     loop.calibration = loop.stored_calibration = points
-    return acknowledge(0x0F, tick)
+    return None
 
 
-def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
+def _set_mode(loop: ControlLoop, message: Message, _tick: int) -> Nack | None:
     mode = Mode(message.int("mode"))
     if loop.capturing and mode != Mode.IDLE:
         return Nack(Reason.BUSY)
     loop.fault = False
     loop.output.rearm()
     loop.set_mode(mode)
-    return acknowledge(0x03, tick)
+    return None
 
 
-def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
+def _set_reference(loop: ControlLoop, message: Message, _tick: int) -> Nack | None:
     x_ref, limits, reference = message.int("x_ref"), loop.limits, loop.reference
     if x_ref < limits.x_ref_min:
         return Nack(Reason.OUT_OF_RANGE, limits.x_ref_min)
@@ -136,10 +128,10 @@ def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Nack | Mes
     if abs(x_ref - reference.x_ref) > reference.allowance:
         return Nack(Reason.SLEW, reference.allowance)
     loop.set_reference(x_ref)
-    return acknowledge(0x04, tick)
+    return None
 
 
-def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
+def _set_gains(loop: ControlLoop, message: Message, tick: int) -> None:
     loop.law.gains = Gains(
         law=message.int("law"),
         mantissas=tuple(message.int(f"k{n}_mantissa") for n in range(1, 5)),
@@ -149,10 +141,9 @@ def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Message
         u_0=message.int("u_0"),
     )
     loop.gains_tick = tick
-    return acknowledge(0x05, tick)
 
 
-def _excite(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
+def _excite(loop: ControlLoop, message: Message, _tick: int) -> Nack | None:
     target, amplitude, offset = message.int("target"), abs(message.int("amplitude")), message.int("offset")
     required = Mode.OPEN_LOOP if target == TARGET_U else Mode.CLOSED_LOOP
     low, high = (0, loop.limits.u_max) if target == TARGET_U else (loop.limits.x_ref_min, loop.limits.x_ref_max)
@@ -165,10 +156,10 @@ def _excite(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
     if message.int("shape") == Shape.CHIRP and message.int("duration") == 0:
         return Nack(Reason.OUT_OF_RANGE, 1)
     loop.excite(Excitation(Signal(**{field.name: message.int(field.name) for field in fields(Signal)})))
-    return acknowledge(0x06, tick)
+    return None
 
 
-def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
+def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | None:
     u_from, u_to = message.int("u_from"), message.int("u_to")
     if hindrance := _hindrance(loop, Mode.IDLE, Mode.OPEN_LOOP):
         return hindrance
@@ -176,7 +167,7 @@ def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:
         return Nack(Reason.OUT_OF_RANGE, loop.limits.u_max)
     pre, count = message.int("pre"), message.int("count")
     loop.capture = FirmwareCapture(u_from=u_from, u_to=u_to, pre=pre, count=count, tick=tick)
-    return acknowledge(0x08, tick)
+    return None
 
 
 def _read_capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Message:

@@ -112,13 +112,18 @@ class Settings:
         return struct.pack("<5B4h8H", *values)
 
 
-LIMITS = FlashLimits(
-    x_ref_min=POSITION.to_count(0.3e-3),
-    x_ref_max=POSITION.to_count(5.2e-3),
-    x_ref_step=POSITION.span(2.5e-3),
-    x_ref_slew=POSITION.span(20e-3),
-    u_max=COUNTS_MAX,
-)
+def limits_of(position: ConverterScale, x_ref_min_m: float, x_ref_max_m: float) -> FlashLimits:
+    """Return the limits of a board with this sensor: references between these, jumps of 2.5 mm and 20 mm/s, any u_c."""
+    return FlashLimits(
+        x_ref_min=position.to_count(x_ref_min_m),
+        x_ref_max=position.to_count(x_ref_max_m),
+        x_ref_step=position.span(2.5e-3),
+        x_ref_slew=position.span(20e-3),
+        u_max=COUNTS_MAX,
+    )
+
+
+LIMITS = limits_of(POSITION, 0.3e-3, 5.2e-3)
 
 K_LQI = (0.49, 1700.0, 17.7, -17600.0)
 K_PID = (1700.0, 17600.0, 17.7)  # k_p V/m, k_int V/(m s), k_d V s/m

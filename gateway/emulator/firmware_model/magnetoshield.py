@@ -19,8 +19,8 @@ from gateway.emulator.firmware_model.flash import (
     FIRMWARE,
     BoardProfile,
     ConverterScale,
-    FlashLimits,
     gains_in_counts,
+    limits_of,
 )
 from protocol.wire.messages import COUNTS_MAX, Law
 
@@ -38,13 +38,7 @@ _GAP_BOTTOM_MM = 17.0  # coil to the magnet on the ground, x = 0
 CURRENT = ConverterScale(offset=0.0, lsb=_REFERENCE_V * _AMPERE_PER_V / 4096.0)
 POSITION = ConverterScale(offset=-0.25e-3, lsb=6.25e-3 / 4096.0)
 INPUT = ConverterScale(offset=0.0, lsb=10.0 / 4096.0)
-LIMITS = FlashLimits(
-    x_ref_min=POSITION.to_count(0.5e-3),
-    x_ref_max=POSITION.to_count(4.5e-3),
-    x_ref_step=POSITION.span(2.5e-3),
-    x_ref_slew=POSITION.span(20e-3),
-    u_max=COUNTS_MAX,
-)
+LIMITS = limits_of(POSITION, 0.5e-3, 4.5e-3)
 K_LQI = (30.0, 5200.0, 38.0, -39000.0)
 OPERATING_POINT = (0.02112, 2.5e-3, 4.115)  # i_0 = m g y^4 / K at a gap y of 14.5 mm, x_0, u_0 = R i_0
 

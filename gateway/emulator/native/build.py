@@ -54,15 +54,8 @@ def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[st
             f"The firmware in C needs a C compiler, and {looked_for} found",
             remedy="Install one (Debian: apt-get install gcc libc6-dev), or fly the Python firmware, the default",
         )
-    command = [
-        program,
-        *flags("POSIX_FLAGS"),
-        *options,
-        *map(str, files or sources()),
-        *flags(*_LINUX),
-        "-o",
-        str(target),
-    ]
+    command = [program, *flags("POSIX_FLAGS"), *options, *map(str, files or sources())]
+    command += [*flags(*_LINUX), "-o", str(target)]
     process = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if process.returncode != 0:
         message = next((line for line in process.stderr.splitlines() if "error" in line), process.stderr.strip())

@@ -60,10 +60,8 @@ class PlantConstants:
             value = getattr(self, field.name)
             low_enough = field.name != "restitution" or value < 1.0
             if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name in may_be_zero)) and low_enough):
-                raise ConfigError(
-                    f"Rig: {field.name} = {value} is impossible",
-                    remedy="Give a finite positive number (restitution: 0 <= e < 1)",
-                )
+                problem = f"Rig: {field.name} = {value} is impossible"
+                raise ConfigError(problem, remedy="Give a finite positive number (restitution: 0 <= e < 1)")
 
     def gap_m(self, x_m: float) -> float:
         """The distance from the ball's position x to the effective plane of the coil: x_max - x of eq. (3)."""

@@ -129,10 +129,8 @@ class EmulatedPlant:
         """
         count = round(duration_s / self.step_s) if math.isfinite(duration_s) else -1
         if count < 0 or abs(count * self.step_s - duration_s) > 1e-3 * self.step_s or math.isnan(u_v):
-            raise UsageError(
-                f"The plant cannot advance by {duration_s} s with u = {u_v} V",
-                remedy=f"Give a number of volts and a multiple of {self.step_s:g} s",
-            )
+            problem = f"The plant cannot advance by {duration_s} s with u = {u_v} V"
+            raise UsageError(problem, remedy=f"Give a number of volts and a multiple of {self.step_s:g} s")
         u = min(max(float(u_v), 0.0), self.rig.input_max_v)
         self._state = PlantState(
             *advance(self._state, self._steps, count, self.step_s, u, self._constants, self._inputs, self._sensed)

@@ -66,10 +66,8 @@ def seal(path: Path, effects: Mapping[str, float]) -> str:
         except Board51Error:
             same = False
         if not same:
-            raise UsageError(
-                f"{path} exists and is not the seal of this seed",
-                remedy="Give another file, or delete this one if it is no longer needed",
-            )
+            problem = f"{path} exists and is not the seal of this seed"
+            raise UsageError(problem, remedy="Give another file, or delete this one if it is no longer needed")
         return str(json.loads(path.read_text(encoding="utf-8"))["commitment"])
     content = json.dumps({"salt": secrets.token_hex(16), "effects": dict(effects)}, sort_keys=True).encode()
     commitment = hashlib.sha256(content).hexdigest()

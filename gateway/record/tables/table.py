@@ -43,10 +43,8 @@ class Table:
         """
         if column not in self.names:
             why = f": {self.unusable[column]}" if column in self.unusable else ""
-            raise DataError(
-                f"{self.path} has no column {column!r}{why}",
-                remedy=f"Map another one; its columns are: {', '.join(self.names)}",
-            )
+            problem = f"{self.path} has no column {column!r}{why}"
+            raise DataError(problem, remedy=f"Map another one; its columns are: {', '.join(self.names)}")
         values = np.array([_number(self.cell(column, row)) for row in range(self.rows)])
         if self.rows and np.isnan(values).all():
             raise self.bad(column, 0)
@@ -93,10 +91,8 @@ def read_csv(path: Path) -> Table:
     numbers = numbers[1:]
     for number, row in zip(numbers, rows, strict=True):
         if len(row) != len(names):
-            raise DataError(
-                f"{path}, line {number} has {len(row)} cells, the first line {len(names)}",
-                remedy="Complete the line, or remove it (is the file cut off?)",
-            )
+            problem = f"{path}, line {number} has {len(row)} cells, the first line {len(names)}"
+            raise DataError(problem, remedy="Complete the line, or remove it (is the file cut off?)")
     index = {name: position for position, name in enumerate(names)}
     return Table(
         path=path,

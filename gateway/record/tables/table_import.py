@@ -125,10 +125,8 @@ def import_recording(
 
 def _require_channels(table: Table, source: Path, values: Mapping[Channel, FloatArray]) -> None:
     if not values:
-        raise DataError(
-            f"{source} has none of the channels {', '.join(CHANNELS[1:])}",
-            remedy=f"Map them; its columns are: {', '.join(table.names)}",
-        )
+        problem = f"{source} has none of the channels {', '.join(CHANNELS[1:])}"
+        raise DataError(problem, remedy=f"Map them; its columns are: {', '.join(table.names)}")
 
 
 def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) -> ImportReport:

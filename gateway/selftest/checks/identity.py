@@ -25,16 +25,12 @@ def identity(bench: Bench) -> Iterator[Verdict]:
     )
     if bench.begin.identity is not None and bench.begin.identity.int("reset_cause") == EventCode.RESET_WATCHDOG:
         # The boot loader of a board that `board51 flash` writes hides the cause of a reset by DTR.
-        yield (
-            passed("reset-cause", "cause of the reset before", "watchdog")
-            if bench.rig.flash_board
-            else warning(
-                "reset-cause",
-                "cause of the reset before",
-                "watchdog",
-                remedy="a boot loader may cause this; without one the firmware hangs",
-            )
-        )
+        name, what = "reset-cause", "cause of the reset before"
+        if bench.rig.flash_board:
+            yield passed(name, what, "watchdog")
+        else:
+            remedy = "a boot loader may cause this; without one the firmware hangs"
+            yield warning(name, what, "watchdog", remedy=remedy)
     yield judge(
         "sample-time", "T_s", message.int("sample_time") / 1e3, "ms", good=(2.0, 2.0), possible=(0.5, 20.0),
         remedy="the gains and this test are made for 2 ms",

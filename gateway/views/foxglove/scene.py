@@ -9,6 +9,8 @@ Rule 2: an object that is not renewed vanishes (`LIFETIME_S`): a ball of an hour
 
 from __future__ import annotations
 
+from functools import partial
+
 from foxglove.messages import (
     Color,
     CylinderPrimitive,
@@ -83,31 +85,18 @@ class Scene:
         return self._slot != last
 
     def _update(self, state: pb.State, stamp: Timestamp) -> SceneUpdate:
-        entities = [self._entity("coil", stamp, cylinders=self._fixed, texts=[self._note])]
+        entity = partial(SceneEntity, timestamp=stamp, frame_id=self._frame, lifetime=Duration(LIFETIME_S))
+        entities = [entity(id="coil", cylinders=self._fixed, texts=[self._note])]
         if state.HasField("x_m"):
-            entities.append(self._entity("ball", stamp, spheres=[self._ball(state.x_m, _BALL)]))
+            entities.append(entity(id="ball", spheres=[self._ball(state.x_m, _BALL)]))
         twin = self._twin
         if twin is not None and twin.session == state.session and abs(state.t_s - twin.t_s) < TWIN_AGE_S:
-            entities.append(self._entity("twin", stamp, spheres=[self._ball(twin.x_m, _TWIN)]))
+            entities.append(entity(id="twin", spheres=[self._ball(twin.x_m, _TWIN)]))
         return SceneUpdate(entities=entities)
 
     def _ball(self, x_m: float, color: Color) -> SpherePrimitive:
         d = self._diameter_m
         return SpherePrimitive(pose=_at(x_m + d / 2), size=Vector3(x=d, y=d, z=d), color=color)
-
-    def _entity(
-        self,
-        name: str,
-        stamp: Timestamp,
-        *,
-        spheres: list[SpherePrimitive] | None = None,
-        cylinders: list[CylinderPrimitive] | None = None,
-        texts: list[TextPrimitive] | None = None,
-    ) -> SceneEntity:
-        return SceneEntity(
-            timestamp=stamp, frame_id=self._frame, id=name, lifetime=Duration(LIFETIME_S), spheres=spheres,
-            cylinders=cylinders, texts=texts,
-        )  # fmt: skip
 
 
 def _at(z_m: float) -> Pose:

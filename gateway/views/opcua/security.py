@@ -64,19 +64,16 @@ class Security:
         Raises:
             ServiceError: too many passwords were tried from this host.
         """
-        user = (
-            self._of_certificate(certificate or b"")
-            if name is None
-            else self._logins.at_once(name, password or "", host)
-        )
+        if name is None:
+            return self._of_certificate(certificate or b"")
+        user = self._logins.at_once(name, password or "", host)
         if isinstance(user, TooMany):
             raise ServiceError(S.BadTooManyOperations)
         return user
 
     async def check_client(self, certificate: x509.Certificate, application: ua.ApplicationDescription) -> None:
         """The certificate of a client application; raises ServiceError where it is not to be let in."""
-        now = datetime.now(UTC)
-        if not certificate.not_valid_before_utc <= now < certificate.not_valid_after_utc:
+        if not _is_valid_now(certificate):
             raise ServiceError(S.BadCertificateTimeInvalid)
         if self._is_signed(certificate) or certificate.fingerprint(_HASH) in self._trusted_prints():
             return
@@ -90,11 +87,8 @@ class Security:
             certificate = x509.load_der_x509_certificate(der)
         except ValueError:
             return None
-        now = datetime.now(UTC)
-        if not certificate.not_valid_before_utc <= now < certificate.not_valid_after_utc:
-            return None
         names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-        if len(names) != 1 or not self._is_signed(certificate):
+        if len(names) != 1 or not _is_valid_now(certificate) or not self._is_signed(certificate):
             return None
         return self._users.find(str(names[0].value))
 
@@ -117,3 +111,7 @@ class Security:
                 continue
             prints.add(trusted.fingerprint(_HASH))
         return prints
+
+
+def _is_valid_now(certificate: x509.Certificate) -> bool:
+    return certificate.not_valid_before_utc <= datetime.now(UTC) < certificate.not_valid_after_utc

@@ -82,7 +82,7 @@ def test_a_sensor_that_is_too_far_off_is_a_fault_and_nothing_is_changed() -> Non
 
 
 def test_firmware_that_takes_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.emulator.firmware_model.commands.FIRMWARE", (1, 3))
+    monkeypatch.setattr("gateway.emulator.firmware_model.flash.FIRMWARE", (1, 3))
 
     _, verdicts = calibrated("ce152", firmware=Firmware)
     plain = selftest(only=["calibration"], effects=DIFFERS, firmware=Firmware)

@@ -13,19 +13,7 @@ import time
 from pathlib import Path
 
 from gateway.views.hmi.actions import Actions, Order
-from gateway.views.hmi.model.campaigns import (
-    BODE,
-    COMPARISON,
-    DIAGNOSIS,
-    MODEL,
-    TITLE,
-    TITLE_LENGTH,
-    VALIDATION,
-    CampaignFolder,
-    campaigns_of,
-    find_campaign,
-    write_act,
-)
+from gateway.views.hmi.model import campaigns as folders
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.refusals import RefusalError
 from gateway.views.hmi.sessions import LoginSession
@@ -50,19 +38,19 @@ class ModelWork:
     def _root(self) -> Path:
         return self._routes.data / "campaigns"
 
-    def campaign(self, board: str, name: str) -> CampaignFolder | None:
+    def campaign(self, board: str, name: str) -> folders.CampaignFolder | None:
         """Return the campaign of that name, or the newest for an empty name; None if there is none."""
-        return find_campaign(self._root, board, name)
+        return folders.find_campaign(self._root, board, name)
 
-    def campaigns(self, board: str) -> list[CampaignFolder]:
+    def campaigns(self, board: str) -> list[folders.CampaignFolder]:
         """Return the campaigns of a board, the newest first."""
-        return campaigns_of(self._root, board)
+        return folders.campaigns_of(self._root, board)
 
     def models(self, board: str) -> list[ModelFile]:
         """Return the models of a board, those of the newest campaign first."""
         return models_of(self._routes.data, board, self.campaigns(board), self.feed.latest(board, pb.TwinModel))
 
-    def recorded(self, order: Order) -> CampaignFolder:
+    def recorded(self, order: Order) -> folders.CampaignFolder:
         """Return the campaign of an order, which has recordings.
 
         Raises:
@@ -127,7 +115,7 @@ class ModelWork:
         words += [*["--yes"] * prepared, *self._as_person(order.session)]
         return self.start(order, words, chosen.path, text_of("campaigns.added", experiment=experiment))
 
-    def fly(self, order: Order, chosen: CampaignFolder, folder: Path, experiment: str) -> pb.CommandReply:
+    def fly(self, order: Order, chosen: folders.CampaignFolder, folder: Path, experiment: str) -> pb.CommandReply:
         """Record one experiment in a folder of its own, as long as in the campaign."""
         words = [*self._run(folder, order.board), "--experiment", experiment, *["--quick"] * chosen.quick]
         words += self._as_person(order.session)
@@ -136,22 +124,22 @@ class ModelWork:
     def identify(self, order: Order) -> pb.CommandReply:
         """Identify K_A, T_A, K_c and b from a campaign."""
         chosen = self.recorded(order)
-        words = ["identify", str(chosen.toml), "--out", str(chosen.path / MODEL)]
+        words = ["identify", str(chosen.toml), "--out", str(chosen.path / folders.MODEL)]
         return self.start(order, words, chosen.path, text_of("campaigns.was_identified"))
 
     def validate(self, order: Order) -> pb.CommandReply:
         """Compare the identified model of a campaign with its judge recordings."""
         chosen = self.recorded(order)
-        model = chosen.file(MODEL)
+        model = chosen.file(folders.MODEL)
         if model is None:
             raise RefusalError("no-model", text_of("refusal.not_identified"))
-        words = ["validate", str(chosen.toml), "--model", str(model), "--out", str(chosen.path / VALIDATION)]
+        words = ["validate", str(chosen.toml), "--model", str(model), "--out", str(chosen.path / folders.VALIDATION)]
         return self.start(order, words, chosen.path, text_of("campaigns.was_validated"))
 
     def diagnose(self, order: Order) -> pb.CommandReply:
         """Diagnose the causes of the model's errors in a campaign."""
         chosen, quick = self.recorded(order), order.flag("quick")
-        words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / DIAGNOSIS), "--next-experiment",
+        words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / folders.DIAGNOSIS), "--next-experiment",
                  *["--quick"] * quick]  # fmt: skip
         entry = text_of("campaigns.was_diagnosed_quick") if quick else text_of("campaigns.was_diagnosed")
         return self.start(order, words, chosen.path, entry)
@@ -160,7 +148,7 @@ class ModelWork:
         """Diagnose the causes of the model's errors in the last minutes of flight."""
         folder = self._new(order.board)
         words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", order.board, "--logs", str(self._routes.logs),
-                 "--quick", "--next-experiment", "--out", str(folder / DIAGNOSIS),
+                 "--quick", "--next-experiment", "--out", str(folder / folders.DIAGNOSIS),
                  *self._routes.live(order.session.name)]  # fmt: skip
         return self.start(order, words, folder, text_of("campaigns.was_diagnosed_live", minutes=f"{LIVE_MIN:g}"))
 
@@ -180,7 +168,7 @@ class ModelWork:
         if not flights:
             raise RefusalError("no-flight", text_of("refusal.no_judging_flight"))
         words = ["compare", *(str(files[name].path) for name in names), "--on", *flights]
-        words += ["--campaign", str(chosen.toml), "--out", str(chosen.path / COMPARISON)]
+        words += ["--campaign", str(chosen.toml), "--out", str(chosen.path / folders.COMPARISON)]
         return self.start(order, words, chosen.path, text_of("campaigns.compared"))
 
     def bode(self, order: Order) -> pb.CommandReply:
@@ -189,7 +177,7 @@ class ModelWork:
         model = next((file for file in self.models(order.board) if file.path.is_relative_to(chosen.path)), None)
         if model is None:
             raise RefusalError("no-model", text_of("refusal.not_identified"))
-        words = ["bode", str(model.path), str(chosen.toml), "--out", str(chosen.path / BODE)]
+        words = ["bode", str(model.path), str(chosen.toml), "--out", str(chosen.path / folders.BODE)]
         return self.start(order, words, chosen.path, text_of("campaigns.was_bode", model=model.kind))
 
     def hand_over(self, order: Order) -> pb.CommandReply:
@@ -202,7 +190,7 @@ class ModelWork:
         except OSError as error:
             raise RefusalError("failed", text_of("refusal.model_not_kept", error=error.strerror)) from None
         words = ["twin", "--hand-over", str(chosen.path), "--board", order.board, *self._as_person(order.session)]
-        folder = chosen.path.parent if chosen.path.name == MODEL else chosen.path.parent.parent
+        folder = chosen.path.parent if chosen.path.name == folders.MODEL else chosen.path.parent.parent
         folder = folder if folder.parent == self._root else self._routes.data / "models" / order.board
         return self.start(order, words, folder, text_of("campaigns.handed_over", model=chosen.kind))
 
@@ -210,10 +198,10 @@ class ModelWork:
         """Give a campaign the name that people call it by; an empty one takes it away.  Its folder stays."""
         self.actions.check(session, "campaign")
         chosen, title = self._named(board, name), " ".join(title.split())
-        if len(title) > TITLE_LENGTH or not title.isprintable():
-            raise RefusalError("bad-name", text_of("refusal.bad_name", limit=TITLE_LENGTH))
+        if len(title) > folders.TITLE_LENGTH or not title.isprintable():
+            raise RefusalError("bad-name", text_of("refusal.bad_name", limit=folders.TITLE_LENGTH))
         try:
-            (chosen.path / TITLE).write_text(title, encoding="utf-8")
+            (chosen.path / folders.TITLE).write_text(title, encoding="utf-8")
         except OSError as error:
             raise RefusalError("failed", text_of("refusal.not_renamed", error=error.strerror)) from None
         return pb.CommandReply(accepted=True, text=text_of("campaigns.renamed", title=title or chosen.name))
@@ -244,12 +232,12 @@ class ModelWork:
             words = [*words, "--issued", str(time.time_ns())]
         reply = self.actions.start_job(order, words, title=folder.name)
         try:
-            write_act(folder, who=order.session.name, what=entry)
+            folders.write_act(folder, who=order.session.name, what=entry)
         except OSError as error:
             _logger.warning("%s: the act cannot be recorded (%s)", folder, error.strerror)
         return reply
 
-    def _named(self, board: str, name: str) -> CampaignFolder:
+    def _named(self, board: str, name: str) -> folders.CampaignFolder:
         chosen = self.campaign(board, name) if name else None
         if chosen is None:
             raise RefusalError("no-campaign", text_of("refusal.no_campaign"))
@@ -265,7 +253,7 @@ class ModelWork:
         return ["campaign", "run", str(folder), "--board", board]
 
 
-def _judging(campaign: CampaignFolder) -> list[str]:
+def _judging(campaign: folders.CampaignFolder) -> list[str]:
     """Return the paths of the flights that judge models.
 
     Raises:
