@@ -70,22 +70,17 @@ class Sender:
         if not command.issued_ns:
             if self.role is None:
                 return None
-            return Refusal(
-                "not-fresh", "On a guarded bus a command must state when it was issued (issued_ns, Unix time)."
-            )
+            text = "On a guarded bus a command must state when it was issued (issued_ns, Unix time)."
+            return Refusal("not-fresh", text)
         age_s = (self.arrived_ns - command.issued_ns) * 1e-9
         if age_s < -MAX_AHEAD_S or self.left_s(command) < 0:
             valid_s = self.left_s(command) + age_s
             when = f"{age_s:.1f} s ago" if age_s > 0 else f"{-age_s:.1f} s in the future"
-            return Refusal(
-                "not-fresh",
-                f"The command was issued {when}; it is valid for {valid_s:g} s. If it is not a repeated old one,"
-                " the clocks of its sender and of the gateway differ: set them.",
-            )
+            text = f"The command was issued {when}; it is valid for {valid_s:g} s. If it is not a repeated old one,"
+            return Refusal("not-fresh", f"{text} the clocks of its sender and of the gateway differ: set them.")
         if command.issued_ns < self.started_ns + MAX_AHEAD_S * 1e9:
-            return Refusal(
-                "not-fresh", "The command may be older than this gateway, which has just started: send a new one."
-            )
+            text = "The command may be older than this gateway, which has just started: send a new one."
+            return Refusal("not-fresh", text)
         return None
 
 

@@ -130,9 +130,8 @@ class SecurityFolder:
         """
         reserved = (*SERVICES, ROUTER)
         if user.name in reserved:
-            raise UsageError(
-                f"{user.name} is the name of a service", remedy=f"Choose another than {', '.join(reserved)}"
-            )
+            problem = f"{user.name} is the name of a service"
+            raise UsageError(problem, remedy=f"Choose another than {', '.join(reserved)}")
         authority = self._authority()
         set_user(self.users, user, password)
         self._write_identity(authority, user.name, user.role.word, datetime.now(UTC), DAYS)
@@ -188,14 +187,9 @@ class SecurityFolder:
     def router(self, listen: Sequence[str], connect: Sequence[str] = (), *, wait_for_router: bool = True) -> str:
         """Configuration of a router for the accounts of this folder alone, for `zenoh.Config.from_json5`."""
         certificate, key = self.server("bus")
+        gateway = self.identity("gateway")
         config = json.loads(
-            zenoh_config(
-                "router",
-                listen=listen,
-                connect=connect,
-                wait_for_router=wait_for_router,
-                identity=self.identity("gateway"),
-            )
+            zenoh_config("router", listen=listen, connect=connect, wait_for_router=wait_for_router, identity=gateway)
         )
         transport = config["transport"]
         transport["auth"]["usrpwd"]["dictionary_file"] = str(self.passwords.absolute())
@@ -222,9 +216,8 @@ class SecurityFolder:
         try:
             return Authority.load(self.ca.read_bytes(), key)
         except (OSError, ValueError) as error:
-            raise ConfigError(
-                f"The authority in {self.path} is not usable: {error}", remedy="Put ca.pem and ca-key.pem back"
-            ) from None
+            problem = f"The authority in {self.path} is not usable: {error}"
+            raise ConfigError(problem, remedy="Put ca.pem and ca-key.pem back") from None
 
     def _write(self, certificate: Path, issued: Issued) -> None:
         make_folder(certificate.parent, mode=0o700)

@@ -26,9 +26,8 @@ def hash_password(password: str) -> str:
         UsageError: it is too short or too long.
     """
     if not SHORTEST <= len(password) <= LONGEST:
-        raise UsageError(
-            f"The password has {len(password)} characters", remedy=f"Choose {SHORTEST} to {LONGEST} characters"
-        )
+        problem = f"The password has {len(password)} characters"
+        raise UsageError(problem, remedy=f"Choose {SHORTEST} to {LONGEST} characters")
     salt = secrets.token_bytes(16)
     return f"scrypt${_N}${_R}${_P}${salt.hex()}${_key(password, salt, _N, _R, _P).hex()}"
 

@@ -169,9 +169,8 @@ def set_token(path: Path, name: str, user: User) -> str:
     if entry is None:
         raise UsageError(f"{user.name} is not a user", remedy=f"There are {', '.join(content.users) or 'none'}")
     if _user(user.name, entry).role < user.role:
-        raise UsageError(
-            f"{user.name} is {entry.role}, so a token cannot be {user.role.word}", remedy=f"Give --role {entry.role}"
-        )
+        problem = f"{user.name} is {entry.role}, so a token cannot be {user.role.word}"
+        raise UsageError(problem, remedy=f"Give --role {entry.role}")
     token = new_token()
     content.tokens[name] = _Token(user=user.name, role=user.role.word, sha256=digest_of(token))
     _write(path, content)
@@ -224,7 +223,6 @@ def _read(path: Path) -> _File:
         check_name(token.user, what=f"{path}: token {name}: user")
         parse_role(token.role, where=f"{path}: token {name}")
         if not is_digest(token.sha256):
-            raise ConfigError(
-                f"{path}: token {name} has no SHA-256", remedy="Make a new one: board51 security add-token"
-            )
+            problem = f"{path}: token {name} has no SHA-256"
+            raise ConfigError(problem, remedy="Make a new one: board51 security add-token")
     return content

@@ -121,9 +121,8 @@ def excite(
             raise UsageError(problem, remedy="Leave it out, and move the reference with the command for it")
         duration_s = 0.0
     elif duration_s is None:
-        raise UsageError(
-            f"The {shape} has no duration", remedy="Give a duration in s, or an endless one (--duration endless)"
-        )
+        problem = f"The {shape} has no duration"
+        raise UsageError(problem, remedy="Give a duration in s, or an endless one (--duration endless)")
     elif not duration_s > 0:  # 0 is endless on the bus
         raise UsageError(f"{duration_s:g} s is not a duration", remedy="Give a positive one")
     return pb.Command(

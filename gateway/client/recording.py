@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Self
 
 import zenoh
+from google.protobuf.message import Message
 
 from gateway.client.connection import BusBoard, Subscription
 from gateway.client.values import Samples, read_log
@@ -19,6 +20,23 @@ from gateway.record.recorder import Recorder, RecorderOptions, RecorderStats
 from protocol.bus import topics
 from protocol.bus.encoding import parse, stamp_ns
 from protocol.files import make_folder
+
+
+class LogTimes:
+    """The log times of messages: that of the gateway, as in its own log.
+
+    A message without a time (twin/*) gets that of its board's newest message, as the clock of this host may differ.
+    """
+
+    def __init__(self) -> None:
+        self._newest_ns: dict[str, int] = {}
+
+    def of(self, board: str, message: Message | None) -> int:
+        """Return the time of a message that has just arrived, Unix time in ns; None: it is not valid."""
+        stamp = None if message is None else stamp_ns(message)
+        if stamp is not None:
+            self._newest_ns[board] = max(stamp, self._newest_ns.get(board, 0))
+        return stamp or self._newest_ns.get(board, time.time_ns())
 
 
 class Recording(AbstractContextManager["Recording"]):
@@ -48,7 +66,7 @@ class Recording(AbstractContextManager["Recording"]):
             RecorderOptions(prefix=prefix, rotate_bytes=rotate_bytes, rotate_s=rotate_s),
             metadata={"record": {"connect": connect, "keys": self._keys}},
         )
-        self._newest_ns: dict[str, int] = {}
+        self._times = LogTimes()
         self._closed = threading.Event()
         self._subscription: Subscription | None = None
 
@@ -106,9 +124,4 @@ class Recording(AbstractContextManager["Recording"]):
             return
         _, board, topic = address
         message = parse(topics.TOPIC_OF_NAME[topic].message, data)
-        # Log time is the gateway's, as in its own log.  Messages without a time (twin/*) get that of the board's newest
-        # message, as the clock of this host may differ.
-        stamp = None if message is None else stamp_ns(message)
-        if stamp is not None:
-            self._newest_ns[board] = max(stamp, self._newest_ns.get(board, 0))
-        self._recorder.put(key, data, self._newest_ns.get(board, time.time_ns()) if stamp is None else stamp)
+        self._recorder.put(key, data, self._times.of(board, message))

@@ -81,9 +81,8 @@ def _options(name: str, benchmark: Callable[..., list[Row]], args: argparse.Name
     supplied = {key: value for key, value in supplied.items() if value is not None}
     superfluous = [f"--{key}" for key in supplied if key not in parameters]
     if superfluous:
-        raise UsageError(
-            f"Benchmark {name} does not take {superfluous[0]}", remedy="Name only benchmarks that do, or leave it out"
-        )
+        problem = f"Benchmark {name} does not take {superfluous[0]}"
+        raise UsageError(problem, remedy="Name only benchmarks that do, or leave it out")
     if "show" in parameters and not args.json:
         supplied["show"] = print
     return supplied

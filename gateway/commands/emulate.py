@@ -191,9 +191,8 @@ def _check(args: argparse.Namespace) -> None:
         problem = f"--rig {args.rig}: the image of a chip holds the numbers of its rig"
         raise UsageError(problem, remedy="Leave out --chip, or --rig FILE")
     if args.secret is not None and args.rig != "ce152":
-        raise UsageError(
-            "--secret draws the strengths of a CE 152's effects", remedy="Leave --rig out, or give --effect"
-        )
+        problem = "--secret draws the strengths of a CE 152's effects"
+        raise UsageError(problem, remedy="Leave --rig out, or give --effect")
     if args.secret is not None and args.effect:
         raise UsageError("--effect with --secret would reveal a part of it", remedy="Give one of the two")
 

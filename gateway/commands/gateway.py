@@ -112,9 +112,8 @@ def configuration(args: argparse.Namespace) -> GatewayConfig:
         boards = tuple(_board(text, config) for text in args.board)
         names, ports = [b.name for b in boards], [b.port for b in boards]
         if len(set(names)) < len(names) or len(set(ports)) < len(ports):
-            raise ConfigError(
-                "--board names the same board or port twice", remedy="Give each board its own name and port"
-            )
+            problem = "--board names the same board or port twice"
+            raise ConfigError(problem, remedy="Give each board its own name and port")
         config = replace(config, boards=boards)
     for flag in ("listen", "connect"):
         for endpoint in getattr(args, flag):

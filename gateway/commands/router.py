@@ -92,9 +92,8 @@ def run(args: argparse.Namespace) -> int:
             endpoints = [check_endpoint(endpoint, where="--listen") for endpoint in args.listen]
             config.insert_json5("listen/endpoints", json.dumps(endpoints))
     except zenoh.ZError as error:
-        raise ConfigError(
-            f"{args.config} is not a zenoh configuration: {_reason(error)}", remedy="Correct the file"
-        ) from None
+        problem = f"{args.config} is not a zenoh configuration: {_reason(error)}"
+        raise ConfigError(problem, remedy="Correct the file") from None
     check_bus_listeners(_endpoints(config), guarded=_guarded(config), insecure=args.insecure)
     stop = threading.Event()
     on_end_signal(stop.set)
@@ -102,9 +101,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
-        raise ServiceError(
-            f"Cannot listen on {listen}: {_reason(error)}", remedy="Free the port or choose another --listen"
-        ) from None
+        problem = f"Cannot listen on {listen}: {_reason(error)}"
+        raise ServiceError(problem, remedy="Free the port or choose another --listen") from None
     with session:
         print(f"router {session.info.zid()} listens on {listen}", flush=True)
         wait_for_end(stop.wait)

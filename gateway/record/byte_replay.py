@@ -143,12 +143,10 @@ class RecordedBoard:
 
     def answer(self, data: bytes, *, position: int) -> bytes:
         """Return the board's answer to bytes from the host, while `position` is the next piece; it may be empty."""
-        frames = []
         # As on the board, a damaged command is not answered: the host repeats it.
-        for event in self._host.feed(data):
-            if isinstance(event, Message) and ROW_OF_NAME[event.name].to_board:
-                frames.append(encode_frame(self._answer(event, position)))
-        return b"".join(frames)
+        messages = [event for event in self._host.feed(data) if isinstance(event, Message)]
+        commands = [message for message in messages if ROW_OF_NAME[message.name].to_board]
+        return b"".join(encode_frame(self._answer(command, position)) for command in commands)
 
     def _answer(self, command: Message, position: int) -> bytes:
         at = min(position, len(self.pieces) - 1)

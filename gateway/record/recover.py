@@ -71,17 +71,10 @@ def recover(broken: Path, clean: Path) -> Recovery:
         raise DataError(f"Nothing of {broken} can be recovered: {reasons}", remedy="Use another part of the log")
     until_ns = max((damage.until_ns or 0 for damage in scan.damages), default=0)
     return Recovery(
-        broken=broken,
-        clean=clean,
-        was_finished=scan.finished,
-        messages=messages,
-        bytes_read=scan.size,
-        damages=tuple(scan.damages),
-        messages_unidentified=scan.unknown_channel,
-        foreign=sum(reader.foreign.values()),
-        last_good_s=None if last_ns is None or first_ns is None else (last_ns - first_ns) / 1e9,
-        last_good_ns=last_ns,
+        broken=broken, clean=clean, was_finished=scan.finished, messages=messages, bytes_read=scan.size,
+        damages=tuple(scan.damages), messages_unidentified=scan.unknown_channel, foreign=sum(reader.foreign.values()),
+        last_good_s=None if last_ns is None or first_ns is None else (last_ns - first_ns) / 1e9, last_good_ns=last_ns,
         gaps=tuple(gap for board in gaps.values() for gap in board.gaps),
         bytes_lost=sum(damage.bytes for damage in scan.damages),
         seconds_lost=max(0.0, (until_ns - last_ns) / 1e9) if until_ns and last_ns is not None else None,
-    )
+    )  # fmt: skip

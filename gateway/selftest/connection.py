@@ -136,9 +136,8 @@ class Connection:
         message = self.send(name, **values).message
         if message is None or message.name == "NACK":
             reason = "?" if message is None else Reason(message.int("reason")).name
-            raise RefusedError(
-                f"The board refuses {name}: {reason}", remedy="Compare its firmware with protocol/README.md"
-            )
+            problem = f"The board refuses {name}: {reason}"
+            raise RefusedError(problem, remedy="Compare its firmware with protocol/README.md")
         return message
 
     def read_capture(self) -> list[int]:

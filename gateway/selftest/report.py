@@ -74,9 +74,8 @@ def write_report(report: Report, folder: Path) -> list[Path]:
         for path, text in zip(paths, contents.values(), strict=True):
             path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise UsageError(
-            f"{folder} cannot be written ({error.strerror})", remedy="Give another --log-dir; the verdicts are above"
-        ) from None
+        problem = f"{folder} cannot be written ({error.strerror})"
+        raise UsageError(problem, remedy="Give another --log-dir; the verdicts are above") from None
     return paths
 
 
@@ -87,12 +86,9 @@ def _html(report: Report) -> str | None:
     except ModuleNotFoundError:
         return None
     templates = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
-    )
+    )  # fmt: skip
     groups = [(name, list(verdicts)) for name, verdicts in groupby(report.verdicts, lambda verdict: verdict.check)]
     counts = {result.value: sum(v.result == result for v in report.verdicts) for result in Result}
     when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(report.started_s))

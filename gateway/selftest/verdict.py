@@ -49,13 +49,9 @@ def judge(
     else:
         result = Result.WARNING if possible and low <= value <= high else Result.FAULT
     return Verdict(
-        name=name,
-        result=result,
-        what=what,
-        value=quantity(value, unit),
-        bound=_bound(good, unit),
+        name=name, result=result, what=what, value=quantity(value, unit), bound=_bound(good, unit),
         remedy="" if result == Result.OK else remedy,
-    )
+    )  # fmt: skip
 
 
 def passed(name: str, what: str, value: str, bound: str = "") -> Verdict:

@@ -52,7 +52,6 @@ def open_wire(port: str, baud: int) -> SerialWire:
     check_url(url)
     opened = open_port(url, baud)
     if isinstance(opened, PortProblem):
-        raise UsageError(
-            opened.text.rstrip(".?"), remedy="Give the board's port; `ls /dev/ttyACM* /dev/ttyUSB*` lists them"
-        )
+        problem = opened.text.rstrip(".?")
+        raise UsageError(problem, remedy="Give the board's port; `ls /dev/ttyACM* /dev/ttyUSB*` lists them")
     return SerialWire(opened)

@@ -40,13 +40,9 @@ def views_for(config: GatewayConfig) -> list[Service]:
         guarded = folder is not None and name in ("opcua", "hmi")
         options: tuple[str, ...] = ("--security", config.security.directory) if guarded else ()
         listener = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        check_listener(
-            host,
-            protected=guarded,
-            insecure=config.security.insecure,
-            what=f"--{name} {listener}",
-            remedy="Foxglove has no login: use an ssh tunnel" if name == "foxglove" else "Give --security DIR",
-        )
+        remedy = "Foxglove has no login: use an ssh tunnel" if name == "foxglove" else "Give --security DIR"
+        what = f"--{name} {listener}"
+        check_listener(host, protected=guarded, insecure=config.security.insecure, what=what, remedy=remedy)
         if name == "hmi" and config.log.enabled:
             options += ("--log-dir", config.log.directory)
         if name == "opcua":

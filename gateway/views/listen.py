@@ -42,13 +42,8 @@ def listener(args: argparse.Namespace, what: str, *, remedy: str) -> tuple[str, 
     """
     check_name(args.site, what="--site")
     host, port = address(args.listen)
-    check_listener(
-        host,
-        protected=getattr(args, "security", None) is not None,
-        insecure=args.insecure,
-        what=f"{what} at {args.listen}",
-        remedy=remedy,
-    )
+    protected, what = getattr(args, "security", None) is not None, f"{what} at {args.listen}"
+    check_listener(host, protected=protected, insecure=args.insecure, what=what, remedy=remedy)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
     return host, port
 

@@ -39,9 +39,8 @@ def run(args: argparse.Namespace) -> int:
     """Export."""
     form = args.format or _SUFFIXES.get(args.out.suffix)
     if form is None:
-        raise UsageError(
-            f"-o {args.out}: its suffix names no format", remedy="Use .csv, .mat or .parquet, or give --format"
-        )
+        problem = f"-o {args.out}: its suffix names no format"
+        raise UsageError(problem, remedy="Use .csv, .mat or .parquet, or give --format")
     files = export(
         args.logs, args.out, form=form, topic=args.topic, boards=args.board, start_s=args.start, end_s=args.end
     )

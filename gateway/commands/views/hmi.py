@@ -33,11 +33,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 hmi --security /etc/board51 --listen 0.0.0.0:8051"
     )
     add_view_arguments(
-        parser,
-        "hmi",
-        security="https, logins, and the page's identity on the bus",
+        parser, "hmi", security="https, logins, and the page's identity on the bus",
         insecure="listen beyond loopback without --security",
-    )
+    )  # fmt: skip
     parser.add_argument("--users", type=Path, metavar="FILE", help="logins without https, on loopback only")
     parser.add_argument(
         "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="logs of the gateway (default logs)"

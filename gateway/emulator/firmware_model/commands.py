@@ -133,13 +133,10 @@ def _set_reference(loop: ControlLoop, message: Message, _tick: int) -> Nack | No
 
 def _set_gains(loop: ControlLoop, message: Message, tick: int) -> None:
     loop.law.gains = Gains(
-        law=message.int("law"),
-        mantissas=tuple(message.int(f"k{n}_mantissa") for n in range(1, 5)),
-        shifts=tuple(message.int(f"k{n}_shift") for n in range(1, 5)),
-        i_0=message.int("i_0"),
-        x_0=message.int("x_0"),
+        law=message.int("law"), mantissas=tuple(message.int(f"k{n}_mantissa") for n in range(1, 5)),
+        shifts=tuple(message.int(f"k{n}_shift") for n in range(1, 5)), i_0=message.int("i_0"), x_0=message.int("x_0"),
         u_0=message.int("u_0"),
-    )
+    )  # fmt: skip
     loop.gains_tick = tick
 
 

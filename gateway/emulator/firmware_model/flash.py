@@ -156,13 +156,9 @@ def gains_in_counts(
     mantissas, shifts = zip(*map(to_mantissa, counts), strict=True)
     i_0_a, x_0_m, u_0_v = operating_point
     return Gains(
-        law=law,
-        mantissas=mantissas,
-        shifts=shifts,
-        i_0=current.to_count(i_0_a),
-        x_0=position.to_count(x_0_m),
+        law=law, mantissas=mantissas, shifts=shifts, i_0=current.to_count(i_0_a), x_0=position.to_count(x_0_m),
         u_0=input_.to_count(u_0_v),
-    )
+    )  # fmt: skip
 
 
 GAINS = gains_in_counts(Law.LQI, K_LQI, OPERATING_POINT)

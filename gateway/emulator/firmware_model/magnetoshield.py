@@ -104,17 +104,11 @@ class MagnetoShieldProfile(BoardProfile):
 def magnetoshield() -> MagnetoShieldProfile:
     """The profile with the calibration of the examples."""
     return MagnetoShieldProfile(
-        current=CURRENT,
-        position=POSITION,
-        input=INPUT,
-        limits=LIMITS,
+        current=CURRENT, position=POSITION, input=INPUT, limits=LIMITS,
         gains=gains_in_counts(Law.LQI, K_LQI, OPERATING_POINT, (CURRENT, POSITION, INPUT)),
-        build=b"magneto",
-        adc_bits=_ADC_BITS,
-        program="magnetoshield.h",
-        positions=position_table(),
-        inputs=input_table(),
-    )
+        build=b"magneto", adc_bits=_ADC_BITS, program="magnetoshield.h",
+        positions=position_table(), inputs=input_table(),
+    )  # fmt: skip
 
 
 def header(profile: MagnetoShieldProfile) -> str:

@@ -98,9 +98,8 @@ def open_sealed(path: Path) -> dict[str, float]:
     except (KeyError, binascii.Error, zlib.error):
         intact = False
     if not intact:
-        raise DataError(
-            f"Sealed file {path}: content and commitment differ", remedy="Use the original file; this one was changed"
-        )
+        problem = f"Sealed file {path}: content and commitment differ"
+        raise DataError(problem, remedy="Use the original file; this one was changed")
     try:
         effects = {str(name): float(value) for name, value in json.loads(content)["effects"].items()}
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):

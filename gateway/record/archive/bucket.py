@@ -137,9 +137,8 @@ def _translate(where: str, text: str) -> Board51Error:
         problem = f"{where}: the server refuses with {refusal[1]}: {text}"
         return ServiceError(problem, remedy=_REMEDIES.get(refusal[1], "Look into the log of the server"))
     if "HTTP error" not in first:
-        return ServiceError(
-            f"{where}: {first.rstrip('.')}", remedy="Look at the address, --endpoint, AWS_CA_BUNDLE and the server"
-        )
+        problem = f"{where}: {first.rstrip('.')}"
+        return ServiceError(problem, remedy="Look at the address, --endpoint, AWS_CA_BUNDLE and the server")
     cause = _CAUSE.search(details)
     return ServiceError(
         f"{where}: no answer from the server{f' ({cause[1]})' if cause else ''}",

@@ -127,28 +127,16 @@ def _take_divergence(known: _Sums, divergence: pb.Divergence) -> None:
 def _row(site: str, board: str, session: int, known: _Sums) -> Session:
     parameters, x = known.parameters, known.x
     return Session(
-        site=site,
-        board=board,
-        session=session,
+        site=site, board=board, session=session,
         board_id=None if parameters is None else parameters.board_id,
         firmware="" if parameters is None else parameters.firmware,
-        began=_text(known.first_ns),
-        ended=_text(known.last_ns),
-        duration_s=(known.last_ns - known.first_ns) / 1e9,
-        samples=known.samples,
-        missing=known.gaps.missing,
-        flown_s=known.flown_s,
-        x_low_m=x.low if x.low <= x.high else None,
-        x_high_m=x.high if x.low <= x.high else None,
-        model=known.model,
-        causes=",".join(known.causes),
-        alarms=",".join(known.alarms),
-        faults=",".join(known.faults),
-        divergence_x_m=_root(known.error_x),
-        divergence_i_c_a=_root(known.error_i_c),
-        innovation_x_m=_root(known.innovation),
-        nis=known.nis.mean if known.nis.count else None,
-    )
+        began=_text(known.first_ns), ended=_text(known.last_ns), duration_s=(known.last_ns - known.first_ns) / 1e9,
+        samples=known.samples, missing=known.gaps.missing, flown_s=known.flown_s,
+        x_low_m=x.low if x.low <= x.high else None, x_high_m=x.high if x.low <= x.high else None,
+        model=known.model, causes=",".join(known.causes), alarms=",".join(known.alarms), faults=",".join(known.faults),
+        divergence_x_m=_root(known.error_x), divergence_i_c_a=_root(known.error_i_c),
+        innovation_x_m=_root(known.innovation), nis=known.nis.mean if known.nis.count else None,
+    )  # fmt: skip
 
 
 def _root(squares: Range) -> float | None:

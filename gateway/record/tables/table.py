@@ -95,12 +95,9 @@ def read_csv(path: Path) -> Table:
             raise DataError(problem, remedy="Complete the line, or remove it (is the file cut off?)")
     index = {name: position for position, name in enumerate(names)}
     return Table(
-        path=path,
-        names=names,
-        rows=len(rows),
-        label=lambda row: f"line {numbers[row]}",
+        path=path, names=names, rows=len(rows), label=lambda row: f"line {numbers[row]}",
         cell=lambda column, row: rows[row][index[column]],
-    )
+    )  # fmt: skip
 
 
 def read_mat(path: Path) -> Table:
@@ -152,12 +149,9 @@ def read_parquet(path: Path) -> Table:
     if not rows:
         raise DataError(f"{path} has no rows", remedy="Name a file with data")
     return Table(
-        path=path,
-        names=names,
-        rows=rows,
-        label=lambda row: f"row {row + 1}",
+        path=path, names=names, rows=rows, label=lambda row: f"row {row + 1}",
         cell=lambda column, row: _cell(columns[column][row]),
-    )
+    )  # fmt: skip
 
 
 def _cell(value: object) -> str | float:

@@ -95,7 +95,9 @@ def import_recording(
     values, extrapolated = _channels(table, recording)
     in_time = recording.kind != "equilibria"
     time_s = values.pop("t") if in_time else np.arange(table.rows, dtype=float)
-    _require_channels(table, source, values)
+    if not values:
+        problem = f"{source} has none of the channels {', '.join(CHANNELS[1:])}"
+        raise DataError(problem, remedy=f"Map them; its columns are: {', '.join(table.names)}")
     steps = _check_time(table, recording, time_s) if in_time else np.ones(table.rows - 1)
     sample_time_s = _round(float(np.median(steps))) if in_time else 0.0
     ticks_per_step = np.maximum(1, np.ceil(steps / (sample_time_s or 1.0) - (GAP_STEPS - 1.0))).astype(int)
@@ -121,12 +123,6 @@ def import_recording(
     )
     _write(f"{site}/{board}", report, recording, campaign, _states(recording, time_s, ticks_per_step, values))
     return report
-
-
-def _require_channels(table: Table, source: Path, values: Mapping[Channel, FloatArray]) -> None:
-    if not values:
-        problem = f"{source} has none of the channels {', '.join(CHANNELS[1:])}"
-        raise DataError(problem, remedy=f"Map them; its columns are: {', '.join(table.names)}")
 
 
 def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) -> ImportReport:

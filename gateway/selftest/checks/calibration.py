@@ -59,11 +59,9 @@ def _correct(bench: Bench, ground_m: float, top_m: float) -> bool:
     answer = line.send("SET_CALIBRATION", **points).message
     if answer is None or answer.name == "NACK":
         raise FaultFoundError(
-            "calibration-refused",
-            "calibration of x",
-            f"{_pair(ground_m, top_m)}: further off than the board corrects",
+            "calibration-refused", "calibration of x", f"{_pair(ground_m, top_m)}: further off than the board corrects",
             remedy="look at the sensor, its place and its supply, and whether this is the right --rig",
-        )
+        )  # fmt: skip
     for _ in range(10):
         line.run(0.05)
         if line.order("GET_CALIBRATION").int("kept"):
@@ -87,12 +85,9 @@ def _ceiling_m(bench: Bench) -> float:
         raise bench.no_current()
     if top_m - rest.x_m < 0.5 * rig.travel_m:
         raise FaultFoundError(
-            "ceiling",
-            "x at the ceiling",
-            f"{1e3 * top_m:.3f} mm",
-            bound=f"{1e3 * rig.travel_m:g} mm",
+            "ceiling", "x at the ceiling", f"{1e3 * top_m:.3f} mm", bound=f"{1e3 * rig.travel_m:g} mm",
             remedy="the ball does not reach the ceiling: see polarity; its way must be free",
-        )
+        )  # fmt: skip
     return top_m
 
 

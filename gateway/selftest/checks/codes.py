@@ -45,12 +45,10 @@ def _judge(bench: Bench, channel: str, values: set[int], now: set[int], lowest: 
     if stuck:
         value = f"bit {', '.join(map(str, stuck))} never changes in {len(values)} codes"
         return fault(name, what, value, remedy="look at that line of the converter's bus, or replace the converter")
-    if not exercised and bench.faults & _UNMOVED:
-        return skipped(name, what, "the reading does not move: see above")
     if not exercised:
-        return fault(
-            name, what, f"only {len(values)} codes were seen",
-            remedy="the reading does not move: run polarity and staircase",
-        )  # fmt: skip
-    reach = f"bits {exercised[0]} to {exercised[-1]} change" if exercised else ""
+        if bench.faults & _UNMOVED:
+            return skipped(name, what, "the reading does not move: see above")
+        remedy = "the reading does not move: run polarity and staircase"
+        return fault(name, what, f"only {len(values)} codes were seen", remedy=remedy)
+    reach = f"bits {exercised[0]} to {exercised[-1]} change"
     return passed(name, what, f"{reach}, {len(values)} codes from {min(values)} to {max(values)}", "no bit stuck")

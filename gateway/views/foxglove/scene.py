@@ -105,12 +105,9 @@ def _at(z_m: float) -> Pose:
 
 def _cylinder(diameter_m: float, bottom_m: float, height_m: float, color: Color) -> CylinderPrimitive:
     return CylinderPrimitive(
-        pose=_at(bottom_m + height_m / 2),
-        size=Vector3(x=diameter_m, y=diameter_m, z=height_m),
-        bottom_scale=1.0,
-        top_scale=1.0,
-        color=color,
-    )
+        pose=_at(bottom_m + height_m / 2), size=Vector3(x=diameter_m, y=diameter_m, z=height_m), bottom_scale=1.0,
+        top_scale=1.0, color=color,
+    )  # fmt: skip
 
 
 def timestamp_of(time_ns: int) -> Timestamp:

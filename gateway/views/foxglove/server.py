@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 
 import foxglove
@@ -20,10 +19,11 @@ from foxglove import Channel, Context, Schema
 from google.protobuf.message import Message
 
 from gateway.client.connection import Subscription
+from gateway.client.recording import LogTimes
 from gateway.views.foxglove.derived import Derived
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name, stamp_ns
+from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
 from protocol.ending import wait_for_end
 from protocol.errors import ServiceError
 
@@ -50,7 +50,7 @@ class FoxgloveView:
         self._context = Context()
         self._lock = threading.Lock()  # zenoh calls from several threads
         self._channels: dict[str, Channel] = {}
-        self._newest_ns: dict[str, int] = {}
+        self._times = LogTimes()
         self._derived = Derived()
         self._descriptors = descriptor_set()
         try:
@@ -88,11 +88,7 @@ class FoxgloveView:
     def _show(self, key: str, address: tuple[str, str, str], message: Message, data: bytes) -> None:
         site, board, _ = address
         with self._lock:
-            # What bears no time of its own (twin/*) gets that of its board's newest message, as in `board51 record`.
-            stamp = stamp_ns(message)
-            if stamp is not None:
-                self._newest_ns[board] = max(stamp, self._newest_ns.get(board, 0))
-            time_ns = stamp or self._newest_ns.get(board, time.time_ns())
+            time_ns = self._times.of(board, message)
             self._log(key, data, time_ns, lambda: self._schema(type(message)))
             for name, panel in self._derived.take(site, board, message, time_ns):
                 self._log(name, panel.encode(), time_ns, panel.get_schema)

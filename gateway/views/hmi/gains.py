@@ -40,22 +40,18 @@ def parse_gains(data: bytes, parameters: pb.Parameters | None) -> pb.SetGains:
         raise DataError(f"law is {law!r}", remedy='Write law = "lqi" or "pid"; board51 design writes such a file')
     gains = table.get("gains")
     if not isinstance(gains, list) or len(gains) not in (3, 4) or not all(map(_is_number, gains)):
-        raise DataError(
-            f"gains is {str(gains)[:80]}", remedy=f"Give four finite numbers: {', '.join(n or '0' for n in NAMES[law])}"
-        )
+        problem = f"gains is {str(gains)[:80]}"
+        raise DataError(problem, remedy=f"Give four finite numbers: {', '.join(n or '0' for n in NAMES[law])}")
     point = table.get("operating_point")
     if not isinstance(point, dict) or not all(_is_number(point.get(name)) for name in _POINT):
-        raise DataError(
-            "operating_point is not complete", remedy=f"Give {', '.join(_POINT)} as finite numbers, in SI units"
-        )
+        problem = "operating_point is not complete"
+        raise DataError(problem, remedy=f"Give {', '.join(_POINT)} as finite numbers, in SI units")
     if parameters is not None:
         _check_board(table, float(point["x_0_m"]), parameters)
     return pb.SetGains(
         law=LAW_OF_NAME[law],
         gains=[*map(float, gains), *[0.0] * (4 - len(gains))],
-        i_0_a=point["i_0_a"],
-        x_0_m=point["x_0_m"],
-        u_0_v=point["u_0_v"],
+        **{name: point[name] for name in _POINT},
     )
 
 

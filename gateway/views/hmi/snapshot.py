@@ -162,12 +162,9 @@ def _named(board: BoardFeed) -> str:
     if diagnosis is None or not diagnosis.cause or board.age_s(pb.TwinDiagnosis) > TWIN_TIMEOUT_S:
         return ""
     return text_of(
-        "rig.named",
-        seconds=f"{diagnosis.for_s:.0f}",
-        sentence=diagnosis.sentence,
-        probability=f"{diagnosis.probability:.1g}",
-        since=_moment(diagnosis.since_ns),
-    )
+        "rig.named", seconds=f"{diagnosis.for_s:.0f}", sentence=diagnosis.sentence,
+        probability=f"{diagnosis.probability:.1g}", since=_moment(diagnosis.since_ns),
+    )  # fmt: skip
 
 
 def job(running: Job) -> dict[str, Any]:

@@ -44,24 +44,21 @@ _METHODS = {method.name: method for method in methods()}
 _V = ua.VariantType
 # Methods of Part 9 by node id, and the types of their arguments.
 _OF_CONDITIONS: dict[ua.NodeId, tuple[str, tuple[ua.VariantType, ...]]] = {
-    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh): ("refresh", (_V.UInt32,)),
-    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2): ("refresh", (_V.UInt32, _V.UInt32)),
-    ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge): (
-        "acknowledge",
-        (_V.ByteString, _V.LocalizedText),
-    ),
-    ua.NodeId(ua.ObjectIds.ConditionType_AddComment): ("comment", (_V.ByteString, _V.LocalizedText)),
-    ua.NodeId(ua.ObjectIds.ConditionType_Enable): ("enable", ()),
-    ua.NodeId(ua.ObjectIds.ConditionType_Disable): ("disable", ()),
-    **{
-        ua.NodeId(getattr(ua.ObjectIds, f"{owner}_{method}")): (name, types)
-        for owner in ("ShelvedStateMachineType", "AlarmConditionType_ShelvingState")
-        for method, name, types in (
-            ("TimedShelve", "shelve", (_V.Double,)),
-            ("OneShotShelve", "one-shot", ()),
-            ("Unshelve", "unshelve", ()),
-        )
-    },
+    ua.NodeId(getattr(ua.ObjectIds, method)): (name, types)
+    for method, name, types in (
+        ("ConditionType_ConditionRefresh", "refresh", (_V.UInt32,)),
+        ("ConditionType_ConditionRefresh2", "refresh", (_V.UInt32, _V.UInt32)),
+        ("AcknowledgeableConditionType_Acknowledge", "acknowledge", (_V.ByteString, _V.LocalizedText)),
+        ("ConditionType_AddComment", "comment", (_V.ByteString, _V.LocalizedText)),
+        ("ConditionType_Enable", "enable", ()),
+        ("ConditionType_Disable", "disable", ()),
+        ("ShelvedStateMachineType_TimedShelve", "shelve", (_V.Double,)),
+        ("ShelvedStateMachineType_OneShotShelve", "one-shot", ()),
+        ("ShelvedStateMachineType_Unshelve", "unshelve", ()),
+        ("AlarmConditionType_ShelvingState_TimedShelve", "shelve", (_V.Double,)),
+        ("AlarmConditionType_ShelvingState_OneShotShelve", "one-shot", ()),
+        ("AlarmConditionType_ShelvingState_Unshelve", "unshelve", ()),
+    )
 }
 
 

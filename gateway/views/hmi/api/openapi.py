@@ -29,6 +29,10 @@ _PARTS = {
     "result": f"one of {', '.join(RESULTS)}",
 }
 _SOFT = f"With the query {SOFT}=true every answer has status 200, for clients that hide the body of an error."
+_TOKEN = {
+    "type": "http", "scheme": "bearer",
+    "description": "of `board51 security add-token`; not needed where the page has no login",
+}  # fmt: skip
 _ALL = {400: "a value or key is not valid", 401: "no valid token", 403: "from a page of another server, or the role"}
 
 
@@ -44,16 +48,7 @@ def document(endpoints: Sequence[Endpoint], *, release: str, has_users: bool) ->
         "servers": [{"url": VERSION}],
         "security": [{"token": []}] if has_users else [],
         "paths": paths,
-        "components": {
-            "securitySchemes": {
-                "token": {
-                    "type": "http",
-                    "scheme": "bearer",
-                    "description": "of `board51 security add-token`; not needed where the page has no login",
-                }
-            },
-            "schemas": definitions,
-        },
+        "components": {"securitySchemes": {"token": _TOKEN}, "schemas": definitions},
     }
 
 

@@ -135,7 +135,10 @@ async def _run(endpoint: Endpoint, request: Request) -> Response:
         if endpoint.body is not None:
             table, is_form = await _table(request)
             kind = endpoint.body.kind(table) if isinstance(endpoint.body, BodyKinds) else endpoint.body
-            body = _checked_body(kind, table, is_form)
+            if is_form:
+                body = checked_form(kind, [(name, str(text)) for name, text in table.items()], where="body")
+            else:
+                body = checked(kind, dict(table), where="body", error=DataError)
     answer = await endpoint.run(Call(request=request, query=query, body=body))
     if isinstance(answer, Response):
         return answer
@@ -164,17 +167,6 @@ def checked_form(kind: type | None, pairs: Sequence[tuple[str, str]], *, where: 
             raise DataError(f"{where}: {next(iter(table))} is not a key", remedy="Leave it out: there are none")
         return None
     return checked(kind, table, where=where, error=DataError)
-
-
-def _checked_body(kind: type, table: Mapping[str, object], is_form: bool) -> Any:  # the endpoints' type
-    """Return a body as `kind`.
-
-    Raises:
-        DataError: a key is unknown, or a value is not valid.
-    """
-    if is_form:
-        return checked_form(kind, [(name, str(text)) for name, text in table.items()], where="body")
-    return checked(kind, dict(table), where="body", error=DataError)
 
 
 def _value(text: str) -> object:
