@@ -16,7 +16,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from datetime import UTC, datetime
@@ -42,7 +42,7 @@ from gateway.link.port import check_url
 from gateway.record.recorder import Recorder, RecorderOptions
 from gateway.record.writer import LogError
 from protocol.bus import topics
-from protocol.bus.encoding import is_replayed, state_batch
+from protocol.bus.encoding import batch, is_replayed, parse, parts
 from protocol.bus.endpoint import Mode, zenoh_config
 from protocol.bus.identity import Identity, load_identity
 from protocol.ending import on_end_signal
@@ -52,6 +52,8 @@ STATUS_S = 1.0
 # With the default of 5 ms one busy thread delays the others by up to 5 ms, which would dominate the latency.
 SWITCH_INTERVAL_S = 0.0005
 MESSAGES_QUEUE = 10_000
+# Not twin/state and twin/divergence: their batch has the same, and for a subscriber of theirs each tick is sent alone.
+_LOGGED_OF_TWIN = ("twin/states", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")
 CERTIFICATES_S = 86400.0  # between two checks of their expiry
 _logger = logging.getLogger("gateway")
 
@@ -77,8 +79,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         drivers = [BoardDriver(board, sink, clock) for board, sink in zip(config.boards, sinks, strict=True)]
         if recorder is not None:
             stack.enter_context(_recording(recorder, drivers))
-            twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
-            stack.callback(twin.undeclare)
+            for subscriber in _log_twin(bus, config.site, recorder):
+                stack.callback(subscriber.undeclare)
         cards = [BoardCard(driver, folder_of(config)) for driver in drivers]
         link = LinkThread(drivers, publishers.samples.wake)
         guarded = bool(config.security.directory)
@@ -122,7 +124,7 @@ def _publishers(samples: int) -> Publishers:
     return Publishers(
         messages=Publisher("publish-messages", MESSAGES_QUEUE),
         samples=Publisher("publish-samples", samples),
-        batches=Publisher("publish-batches", samples, gather_s=GATHER_S, join=state_batch),
+        batches=Publisher("publish-batches", samples, gather_s=GATHER_S, join=partial(batch, "state")),
     )
 
 
@@ -293,14 +295,21 @@ def _publish_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None
     _publish_all(drivers, "command-flood", "warning", f"{who} sends too many commands: {count} discarded.")
 
 
-def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
+def _log_twin(bus: zenoh.Session, site: str, recorder: Recorder) -> list[zenoh.Subscriber[None]]:
     def log(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         address = topics.split(key)
-        if address is not None and topics.TOPIC_OF_NAME[address[2]].logged and not is_replayed(sample.attachment):
-            recorder.put(key, sample.payload.to_bytes(), time.time_ns())
+        if address is None or is_replayed(sample.attachment):
+            return
+        site, board, topic = address
+        data, now_ns = sample.payload.to_bytes(), time.time_ns()
+        if topics.TOPIC_OF_NAME[topic].logged:
+            recorder.put(key, data, now_ns)
+        elif (message := parse(topics.TOPIC_OF_NAME[topic].message, data)) is not None:
+            for name, part in parts(topic, message):
+                recorder.put(topics.key(site, board, name), part.SerializeToString(), now_ns)
 
-    return log
+    return [bus.declare_subscriber(f"{site}/*/{topic}", log) for topic in _LOGGED_OF_TWIN]
 
 
 def _where(config: GatewayConfig) -> str:

@@ -116,8 +116,7 @@ class BoardCard:
     def keep(self) -> None:
         """Write the card if it was stated since it was last written."""
         card = self._keeper.card
-        plant = card_plant(card)
-        if plant is None or card.who in (EMULATED, CONFIGURATION) or card == self._stored:
+        if card == self._stored or card.who in (EMULATED, CONFIGURATION) or (plant := card_plant(card)) is None:
             return
         try:
             _write(self._file, card, plant)

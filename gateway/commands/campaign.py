@@ -159,13 +159,12 @@ def _report(args: argparse.Namespace, summary: Summary, ended_ns: int) -> None:
              "attempts": o.attempts, "said": o.problems}
             for o in summary.outcomes
         ]  # fmt: skip
-        print(
-            json.dumps(
-                {"folder": str(args.folder), "complete": summary.complete, "interrupted": summary.interrupted,
-                 "failure": summary.failure, "parked": not summary.parked, "lift_off_v": summary.lift_off_v,
-                 "rig_s": summary.rig_s, "ended_ns": ended_ns, "experiments": rows, "again": again}
-            )
-        )  # fmt: skip
+        content = {
+            "folder": str(args.folder), "complete": summary.complete, "interrupted": summary.interrupted,
+            "failure": summary.failure, "parked": not summary.parked, "lift_off_v": summary.lift_off_v,
+            "rig_s": summary.rig_s, "ended_ns": ended_ns, "experiments": rows, "again": again,
+        }  # fmt: skip
+        print(json.dumps(content))
     else:
         print(f"{'recording':<24}{'use':<8}{'s':>6}  {'tries':>5}  standing")
         for o in summary.outcomes:

@@ -179,11 +179,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         from google.protobuf.json_format import MessageToDict
 
-        print(
-            json.dumps(
-                MessageToDict(reply, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
-            )
-        )
+        fields = MessageToDict(reply, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
+        print(json.dumps(fields))
     elif reply.accepted:
         print(f"accepted, in force from tick {reply.tick}" + (f" ({reply.text})" if reply.text else ""))
     else:

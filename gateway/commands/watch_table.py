@@ -15,7 +15,7 @@ from gateway.client.message_queue import MessageQueue
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
 
-TABLE_TOPICS = ("states", "status", "alarms", "twin/divergence", "twin/alarm", "twin/alarms")
+TABLE_TOPICS = ("states", "status", "alarms", "twin/states", "twin/alarm", "twin/alarms")
 FRESH_S = 2.5  # of what comes once a second or more often
 FRESH_ALARMS_S = 12.0  # they come every 5 s, and on change
 # 80 columns have room for an alarm.
@@ -53,15 +53,15 @@ class Table:
             for topic, (at_s, message) in self._rigs[rig].items()
             if now_s - at_s < (FRESH_ALARMS_S if topic == "alarms" else FRESH_S)
         }
-        status, batch, divergence = latest.get("status"), latest.get("states"), latest.get("twin/divergence")
+        status, batch, twin = latest.get("status"), latest.get("states"), latest.get("twin/states")
         cells = ["-"] * 5
         if isinstance(batch, pb.StateBatch) and batch.states:
             state = batch.states[-1]
             cells[0] = encoding.word_of(pb.Mode, state.mode).replace(" ", "-")
             for n, (name, scale) in enumerate((("x_m", 1e3), ("x_ref_m", 1e3), ("i_c_a", 1.0)), 1):
                 cells[n] = f"{scale * getattr(state, name):.3f}" if state.HasField(name) else "-"
-        if isinstance(divergence, pb.Divergence):
-            cells[4] = f"{1e3 * divergence.x_m.error:+.3f}"  # mm, measured minus twin
+        if isinstance(twin, pb.TwinBatch) and twin.divergences:
+            cells[4] = f"{1e3 * twin.divergences[-1].x_m.error:+.3f}"  # mm, measured minus twin
         active = latest.get("alarms")
         names = [alarm.name for alarm in active.active] if isinstance(active, pb.Alarms) else []
         names += [name for name, at_s in self._twin_alarms[rig].items() if now_s - at_s < FRESH_ALARMS_S]

@@ -27,7 +27,7 @@ from gateway.link.sink import Reply
 
 POLL_S = 0.005  # largest delay of a time-out; the shortest configurable time-out is 20 ms
 # The shortest time between two rounds, so that a round of many boards finds several ready: one wake-up and one
-# hand-over for all of them.  A board alone is read as soon as its bytes arrive: its next frame comes later than that.
+# hand-over for all of them.  A board alone needs none.
 ROUND_S = 0.00025
 CLOSE_PATIENCE_S = 1.0  # at the end, for ports that are slow to close
 _logger = logging.getLogger("gateway.link")
@@ -108,7 +108,7 @@ class LinkThread:
                 if now_s >= next_poll_s:
                     next_poll_s = now_s + POLL_S
                     self._poll(now_s)
-                if (rest_s := began_s + ROUND_S - time.monotonic()) > 0:
+                if len(self._lines) > 1 and (rest_s := began_s + ROUND_S - time.monotonic()) > 0:
                     time.sleep(rest_s)
         finally:
             for line in self._lines:

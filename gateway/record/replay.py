@@ -72,8 +72,8 @@ class BusReplay:
         """Announce (site, board, topic) ahead of the first message, so that subscribers are matched by then."""
         for site, board, topic in keys:
             self._publisher(site, board, topic)
-            if topic == "state":
-                self._publisher(site, board, "states")
+            if topic in encoding.BATCH_OF:
+                self._publisher(site, board, encoding.BATCH_OF[topic])
 
     def matched(self) -> bool:
         """Return whether an announced key has a subscriber."""
@@ -85,9 +85,9 @@ class BusReplay:
         if self.session_offset:
             data = _with_session(record.topic, data, self.session_offset)
         self._publisher(record.site, record.board, record.topic).put(data, attachment=encoding.REPLAYED)
-        if record.topic == "state":
-            batch = encoding.state_batch([data])
-            self._publisher(record.site, record.board, "states").put(batch, attachment=encoding.REPLAYED)
+        if record.topic in encoding.BATCH_OF:
+            batch, topic = encoding.batch(record.topic, [data]), encoding.BATCH_OF[record.topic]
+            self._publisher(record.site, record.board, topic).put(batch, attachment=encoding.REPLAYED)
 
     def _publisher(self, site: str, board: str, topic: str) -> zenoh.Publisher:
         key = topics.key(self._site or site, self._rename or board, topic)

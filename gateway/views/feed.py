@@ -37,15 +37,15 @@ from gateway.record.replay import SESSIONS_PER_PASS
 from gateway.views.board_feed import BoardFeed, M
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import is_plausible, is_replayed, parse
+from protocol.bus.encoding import is_plausible, is_replayed, parse, parts
 
 MAX_BOARDS = 64
-_TOPICS = ("states", "status", "event", "alarms", "parameters", "plant", "command/record", "twin/state",
-           "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis", "capture")  # fmt: skip
+_TOPICS = ("states", "status", "event", "alarms", "parameters", "plant", "command/record", "twin/states",
+           "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis", "capture")  # fmt: skip
 _CHECKED = (pb.Status, pb.Parameters)  # whose numbers become whole ones, axes and limits; samples may have NaN
-# One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
-# overtakes an alarm would end it.
-_KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/")), "twin/*")
+# One subscriber for both topics of the twin's alarms: zenoh keeps the order within a subscriber, and a list of active
+# alarms that overtakes an alarm would end it.  Not `twin/*`: for a subscriber of `twin/state` each tick is sent alone.
+_KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/alarm")), "twin/alarm$*")
 _TYPES: dict[str, type[Message]] = {name: topics.TOPIC_OF_NAME[name].message for name in _TOPICS}
 
 
@@ -172,7 +172,7 @@ class Feed:
                     address[1], self._lock, self._now_s, replay_pass=(replay_pass or 0) if self._replays else None
                 )
             now_ns = time.time_ns()
-            for part in message.states if isinstance(message, pb.StateBatch) else (message,):
+            for _, part in parts(address[2], message):
                 board.take(part, now_ns)
 
     def _alive(self, sample: zenoh.Sample) -> None:
@@ -184,7 +184,6 @@ class Feed:
 
 def _pass_of(message: Message) -> int | None:
     """Return the pass of a replay to which a message belongs: a seek makes all earlier messages invalid."""
-    if isinstance(message, pb.StateBatch):
-        message = message.states[0] if message.states else message
-    session: int | None = getattr(message, "session", None)
+    first = next((part for _, part in parts("", message)), message)
+    session: int | None = getattr(first, "session", None)
     return None if session is None else session // SESSIONS_PER_PASS

@@ -544,6 +544,14 @@ class Divergence(_message.Message):
     innovation_valid: bool
     def __init__(self, sequence: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., t_s: _Optional[float] = ..., sync: _Optional[str] = ..., x_m: _Optional[_Union[SignalDivergence, _Mapping]] = ..., i_c_a: _Optional[_Union[SignalDivergence, _Mapping]] = ..., u_c_v: _Optional[_Union[SignalDivergence, _Mapping]] = ..., innovation_x_m: _Optional[float] = ..., innovation_i_c_a: _Optional[float] = ..., nis: _Optional[float] = ..., nis_mean: _Optional[float] = ..., bridged_ticks: _Optional[int] = ..., nis_on: _Optional[float] = ..., innovation_valid: _Optional[bool] = ...) -> None: ...
 
+class TwinBatch(_message.Message):
+    __slots__ = ("states", "divergences")
+    STATES_FIELD_NUMBER: _ClassVar[int]
+    DIVERGENCES_FIELD_NUMBER: _ClassVar[int]
+    states: _containers.RepeatedCompositeFieldContainer[TwinState]
+    divergences: _containers.RepeatedCompositeFieldContainer[Divergence]
+    def __init__(self, states: _Optional[_Iterable[_Union[TwinState, _Mapping]]] = ..., divergences: _Optional[_Iterable[_Union[Divergence, _Mapping]]] = ...) -> None: ...
+
 class Alarm(_message.Message):
     __slots__ = ("host_time_ns", "tick", "session", "name", "active", "value", "threshold_on", "threshold_off", "text")
     HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]

@@ -6,7 +6,7 @@ serialised FileDescriptorSet, so that any protobuf tool can decode a log without
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, SupportsBytes, TypeVar
 
 from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
@@ -21,8 +21,14 @@ SCHEMA_ENCODING = MESSAGE_ENCODING = "protobuf"
 # Size of a log's chunks before compression, 0.3 s of one board: a damaged byte costs at least one chunk.  Compared with
 # chunks of 1 MiB, files are 22 % larger with zstd and 6 % with lz4.
 CHUNK_BYTES = 1 << 14
+# The topic that carries the messages of each of these together, and their field in it.
+BATCH_OF = {"state": "states", "twin/state": "twin/states", "twin/divergence": "twin/states"}
+_FIELD_OF = {
+    "state": pb.StateBatch.STATES_FIELD_NUMBER,
+    "twin/state": pb.TwinBatch.STATES_FIELD_NUMBER,
+    "twin/divergence": pb.TwinBatch.DIVERGENCES_FIELD_NUMBER,
+}
 LARGEST = 1e12  # in SI units: gains are the largest numbers, at most 1e6 by default
-_TAG_OF_STATES = pb.StateBatch.STATES_FIELD_NUMBER << 3 | 2  # 2: a length follows
 
 
 def schema_name(message: type[Message]) -> str:
@@ -76,15 +82,27 @@ def stamp_ns(message: Message) -> int | None:
     return stamp or None  # 0: a sender that knew no time, or an older one
 
 
-def state_batch(states: Iterable[bytes]) -> bytes:
-    """Return the serialised pb.StateBatch of serialised pb.State: each behind its tag and length."""
-    parts = bytearray()
-    for state in states:
-        parts.append(_TAG_OF_STATES)
-        rest = len(state)
+def batch(topic: str, messages: Iterable[bytes]) -> bytes:
+    """Return the batch, for BATCH_OF[topic], of serialised messages of one topic: each behind its tag and length."""
+    tag, data = _FIELD_OF[topic] << 3 | 2, bytearray()  # 2: a length follows
+    for message in messages:
+        data.append(tag)
+        rest = len(message)
         while rest > 0x7F:
-            parts.append(rest & 0x7F | 0x80)
+            data.append(rest & 0x7F | 0x80)
             rest >>= 7
-        parts.append(rest)
-        parts += state
-    return bytes(parts)
+        data.append(rest)
+        data += message
+    return bytes(data)
+
+
+def parts(topic: str, message: Message) -> Iterator[tuple[str, Message]]:
+    """Yield topic and message of each part of a batch; any other message is its own only part."""
+    match message:
+        case pb.StateBatch():
+            yield from (("state", state) for state in message.states)
+        case pb.TwinBatch():
+            yield from (("twin/state", state) for state in message.states)
+            yield from (("twin/divergence", divergence) for divergence in message.divergences)
+        case _:
+            yield topic, message

@@ -59,6 +59,8 @@ TOPICS: tuple[Topic, ...] = (
           description="the free-running closed-loop twin"),
     Topic(name="twin/divergence", message=pb.Divergence, source="twin", rate="every tick",
           description="measured against twin, and one-step innovations"),
+    Topic(name="twin/states", message=pb.TwinBatch, source="twin", rate="every 20 ms (50 Hz)", logged=False,
+          description="twin/state and twin/divergence of the last 20 ms in one message"),
     Topic(name="twin/alarm", message=pb.Alarm, source="twin", rate="on change",
           description="divergence alarms with hysteresis"),
     Topic(name="twin/alarms", message=pb.TwinAlarms, source="twin", rate="every 5 s",

@@ -24,7 +24,7 @@ from google.protobuf.message import Message
 from gateway.client.values import Capture, Sample, read_log
 from gateway.sites.server import LogServer
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.encoding import parse
+from protocol.bus.encoding import parse, parts
 from protocol.bus.topics import TOPICS
 from protocol.errors import Board51Error, DataError
 from protocol.wire.decoder import StreamDecoder
@@ -251,8 +251,7 @@ def _driver_seeds(_: Path) -> Iterator[bytes]:
 
 def _samples_apart(data: bytes) -> list[Message]:
     """Return the messages as a feed takes them: each sample alone."""
-    messages = [one for _, one in parsed(data)]
-    return [part for one in messages for part in (one.states if isinstance(one, pb.StateBatch) else (one,))]
+    return [part for name, one in parsed(data) for _, part in parts(name, one)]
 
 
 def _view(_: Path, data: bytes) -> None:

@@ -21,9 +21,16 @@ from google.protobuf.message import Message
 from gateway.client.connection import Subscription
 from gateway.client.recording import LogTimes
 from gateway.views.foxglove.derived import Derived
-from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
+from protocol.bus.encoding import (
+    BATCH_OF,
+    MESSAGE_ENCODING,
+    SCHEMA_ENCODING,
+    descriptor_set,
+    parse,
+    parts,
+    schema_name,
+)
 from protocol.ending import wait_for_end
 from protocol.errors import ServiceError
 
@@ -63,8 +70,8 @@ class FoxgloveView:
                 remedy="End the program that uses the port, or give another one with --listen HOST:PORT",
             ) from None
         self.port = self._server.port
-        # `states` has the same samples as `state`, in fewer messages.
-        names = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and t.name != "state"]
+        # Batches have the same samples, in fewer messages.
+        names = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and t.name not in BATCH_OF]
         self._subscription = Subscription(session, [f"{site}/*/{topic}" for topic in names], self._arrived)
 
     def close(self) -> None:
@@ -78,12 +85,11 @@ class FoxgloveView:
         message = parse(topics.TOPIC_OF_NAME[address[2]].message, data) if address is not None else None
         if address is None or message is None:
             self.refused += 1
-        elif isinstance(message, pb.StateBatch):
-            key = topics.key(address[0], address[1], "state")
-            for state in message.states:
-                self._show(key, address, state, state.SerializeToString())
-        else:
-            self._show(key, address, message, data)
+            return
+        for topic, part in parts(address[2], message):
+            whole = part is message
+            name = key if whole else topics.key(address[0], address[1], topic)
+            self._show(name, address, part, data if whole else part.SerializeToString())
 
     def _show(self, key: str, address: tuple[str, str, str], message: Message, data: bytes) -> None:
         site, board, _ = address

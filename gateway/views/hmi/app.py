@@ -35,7 +35,7 @@ from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Job, Jobs
 from gateway.views.hmi.library import Library
-from gateway.views.hmi.live import FRAME_S, STUCK_S, Live, follow
+from gateway.views.hmi.live import REST_S, STUCK_S, Live, follow
 from gateway.views.hmi.login_requests import LoginRequests
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.programs import Programs
@@ -115,7 +115,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        traced = (follow(source, FRAME_S, lambda board: board.companion(Traces).pump()) for source in (feed, replayed))
+        traced = (follow(source, REST_S, lambda board: board.companion(Traces).pump()) for source in (feed, replayed))
         recent = follow(feed, LOOK_S, lambda board: board.companion(Samples))
         pumps = [asyncio.create_task(pump) for pump in (*traced, recent)]
         yield

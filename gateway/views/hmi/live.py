@@ -101,6 +101,7 @@ class Live:
             if board is None:
                 return {"jobs": self._job_words(name)}
             traces, first = board.companion(Traces), cursor == 0
+            traces.pump()
             rows, cursor = traces.since(cursor)
             made: dict[str, Any] = {"now": snapshot.now(board), "rows": rows}
             if first and rows:

@@ -42,7 +42,7 @@ class Traces:
         self._coarse: deque[Row] = deque(maxlen=round(3 * LONGEST_S / COARSE_S))
 
     def pump(self) -> None:
-        """Take in what came since the last call; call it about 30 times a second."""
+        """Take in what came since the last call, up to MAX_BINS; a reader calls it before each frame."""
         if not self._taps:
             if self.board.latest(pb.State) is None:
                 return

@@ -31,7 +31,7 @@ from gateway.link.port import Port, open_port
 from gateway.link.sink import Sink
 from gateway.record.recorder import Recorder, RecorderOptions
 from gateway.record.writer import LogWriter
-from protocol.bus.encoding import descriptor_set, state_batch
+from protocol.bus.encoding import batch, descriptor_set
 from protocol.bus.endpoint import zenoh_config
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Sample
@@ -172,7 +172,7 @@ def _other_threads(folder: Path, frames: list[bytes], bus: zenoh.Session) -> dic
         "row": lambda n: log.write(STATE, state, NOW_NS + n),
         "row of bytes": lambda n: log.write(RAW, frames[n], NOW_NS + n),
         "put": lambda _: put(state),
-        "put batch": lambda _: put_all(state_batch([state] * GATHERED)),
+        "put batch": lambda _: put_all(batch("state", [state] * GATHERED)),
         "bare decode": lambda n: [cobs(frame) for frame in frames[n].split(b"\0")],
         "bare state": lambda n: [state_of(frame, NOW_NS) for frame in frames[n].split(b"\0")],
         "bare row": lambda n: plain.add_message(channel, n, state, n),

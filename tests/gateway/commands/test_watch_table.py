@@ -21,7 +21,7 @@ def table_at_zero() -> Table:
     for topic, message in (
         ("status", pb.Status(link="streaming")),
         ("states", pb.StateBatch(states=[STATE])),
-        ("twin/divergence", divergence),
+        ("twin/states", pb.TwinBatch(divergences=[divergence])),
         ("alarms", pb.Alarms(active=[pb.Alarm(name="link-down")])),
         ("twin/alarm", pb.Alarm(name="divergence-x", active=True)),
     ):

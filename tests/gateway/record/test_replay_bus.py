@@ -97,10 +97,12 @@ def test_choices_apply(log: Path, endpoint: str) -> None:
     options = ["--speed", "0", "--start", "0.5", "--end", "0.6", "--topic", "twin/state", "--as", "ghost"]
     with subscriber(endpoint) as found:
         assert board51.main(["replay", str(log), "--connect", endpoint, *options]) == 0
-        until(lambda: len(found) >= 50)
+        until(lambda: len(found) >= 100)
 
-    assert [key for key, _, _ in found] == ["board51/ghost/twin/state"] * 50
-    assert [pb.TwinState.FromString(payload).tick for _, _, payload in found] == list(range(250, 300))
+    alone = [pb.TwinState.FromString(payload) for key, _, payload in found if key == "board51/ghost/twin/state"]
+    batches = [pb.TwinBatch.FromString(payload) for key, _, payload in found if key == "board51/ghost/twin/states"]
+    assert [state.tick for state in alone] == list(range(250, 300))
+    assert batches == [pb.TwinBatch(states=[state]) for state in alone]
 
 
 def test_each_pass_of_a_loop_has_its_own_session(log: Path, endpoint: str) -> None:

@@ -18,7 +18,7 @@ from gateway.views.decimate import TopicBins
 from gateway.views.feed import Feed
 from gateway.views.hmi.snapshot import rest
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.encoding import REPLAYED, state_batch
+from protocol.bus.encoding import REPLAYED, batch
 from tests.harness.gateway.bus_peers import PlayedGateway, feed_of, played_gateway
 from tests.harness.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 
@@ -350,7 +350,7 @@ def test_what_is_replayed_is_no_board_of_the_live_site_and_the_only_one_of_repla
 
         def reached() -> bool:
             gateway.send("twin/state", pb.TwinState(tick=1), "demo")
-            gateway.session.put("board51/demo/states", state_batch([state.SerializeToString()]), attachment=REPLAYED)
+            gateway.session.put("board51/demo/states", batch("state", [state.SerializeToString()]), attachment=REPLAYED)
             gateway.state()
             return bool(live.boards() and replays.boards())
 

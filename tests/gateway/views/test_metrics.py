@@ -99,7 +99,6 @@ def test_what_the_bus_says_is_what_is_scraped(bus: tuple[PlayedGateway, Feed]) -
 def test_what_is_not_known_is_left_out(bus: tuple[PlayedGateway, Feed]) -> None:
     gateway, feed = bus
     gateway.send("state", pb.State(tick=1, session=1), "bare")
-    gateway.send("states", pb.StateBatch(states=[pb.State(tick=1, session=1)]), "bare")
     wait_for(lambda: feed.board("bare"), "the board")
 
     families = scraped(feed)

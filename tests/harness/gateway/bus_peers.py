@@ -14,12 +14,13 @@ from google.protobuf.message import Message
 from gateway.views.feed import Feed
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
+from protocol.bus.encoding import BATCH_OF, batch
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
 
 JUNK = b"\xff\xff"  # no message of any kind
-HEARD = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state")  # one of each subscriber
+HEARD = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/states")  # one of each subscriber
 CommandHandler = Callable[[str, pb.Command], pb.CommandReply | None]  # None: no answer yet
 
 
@@ -40,8 +41,11 @@ class PlayedGateway:
         self._queryable.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
 
     def send(self, topic: str, message: Message, board: str = "rig") -> None:
-        """As a gateway does: blocking, so that nothing is lost here."""
-        self.put(topic, message.SerializeToString(), board)
+        """As a gateway and a twin do, ticks in a batch, too: blocking, so that nothing is lost here."""
+        data = message.SerializeToString()
+        self.put(topic, data, board)
+        if topic in BATCH_OF:
+            self.put(BATCH_OF[topic], batch(topic, [data]), board)
 
     def put(self, topic: str, payload: bytes, board: str = "rig") -> None:
         """Whatever a test wants to send."""
@@ -59,7 +63,6 @@ class PlayedGateway:
         values.update(fields)
         self.last = pb.State(**values)  # type: ignore[arg-type]  # a test may send what it likes
         self.send("state", self.last, board)
-        self.send("states", pb.StateBatch(states=[self.last]), board)
 
     def status(self, board: str = "rig", link: str = "streaming") -> None:
         self.send("status", pb.Status(link=link, host_time_ns=time.time_ns(), log_state="writing"), board)

@@ -11,6 +11,7 @@ import zenoh
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
+from protocol.bus.encoding import BATCH_OF, parts
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.twin.rig import Rig
 from tests.patience import HANG_S
@@ -38,17 +39,28 @@ def wait_for_count(found: Callable[[], int], count: int, what: str, seconds: flo
 
 
 class Heard:
-    """What a subscriber on everything of one site has received, by key."""
+    """What a subscriber on everything of one site has received, by key; of each tick what its batch has.
+
+    `singles` are the messages of one tick: sent only once the twin has noticed that somebody subscribes to them.
+    """
 
     def __init__(self, session: zenoh.Session, site: str) -> None:
         self.payloads: dict[str, list[bytes]] = defaultdict(list)
+        self.singles: dict[str, list[bytes]] = defaultdict(list)
         self.encodings: dict[str, str] = {}
         session.declare_subscriber(f"{site}/**", self._take)
 
     def _take(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        self.payloads[key].append(sample.payload.to_bytes())
+        key, data = str(sample.key_expr), sample.payload.to_bytes()
         self.encodings[key] = str(sample.encoding)
+        beginning, _, topic = key.partition("/twin/")
+        if f"twin/{topic}" in BATCH_OF:
+            self.singles[key].append(data)
+        elif topic == "states":
+            for name, part in parts("twin/states", pb.TwinBatch.FromString(data)):
+                self.payloads[f"{beginning}/{name}"].append(part.SerializeToString())
+        else:
+            self.payloads[key].append(data)
 
 
 def publish(session: zenoh.Session, states: list[pb.State], *, board: str = "rig") -> None:

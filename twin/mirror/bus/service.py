@@ -213,6 +213,7 @@ class TwinService:
                 watched = self._watched(site, board)
                 for state in batch.states:
                     watched.take(state, now)
+                watched.send_batch()
             case None:
                 self.malformed += topic != "status"
 

@@ -18,6 +18,7 @@ from google.protobuf.message import Message
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
+from protocol.bus.endpoint import has_subscriber
 from twin.mirror.bus.handover import Belief, refusal
 from twin.mirror.bus.request import DiagnosisRequest
 from twin.mirror.mirror import Mirror
@@ -28,7 +29,7 @@ from twin.settings.mirror import SILENT_S, Settings
 from twin.settings.naming import FORGOTTEN_S
 
 REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
-_TOPICS = ("twin/state", "twin/divergence", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")
+_TOPICS = ("twin/state", "twin/divergence", "twin/states", "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis")
 _LAST_NS = (1 << 64) - 1  # the largest number that a message can hold: a sample may bear any time
 log = logging.getLogger(__name__)
 
@@ -93,6 +94,7 @@ class Watched:
             + reach
             + " --out diagnosis",
         )
+        self._batch = pb.TwinBatch()  # answers to the batch of samples in work
         self._newest: pb.State | None = None
         self._now_ns = 0  # of the gateway's clock; 0 before the first sample
         self._since: tuple[int, int] | None = None  # session and tick of the first sample under the belief
@@ -110,8 +112,10 @@ class Watched:
         if output is None:
             return None
         if output.state is not None:
-            self._publish("twin/state", output.state)
-        self._publish("twin/divergence", output.divergence)
+            self._batch.states.append(output.state)
+            self._publish_tick("twin/state", output.state)
+        self._batch.divergences.append(output.divergence)
+        self._publish_tick("twin/divergence", output.divergence)
         for alarm in output.alarms:
             if alarm.active and alarm.threshold_on:  # the model is in doubt, not the line
                 alarm.text += f" under the model {self.belief.model.name}"
@@ -123,6 +127,11 @@ class Watched:
             if diagnosis is not None:
                 self._diagnose(diagnosis)
         return output
+
+    def send_batch(self) -> None:
+        """Publish the answers since the last call together."""
+        self._publish("twin/states", self._batch)
+        self._batch = pb.TwinBatch()
 
     def use(self, belief: Belief) -> pb.CommandReply:
         """Run on another model from the next sample on, or say why not."""
@@ -203,6 +212,11 @@ class Watched:
         self._publish("twin/alarm", alarm)
         if (answered := self._request.take_alarm(alarm)) is not None:
             self._alarm(answered)
+
+    def _publish_tick(self, topic: str, message: Message) -> None:
+        # Most subscribers take the batch: a message for each tick would wake up each of them 500 times a second.
+        if has_subscriber(self._publishers[topic]):
+            self._publish(topic, message)
 
     def _publish(self, topic: str, message: Message) -> None:
         self._publishers[topic].put(message.SerializeToString())

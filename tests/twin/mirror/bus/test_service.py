@@ -46,7 +46,7 @@ def test_the_bus_carries_what_the_mirror_says_bit_by_bit(endpoint: str) -> None:
 
     got = heard.payloads["lab/rig/twin/divergence"]
     assert got == [output.divergence.SerializeToString() for output in expected]
-    assert heard.encodings["lab/rig/twin/state"] == "application/protobuf;board51.v1.TwinState"
+    assert heard.encodings["lab/rig/twin/states"] == "application/protobuf;board51.v1.TwinBatch"
     assert pb.Divergence.FromString(got[-1]).sync == IN_STEP
 
 
@@ -162,3 +162,31 @@ def stream(session: zenoh.Session, stop: threading.Event) -> None:
         state = pb.State(sequence=tick, tick=tick, session=1)
         session.put("lab/rig/states", pb.StateBatch(states=[state]).SerializeToString())
         session.put("lab/rig/status", status)
+
+
+def test_a_tick_is_sent_alone_only_where_somebody_subscribes_to_ticks(endpoint: str) -> None:
+    rig = Rig(seed=2)
+    rig.hold(HELD)
+    alone: list[pb.Divergence] = []
+    together: list[pb.Divergence] = []
+    with router(endpoint) as session, TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
+        batches = session.declare_subscriber(
+            "lab/rig/twin/states", lambda s: together.extend(pb.TwinBatch.FromString(s.payload.to_bytes()).divergences)
+        )
+        introduce(session, service, rig)
+        publish(session, list(rig.run(100, HELD)))
+        wait_for_count(lambda: len(together), 100, "divergences together")
+
+        ticks = session.declare_subscriber(
+            "lab/rig/twin/divergence", lambda s: alone.append(pb.Divergence.FromString(s.payload.to_bytes()))
+        )
+
+        def noticed() -> bool:
+            publish(session, list(rig.run(10, HELD)))
+            return bool(alone)
+
+        wait(noticed, "tick alone")
+        wait(lambda: bool(alone) and alone[-1] == together[-1], "end of both")
+        assert alone == together[-len(alone) :]
+        assert alone[0].tick > together[99].tick, "none before the subscription"
+        del batches, ticks
