@@ -108,6 +108,7 @@ def points_of(records: Sequence[Record], plant: Plant, min_points: int = setting
 def start(points: Points, plant: Plant) -> Theta:
     """Return (3) through the point in the middle; numbers that points of rest do not determine only fill the model."""
     gap = np.maximum(plant.x_max_m - points.x_m, 1e-3 * plant.travel_m)
+    # (8) at each point; the median, as one wrong row must not move the start.
     K_c = plant.mass_kg * plant.gravity_m_s2 * float(np.median(gap / points.i_c_a)) ** 2
     K_A = 1.0 if points.u_c_v is None else float(np.median(points.i_c_a / points.u_c_v))
     return Theta(
@@ -145,6 +146,7 @@ def fit_static(points: Points, plant: Plant, cause: str = "") -> StaticFit:
         return _climb(points, plant, begin, cause, (math.log(begin.K_c),))
     unit = _unit(cause)
     starts = [value for value in (_value(cause, step * unit) for step in _STARTS) if value != _neutral(cause)]
+    # From both sides and two distances, as least squares end in the nearest minimum; the deepest is kept.
     fits = []
     for value in dict.fromkeys(starts):
         at = begin.having(strength_of(cause), value)
@@ -184,6 +186,8 @@ def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float
     """
     strength = BY_NAME[fit.cause].strength
     best = strength.coordinate(fit.theta.value(strength_of(fit.cause)))
+    # The profile with F(1, n - 2) (D. M. Bates, D. G. Watts, Nonlinear Regression Analysis and Its Applications,
+    # 1988).  A linearised interval would be wrong for a cause that bends the curve.
     limit = fit.rss_a2 * (1.0 + float(fisher_quantile(1.0 - settings.STATIC_LEVEL, 1, fit.freedom)) / fit.freedom)
     ends = []
     for edge in sorted(_edges(fit.cause)):
@@ -228,6 +232,8 @@ def f_test(base: StaticFit, fit: StaticFit) -> tuple[float, float]:
     """Return (F, probability that chance alone gains as much) of one more parameter under unknown Gaussian noise."""
     if fit.freedom <= 0:
         return math.nan, 1.0
+    # The F test of nested models (G. A. F. Seber, C. J. Wild, Nonlinear Regression, 1989).  The noise is unknown,
+    # so a chi-square would need a level that nobody measured.
     ratio = (base.rss_a2 - fit.rss_a2) / max(fit.rss_a2 / fit.freedom, 1e-300)
     return ratio, float(fisher_above(max(ratio, 0.0), 1, fit.freedom))
 
@@ -236,6 +242,8 @@ def left_out(points: Points, plant: Plant, whole: StaticFit) -> FloatArray:
     """Return i_c measured - predicted of each point by the model fitted to the others, A, shape (n,)."""
     errors = np.full(len(points), np.nan)
     for row in range(len(points)):
+        # Cross-validation (M. Stone, Journal of the Royal Statistical Society B 36(2), 1974): the points are too few
+        # to keep some apart.
         fit = refit(points.without(row), plant, whole)
         errors[row] = points.i_c_a[row] - holding_currents(fit.theta, plant, points.x_m[row : row + 1])[0]
     return errors

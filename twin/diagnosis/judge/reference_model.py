@@ -27,6 +27,7 @@ def check_plant(model: Model, plant: Plant) -> None:
         DataError: names the first field that differs, with both values.
     """
     for name in _KNOWN:
+        # Refused, not converted: K_c and b hold for their mass and x_max alone (6).
         value, expected = float(getattr(model.plant, name)), float(getattr(plant, name))
         if abs(value - expected) > settings.SAME_PLANT * abs(expected):
             raise DataError(
@@ -68,6 +69,7 @@ def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain 
     """
     if gain is None or refitted is None or gain.baseline_rmse_m < settings.REFERENCE_WORSE * refitted.baseline_rmse_m:
         return ""
+    # Without b, which may be near 0, where a relative change says nothing.
     moves = {name: fitted.value(name) / max(getattr(model, name), 1e-300) - 1.0 for name in PARAMETERS if name != "b"}
     listed = ", ".join(
         f"{name} {100.0 * change:+.1f} %" for name, change in moves.items() if abs(change) > settings.REFERENCE_OFF

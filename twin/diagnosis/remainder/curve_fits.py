@@ -50,6 +50,8 @@ def visited(evidence: Evidence) -> dict[str, FloatArray]:
     inner[:reach] = inner[max(n - reach, 0) :] = False
     for shift in range(1 - reach, reach + 1):
         inner &= np.roll(follows, -shift)
+    # A difference over four intervals: one interval is mostly noise, and a filter's speed would be that of the wrong
+    # model.
     (middle,) = np.nonzero(inner)
     duration = sum((series.step[middle + shift] for shift in range(1 - reach, reach + 1)), np.zeros(len(middle)))
     speed = (series.x[middle + reach] - series.x[middle - reach]) / duration
@@ -85,6 +87,8 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
     known = inverse(fisher[:k, :k])
     results = []
     for number, curve in enumerate(curves):
+        # (S 8) for eight numbers at once.  One by one they would share what they explain, as neighbouring splines
+        # overlap.
         block = slice(k + number * COEFFICIENTS, k + (number + 1) * COEFFICIENTS)
         cross = fisher[block, :k] @ known
         left = fisher[block, block] - cross @ fisher[:k, block]  # with the information of the prior
@@ -96,6 +100,7 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         start = with_range(at.theta, curve, values[_over(curve)])
         for name, change in zip(coefficients(curve), (settings.CURVE_START * step).tolist(), strict=True):
             start = moved(start, name, change, criterion.plant)
+        # Laplace's method (R. E. Kass, A. E. Raftery, Journal of the American Statistical Association 90, 1995).
         results.append(
             CurveScore(curve=curve, evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm), start=start)
         )
@@ -142,6 +147,8 @@ def basis(share: FloatArray) -> FloatArray:
     """The cubic B-splines of `curve.py` at shares of the range, shape (n, COEFFICIENTS)."""
     from scipy.interpolate import BSpline
 
+    # (S 12), uniform knots (P. H. C. Eilers, B. D. Marx, Statistical Science 11(2), 1996).  Knots at quantiles
+    # would be fine where the ball hovers, and coarse where it seldom is.
     knots = np.arange(-3, COEFFICIENTS + 1, dtype=np.float64) / (COEFFICIENTS - 3)
     splines = BSpline(knots, np.eye(COEFFICIENTS), 3, extrapolate=False)
     return np.asarray(splines(np.clip(share, 0.0, 1.0 - 1e-12)))

@@ -218,11 +218,14 @@ def remainder_of(
     best = _Extension(extends="causes", fit=named, squares=before)
     instead: _Extension | None = None
     if rival is not None:
+        # A curve that took a name's place is the only one that is tried: the names that others would stand beside no
+        # longer hold.
         instead = _substituted(judging, rival, named, attempts)
     else:
         best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
         if paper is not None and named.theta.causes:
             bare = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
+            # One curve, as it is one unknown effect that the names may imitate together.
             instead = _extend(judging, bare, (), attempts, max_curves=1)
     refused: Cause | None = None
     if instead is not None and _replaces_names(judging, instead, best, named, is_rival=rival is not None):

@@ -94,6 +94,7 @@ def _score(criterion: Criterion, current: Fit, cause: Cause, line: Line, size: f
         (f"{cause.name}.frequency_hz", line.frequency_hz),
         *((f"{cause.name}.harmonic_{k}", value) for k, value in enumerate(line.harmonics, 2)),
     )
+    # The filter follows a part of the line, so its innovations show less than its size: multiples of it are tried.
     sizes = [min(size * factor, 0.5 * strength.high) for factor in settings.LINE_SIZES]
     starts = [probed(current.theta, cause, value, other) for value in sizes]
     best = int(np.argmax(criterion.thinner.values(starts)))
