@@ -99,6 +99,6 @@ def _values(part: Signal, tick_s: float) -> FloatArray:
 
 
 def _approached(start: float, values: FloatArray, max_step: float) -> FloatArray:
-    """The constant `values`, approached from `start` in steps of at most `most`."""
+    """The constant `values`, approached from `start` in steps of at most `max_step`."""
     ramp = np.sign(values[0] - start) * max_step * np.arange(1, len(values) + 1) + start
     return np.asarray(np.minimum(ramp, values) if values[0] > start else np.maximum(ramp, values))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,10 +58,10 @@ def visited(evidence: Evidence) -> dict[str, FloatArray]:
     return {"x": series.x[has_x], "v": speed, "i": series.i[has_i], "u": series.u[flies]}
 
 
-def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
-    """Return theta with a curve that is 0 over the range of these values."""
+def with_range(theta: Theta, curve: Cause, values: Mapping[str, FloatArray]) -> Theta:
+    """Return theta with a curve that is 0 over the range of its quantity in `values`, of `visited`."""
     # Quantiles, not extremes: a single reading far out would stretch the knots over a range without data.
-    ends = np.nanquantile(values, (settings.CURVE_OUTER, 1.0 - settings.CURVE_OUTER)).tolist()
+    ends = np.nanquantile(values[quantity_of(curve)], (settings.CURVE_OUTER, 1.0 - settings.CURVE_OUTER)).tolist()
     for parameter, end in zip(curve.parameters[:2], ends, strict=True):
         theta = theta.having(f"{curve.name}.{parameter.name}", float(end))
     for name in coefficients(curve):
@@ -72,12 +72,12 @@ def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
 def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[CurveScore]:
     """The curves beside `at`, best first; those whose quantity hardly moves are left out."""
     values = visited(criterion.evidence)
-    curves = [curve_ for curve_ in curves if _moves(values[_over(curve_)])]
+    curves = [curve_ for curve_ in curves if _moves(values[quantity_of(curve_)])]
     if not curves:
         return []
     theta = at.theta
     for curve in curves:
-        theta = with_range(theta, curve, values[_over(curve)])
+        theta = with_range(theta, curve, values)
     names = (*at.free, *(name for curve in curves for name in coefficients(curve)))
     run = criterion.run(theta)
     # Rough derivatives suffice: the score only ranks the curves, and a fit of the best of them decides.
@@ -97,7 +97,7 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         widths = np.array([prior_spread(name) for name in coefficients(curve)])
         # The coefficients are integrated out: by the maximum alone a curve would always gain, as it has eight numbers.
         _, logarithm = np.linalg.slogdet(left * np.outer(widths, widths))
-        start = with_range(at.theta, curve, values[_over(curve)])
+        start = with_range(at.theta, curve, values)
         for name, change in zip(coefficients(curve), (settings.CURVE_START * step).tolist(), strict=True):
             start = moved(start, name, change, criterion.plant)
         # Laplace's method (R. E. Kass, A. E. Raftery, Journal of the American Statistical Association 90, 1995).
@@ -154,7 +154,8 @@ def basis(share: FloatArray) -> FloatArray:
     return np.asarray(splines(np.clip(share, 0.0, 1.0 - 1e-12)))
 
 
-def _over(curve: Cause) -> str:
+def quantity_of(curve: Cause) -> str:
+    """The quantity that a curve is a function of, as `visited` names it."""
     return curve.parameters[0].name.removeprefix("from_")
 
 

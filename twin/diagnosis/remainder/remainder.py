@@ -30,6 +30,7 @@ from twin.diagnosis.remainder.curve_fits import (
     band,
     coefficients,
     fully_fitted,
+    quantity_of,
     roughly_fitted,
     scores,
     visited,
@@ -364,8 +365,7 @@ def substitutes(
     """
     thinned = criterion.thinner
     without_curve = {score.cause: score for score in screen(thinned, at.theta, at.free, candidates) if score.testable}
-    over = curve.parameters[0].name.removeprefix("from_")
-    theta = with_range(at.theta, curve, visited(criterion.evidence)[over])
+    theta = with_range(at.theta, curve, visited(criterion.evidence))
     with_curve = {score.cause: score for score in screen(thinned, theta, (*at.free, *coefficients(curve)), candidates)}
     # By the information, not by the two forms: what differs only outside the visited range is the same to the data.
     absorbed = {
@@ -386,6 +386,6 @@ def substitutes(
 def _shape(fit: Fit, curve: Cause, values: dict[str, FloatArray]) -> Shape:
     low, high = (fit.theta.value(f"{curve.name}.{parameter.name}") for parameter in curve.parameters[:2])
     at = np.linspace(low, high, POINTS)
-    over = values[curve.parameters[0].name.removeprefix("from_")]
+    over = values[quantity_of(curve)]
     share, error = band(fit, curve, at, over[np.isfinite(over)])
     return Shape(curve=curve, at=at, share=share, low=share - Z_95 * error, high=share + Z_95 * error)

@@ -19,8 +19,8 @@ from twin.diagnosis.residuals.regimes import (
     quantile_edges,
 )
 from twin.estimation.innovations import LOST
-from twin.estimation.record import FloatArray, runs
-from twin.estimation.step_figures import DWELL_S
+from twin.estimation.record import FloatArray
+from twin.estimation.step_figures import changes
 from twin.evidence.gather import Evidence
 from twin.model.extended import V
 
@@ -98,13 +98,9 @@ def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
         rows = np.flatnonzero((s.recording == number) & (s.flags & LOST == 0))[:n]
         if record.kind != "closed-loop" or len(rows) < n or not record.has("x_ref"):
             continue
-        is_constant = np.concatenate(([True], np.abs(np.diff(record.x_ref)) < 1e-9))
-        levels = runs(np.asarray(is_constant), max(round(DWELL_S / record.interval_s) - 1, 2))
-        for before, after in pairwise(levels):
-            # A longer way between two levels is a ramp, after which a time since the step says nothing.
-            if after.start - before.stop < 0.5 / record.interval_s:
-                part = slice(before.stop, after.stop)
-                since[rows[part]] = record.t[part] - record.t[before.stop]
+        for before, after in changes(record.x_ref, record.interval_s):
+            part = slice(before.stop, after.stop)
+            since[rows[part]] = record.t[part] - record.t[before.stop]
     edges = np.array(_AFTER_STEP_S)
     names = [f"{a * 1e3:.0f} to {b * 1e3:.0f} ms" for a, b in pairwise(edges[:-1])]
     return bin_labels(since, edges), [*names, f"later than {edges[-2] * 1e3:.0f} ms"]

@@ -64,11 +64,7 @@ def fit_candidates(
         best = max((trial.gain for trial in trials), default=0.0)
         last = stage == len(settings.HALVING) - 1 and bool(trials)
         # The last stage compares with the end of the best fit.  Before that its lead is uncertain by STEEPNESS_DOUBT.
-        overtaken = (
-            best - settings.EQUIVALENT_GAIN
-            if last
-            else (1.0 - settings.STEEPNESS_DOUBT) * best - settings.EQUIVALENT_GAIN
-        )
+        overtaken = (1.0 - (0.0 if last else settings.STEEPNESS_DOUBT)) * best - settings.EQUIVALENT_GAIN
         # If no candidate can reach the required gain, the last passes are worth their cost only for a cause that
         # improves the prediction: half of the required reduction so far makes that likely.
         if last and all(_promise(trial) < min_gain for trial in trials):
@@ -105,7 +101,8 @@ def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) ->
 def start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
     """Fit the candidate of a score a little."""
     start = start_of(criterion.thinner, current.theta, score)
-    fit = _with_exchanged_lags(criterion, approach(criterion, start, _with(current.free, score.cause)), score.cause)
+    fit = approach(criterion, start, current.free + coordinates_of(score.cause))
+    fit = _with_exchanged_lags(criterion, fit, score.cause)
     return Trial(cause=score.cause, fit=fit, gain=fit.loglik - current.loglik - score.chance)
 
 
@@ -172,10 +169,6 @@ def steepness(cause: str) -> float:
     """Return the factor by which the likelihood may rise above the parabola of its slope."""
     # The likelihood of a delay is flat at zero, so one factor for all causes would drop delays or keep everything.
     return settings.STEEPNESS_DELAY if BY_NAME[cause].family == "timing" else settings.STEEPNESS
-
-
-def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
-    return free + coordinates_of(cause)
 
 
 def within_range(trial: Trial) -> bool:

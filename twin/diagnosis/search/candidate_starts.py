@@ -14,7 +14,7 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.diagnosis.search.probes import probes_of
-from twin.diagnosis.search.score_test import Score, probed
+from twin.diagnosis.search.score_test import Score, probed, two_sided
 from twin.estimation.record import Record
 from twin.evidence.starting.regression import amplifier_start
 from twin.inference.likelihood import Criterion
@@ -82,7 +82,7 @@ def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounde
     """
     strength = confounder.strength
     at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in settings.START_SIZES]
-    if strength.low < strength.neutral < strength.high:
+    if two_sided(confounder):
         at += [-coordinate for coordinate in at]
     sizes = [strength.value(coordinate) for coordinate in at]
     same = {(strength.unit, strength.unit): 1.0, ("V", "A"): theta.K_A, ("A", "V"): 1.0 / theta.K_A}
@@ -121,18 +121,7 @@ def shortest_time_constant(records: Sequence[Record]) -> float | None:
     time_constants = []
     for record in records:
         # Each response alone: in a joint fit those that a limit slows down would lengthen the T_A of the others.
-        singles = [
-            replace(
-                record,
-                captures=(capture,),
-                t=record.t[:0],
-                u_c=record.u_c[:0],
-                i_c=record.i_c[:0],
-                x=record.x[:0],
-                x_ref=record.x_ref[:0],
-            )
-            for capture in record.captures
-        ]
+        singles = [replace(record.part(slice(0, 0)), captures=(capture,)) for capture in record.captures]
         if record.kind == "amplifier-step" and len(record.t):
             singles.append(replace(record, captures=()))
         for single in singles:

@@ -59,11 +59,8 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
         scores = sorted([*scores, *lines], key=lambda entry: -entry.gain) if lines else scores
         scores = _with_dead_time(criterion, current, scores)
         floor = search.floor.under(criterion, current.theta)
-    excess, material, gained = (
-        floor.excess(current.loglik),
-        floor.material(current.loglik),
-        current.loglik - base.loglik,
-    )
+    excess, material = floor.excess(current.loglik), floor.material(current.loglik)
+    gained = current.loglik - base.loglik
     # Candidates that cannot reach the required share are not fitted.
     min_gain = (min(settings.MINOR_SHARE, min_share) if material else settings.MINOR_SHARE_AT_NOISE) * gained
     if min_share > settings.MIN_SHARE and material:

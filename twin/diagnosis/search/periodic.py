@@ -66,15 +66,14 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         # Two signatures that nearly coincide determine no phase: without one the recording adds nothing.
         if np.linalg.cond(normal) > 1e10:
             continue
+        # An innovation falls where the prediction rises, so residual + columns * pair -> 0.
         pair = np.linalg.solve(normal, design.T @ -residual[use])
-        pair = -pair  # innovation falls where the prediction rises: residual + columns * pair -> 0
         power = float(pair @ normal @ pair)
         gain += 0.5 * power
         phases += 1
         # One amplitude for all recordings: each counts by its information, as a short flight says little.
         size = math.hypot(*pair)
         weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
-        pair = -pair
         shift_s = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
         phases_s[number] = _without_whole_periods(shift_s, float(criterion.evidence.t[use].mean()), frequency)
     if weight == 0.0:

@@ -166,13 +166,10 @@ def _sums(
 
 def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
     """The coordinates of the forms that are looked at; () for the usual one."""
-    forms = [form for form in cause.forms if form.probed]
+    forms = [form.values.items() for form in cause.forms if form.probed]
     return [
         (),
-        *(
-            tuple((f"{cause.name}.{name}", value) for name, value in form.values.items() if not isinstance(value, str))
-            for form in forms
-        ),
+        *(tuple((f"{cause.name}.{k}", value) for k, value in form if not isinstance(value, str)) for form in forms),
     ]
 
 
@@ -187,5 +184,4 @@ def probed(theta: Theta, cause: Cause, value: float, other_values: Sequence[tupl
 
 def two_sided(cause: Cause) -> bool:
     """Tell whether the strength may lie on either side of its neutral value."""
-    strength = cause.strength
-    return math.isfinite(strength.neutral) and strength.low < strength.neutral < strength.high
+    return cause.strength.low < cause.strength.neutral < cause.strength.high
