@@ -237,7 +237,8 @@ class Diagnosed:
         """A summary in a few lines; `saved_in`: the folder of the files, which it then names."""
         lines = [self.sentence]
         if self.residuals is not None:
-            from twin.diagnosis.report.sentences import percent, sizes
+            from twin.diagnosis.report.quantities import percent
+            from twin.diagnosis.report.sentences import sizes
 
             result = self._flown
             for cause in result.causes:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from protocol.campaign import Campaign, Plant
 from twin.diagnosis.checks.change_point import Change
 from twin.diagnosis.checks.consistency import beginnings, contradictions
-from twin.diagnosis.experiments.design import propose
-from twin.diagnosis.findings import findings_of, with_change, with_rival
+from twin.diagnosis.findings import findings_of, measurements_of, proposals_of, with_change, with_rival
 from twin.diagnosis.judge import judgement
 from twin.diagnosis.judge.account import Account, Verdict, account_of, exceeds_floor
 from twin.diagnosis.judge.choice import Choice, at_20_ms, worse
@@ -40,7 +39,7 @@ from twin.diagnosis.report.sentences import (
     overlap_sentence,
     rival_sentence,
 )
-from twin.diagnosis.result import Diagnosis, Finding, Proposal, SpectralLine
+from twin.diagnosis.result import Diagnosis, Finding, SpectralLine
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stated_values import StatedValues, examine, with_members
 from twin.estimation.record import Record
@@ -107,7 +106,8 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     names = _examined(search, options, stages)
     selection, account = names.selection, names.account
     with timed(stages, "next experiments"):
-        proposals = _proposals(search, inputs.campaign, options) | _measurements(search.selection, names.stated)
+        proposals = proposals_of(search.criterion, search.selection, inputs.campaign.controller, search.budget, options)
+        proposals |= measurements_of(search.selection, names.stated)
     with timed(stages, "gain"):
         lost = lost_samples([*records, *inputs.judges])
         bench = _bench(search, judge, plant, options)
@@ -123,6 +123,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     findings = [_qualified(finding, search, names) for finding in findings]
     lines = lines_of(findings, search.criterion, selection.fit.theta)
     where = _where(search, names, outcome, verdict)
+    # Beside a large rest a small gain may be a part of that rest, so minor effects are listed only where noise is left.
     is_whole = search.is_adequate and search.change is None
     minor_effects = tuple(minor_effects_of(search.criterion, selection)) if is_whole else ()
     listed = {*_names(findings), *(effect.name for effect in minor_effects)}
@@ -189,12 +190,16 @@ def _examined(search: SearchResult, options: Options, stages: dict[str, float]) 
     criterion, selection = search.criterion, search.selection
     with timed(stages, "stated values"):
         stated = _stated_values(search)
+        # After the search and as members of classes: an error of the campaign file never takes the place of a named
+        # cause.
         selection = with_members(selection, stated)
         fit, line_errors = with_sizes(criterion, selection.fit)
         selection = replace(selection, fit=fit)
     with timed(stages, "rivals"):
         rivals = _rivals(search, options)
     with timed(stages, "what is left"):
+        # One floor, that of the final model, for the paper's model as well: under two floors the parts would not add
+        # up.
         under = search.floor.under(criterion, selection.fit.theta)
         maximum = with_covariance(criterion, selection.fit, stated.slopes)
         return _Names(
@@ -261,6 +266,7 @@ def _models(
     paper = model_of(
         campaign, search.base, {}, records, under.excess(search.base.loglik), "the paper's model at its best"
     )
+    # The user's model as it is, not fitted anew: the report is to say what that simulation gets wrong.
     baseline = options.model or paper
     final = choice.fit if remainder is None else remainder.fit
     if final is None:
@@ -277,6 +283,7 @@ def _models(
 def _inconsistent(search: SearchResult) -> list[str]:
     """Return the warnings about effects that are not the same in all recordings, or begin in the middle of one."""
     criterion, fit = search.criterion, search.selection.fit
+    # Not where a change splits the recordings: the cause is absent in some of them anyway.
     always = [
         name for name in search.selection.causes if "line" not in BY_NAME[name].detector and search.change is None
     ]
@@ -296,6 +303,7 @@ def _remainder(
     """Model what is left; None if nothing is left, nobody asked, or no recording can choose the curve."""
     judge = inputs.judge
     has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
+    # The one with the largest lead: the fits of the others still have the name that this one replaces.
     rival = max(rivals.values(), key=lambda rival: rival.lead, default=None)
     is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form
     is_requested = is_requested or rival is not None
@@ -354,51 +362,8 @@ def _stated_values(search: SearchResult) -> StatedValues:
     return StatedValues(classes={}, absorbed=())
 
 
-def _measurements(selection: Selection, stated: StatedValues) -> dict[str, Proposal]:
-    """Return what to measure beside the board, for causes that share their class with stated values alone."""
-    return {
-        cause: Proposal(what="; ".join(BY_NAME[trial.cause].confirm for trial in trials), separation_z=0.0)
-        for cause, trials in stated.classes.items()
-        if trials and not selection.classes.get(cause)
-    }
-
-
 def _names(findings: Sequence[Finding]) -> set[str]:
     """Return the names of the causes and of the other members of their equivalence classes."""
     return {finding.name for finding in findings} | {
         member.name for finding in findings for member in finding.indistinguishable_from
     }
-
-
-def _proposals(search: SearchResult, campaign: Campaign, options: Options) -> dict[str, Proposal]:
-    """Propose for each equivalence class the experiment that splits it best, or a measurement if none does."""
-    criterion, selection, result = search.criterion, search.selection, {}
-    for cause in selection.causes if options.proposes else ():
-        members = selection.classes.get(cause, ())
-        if not members:
-            continue
-        question = f"which experiment separates {cause} from {', '.join(trial.cause for trial in members)}"
-        options.say(f"{question}?")
-        ranked = []
-        with suppress(Spent), search.budget.question(question):
-            ranked = propose(criterion, selection.fit, cause, members, campaign.controller, search.budget)
-        if not ranked:
-            continue
-        best = ranked[0]
-        outside = tuple(
-            f"{pair.cause} and {pair.confounder}: no experiment on this rig separates them; {pair.measurement}"
-            for pair in best.pairs
-            if not pair.separable
-        )
-        result[cause] = Proposal(
-            what=best.what if best.separable else " ".join(outside) or best.what,
-            separation_z=best.separation_z,
-            command=best.command if best.separable else "",
-            outside=outside,
-            next_best=tuple((proposal.name, proposal.separation_z) for proposal in ranked[1:4]),
-            now_z={pair.confounder: pair.now_z for pair in best.pairs},
-            experiments=tuple(
-                (proposal.name, {pair.confounder: pair.separation_z for pair in proposal.pairs}) for proposal in ranked
-            ),
-        )
-    return result

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 
-from protocol.campaign import Plant
+from protocol.campaign import Controller, Plant
 from twin.diagnosis.checks.change_point import Change
+from twin.diagnosis.experiments.design import propose
 from twin.diagnosis.judge.account import Account, Verdict, confidence_of
+from twin.diagnosis.options import Options
 from twin.diagnosis.remainder.rivals import Rival
 from twin.diagnosis.report.sentences import cause_sentence, finding_sentence, form_of
 from twin.diagnosis.result import Finding, Member, Proposal, fit_parameters
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.state import Selection
+from twin.diagnosis.search.stated_values import StatedValues
 from twin.evidence import sample_loss
 from twin.evidence.sample_loss import Lost
+from twin.inference.budget import Budget, Spent
+from twin.inference.likelihood import Criterion
 from twin.inference.theta import coordinates_of
 from twin.model.assumed import assumption, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME
@@ -63,6 +69,7 @@ def findings_of(
             )
         )
     if lost is not None:
+        # Counted, not inferred, so no verdict on the model touches it.
         value = Parameter(value=lost.probability, unit="", ci95=lost.ci95, verdict="identified", method="gaps counted")
         findings.append(
             Finding(
@@ -111,3 +118,48 @@ def with_change(finding: Finding, change: Change) -> Finding:
     if change.begins:
         return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
     return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
+
+
+def proposals_of(
+    criterion: Criterion, selection: Selection, controller: Controller | None, budget: Budget, options: Options
+) -> dict[str, Proposal]:
+    """Propose for each equivalence class the experiment that splits it best, or a measurement if none does."""
+    result = {}
+    for cause in selection.causes if options.proposes else ():
+        members = selection.classes.get(cause, ())
+        if not members:
+            continue
+        question = f"which experiment separates {cause} from {', '.join(trial.cause for trial in members)}"
+        options.say(f"{question}?")
+        ranked = []
+        with suppress(Spent), budget.question(question):
+            ranked = propose(criterion, selection.fit, cause, members, controller, budget)
+        if not ranked:
+            continue
+        best = ranked[0]
+        outside = tuple(
+            f"{pair.cause} and {pair.confounder}: no experiment on this rig separates them; {pair.measurement}"
+            for pair in best.pairs
+            if not pair.separable
+        )
+        result[cause] = Proposal(
+            what=best.what if best.separable else " ".join(outside) or best.what,
+            separation_z=best.separation_z,
+            command=best.command if best.separable else "",
+            outside=outside,
+            next_best=tuple((proposal.name, proposal.separation_z) for proposal in ranked[1:4]),
+            now_z={pair.confounder: pair.now_z for pair in best.pairs},
+            experiments=tuple(
+                (proposal.name, {pair.confounder: pair.separation_z for pair in proposal.pairs}) for proposal in ranked
+            ),
+        )
+    return result
+
+
+def measurements_of(selection: Selection, stated: StatedValues) -> dict[str, Proposal]:
+    """Return what to measure beside the board, for causes that share their class with stated values alone."""
+    return {
+        cause: Proposal(what="; ".join(BY_NAME[trial.cause].confirm for trial in trials), separation_z=0.0)
+        for cause, trials in stated.classes.items()
+        if trials and not selection.classes.get(cause)
+    }

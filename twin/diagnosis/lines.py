@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.diagnosis.report.sentences import quantity
+from twin.diagnosis.report.quantities import quantity
 from twin.diagnosis.result import Finding, SpectralLine
 from twin.diagnosis.search.line_place import reading_leads
 from twin.diagnosis.search.sensor_line import CHANNELS, Line, find_line
@@ -56,6 +56,8 @@ def with_sizes(criterion: Criterion, fit: Fit) -> tuple[Fit, dict[str, float]]:
 
 def _measured(fit: Fit, name: str, values: FloatArray) -> tuple[Fit, float]:
     """Return (the fit with `name` at the mean of `values`, one for each recording, its standard error)."""
+    # The scatter between recordings gives the error.  The likelihood has the amplitude as a variance, known from two
+    # values in each recording.
     fit = replace(fit, theta=fit.theta.having(name, float(np.mean(values))))
     return fit, float(np.std(values, ddof=1)) / math.sqrt(len(values))
 
@@ -119,6 +121,7 @@ def _sizes(criterion: Criterion, theta: Theta, first: int) -> FloatArray:
     series = criterion.evidence.series
     samples = theta.samples(criterion.evidence.samples, series.recording)
     state = filtered(theta.system(criterion.plant, criterion.tick_s), samples, state=True).state
+    # Both states together: their squares add up to that of the amplitude at any phase.
     squares = state[:, first] ** 2 + state[:, first + 1] ** 2
     known = np.isfinite(squares)
     counts = np.bincount(series.recording[known])

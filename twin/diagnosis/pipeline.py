@@ -50,7 +50,7 @@ from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
 
 UNASKED = "--quick did not examine whether an effect begins or ends in the middle of the campaign"
-_LONG = ("closed-loop", "prbs", "free")  # kinds of which --quick uses the beginning
+_LONG = ("closed-loop", "prbs", "free")  # kinds with long flights, of which --quick uses the beginning
 
 
 def diagnose(campaign: Campaign, options: Options | None = None, *, data: Path | None = None) -> Diagnosis:
@@ -143,6 +143,8 @@ def _diagnose_others(
     if rest.verdict == "unfinished":
         budget.unanswered.append(f"whether the others agree without {outlier.name}")
         return None
+    # The others have to be explained without it.  If they are not, the recording that was left out is no more wrong
+    # than they are.
     agree = rest.verdict != "unknown-cause" and not _wanders(rest.after)
     return without_outlier(replace(rest, budget=budget), outlier) if agree else None
 
@@ -154,6 +156,7 @@ def _evidence(
     evidence = gather(records, plant)
     judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
     evidence, judge = without_outliers(evidence), judge and without_outliers(judge)
+    # From both uses together: no model is involved, and an instrument is the same in both.
     noise = instruments([evidence, *([judge] if judge else [])])
     return with_noise(evidence, noise), judge and with_noise(judge, noise), noise
 
@@ -253,6 +256,8 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
         with criterion.free():
             is_adequate, why_not = adequate(criterion, selection.fit, floor.under(criterion, selection.fit.theta))
     change = None
+    # Only where a cause that acts always does not suffice: a change has more freedom, and would explain what a cause
+    # does.
     if not is_adequate and not options.quick:
         question = "whether an effect begins or ends in the middle of the campaign"
         with timed(stages, "change"), suppress(Spent), budget.question(question):
@@ -280,7 +285,7 @@ def without_outlier(rest: Diagnosis, outlier: Outlier) -> Diagnosis:
 
 def tick_of(records: Sequence[Record]) -> float:
     """The sampling interval of the flights, s; 2 ms if it is unknown."""
-    for kinds in (("closed-loop", "prbs", "free"), ("sawtooth",)):
+    for kinds in (_LONG, ("sawtooth",)):
         steps = [r.interval_s for r in records if r.kind in kinds and len(r.t) > 1]
         good = [step for step in steps if math.isfinite(step)]
         if good:
@@ -295,6 +300,7 @@ def check_flight_time(evidence: Evidence) -> None:
         DataError: they are too short; the message gives their length and the required one.
     """
     series = evidence.series
+    # Time in flight, not the length of the recordings: a ball at rest shows no cause of the motion.
     flown_s = float(series.step[series.flags & (FLIES | FOLLOWS) == FLIES | FOLLOWS].sum())
     if any(record.has("x") for record in evidence.records) and flown_s < settings.MIN_FLIGHT_S:
         raise DataError(

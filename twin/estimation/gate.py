@@ -34,6 +34,7 @@ def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Serie
         scale = max(float(np.median(known)) / 0.6745, 1e-12)
         del known
         wild = np.isfinite(values) & (values > GATE * max(scale, 1.0))
+        # Five in eleven are no outliers of a converter: dropped, they would hide a wrong model.
         crowd = np.convolve(wild.astype(np.int8), np.ones(11, np.int8), mode="same") > 4
         wild &= ~crowd
         flags[wild] &= np.uint16(~bit & 0xFFFF)

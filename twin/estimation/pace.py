@@ -16,9 +16,7 @@ from twin.estimation.ekf.memory import active_states
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.estimation.propagate import delay_s
 from twin.estimation.rollout_periodic import PHASES, has_phase
-from twin.model.causes import (
-    coulomb_friction,
-)
+from twin.model.causes import coulomb_friction
 from twin.model.extended import CORE, FIELD, I_SENSOR, PARTS, SECOND, SHORT_S, Base, has_first_order_current, short
 
 
@@ -50,6 +48,7 @@ class Pace:
         rubs, states = c[coulomb_friction.FORCE] != 0.0, active_states(c)
         advances = 0 if reuse is Reuse.STEPS else 1
         if reuse is Reuse.NONE:
+            # A difference for each state; with dry friction those of i_c, x and x' are taken to both sides.
             advances += len(states) + (3 if rubs else 0)
         # The current of a held ball alone needs no substeps.
         lags = any(state in (FIELD, SECOND, CORE, I_SENSOR) for state in states)

@@ -42,6 +42,7 @@ class Periodogram:
 
     def amplitude(self, at: int) -> float:
         """Return the amplitude of a sinusoid with this ordinate, in the unit of the residual."""
+        # A sinusoid of amplitude A over n readings has |X|^2 = (A n / 2)^2.
         return math.sqrt(4.0 * float(self.power[at]) / (self.stretches * self.samples))
 
     def line(self, low_hz: float, high_hz: float, *, tried: int = TRIED) -> int | None:
@@ -76,12 +77,15 @@ class Periodogram:
         if not low_hz < frequency_hz < high_hz:
             return None
         width_hz = settings.LINE_WIDTH_HZ
+        # Only the frequencies near the multiples were tried here, so the correction is smaller than that of a free
+        # search.
         tried = max(round(2.0 * HARMONICS * width_hz / float(self.frequency_hz[1])), 1)
         return self.line(frequency_hz - width_hz, frequency_hz + width_hz, tried=tried)
 
     def log_chance(self, at: int, *, tried: int = TRIED) -> float:
         """Return ln of the probability that noise has such an ordinate among those tried, at most 0."""
         others = self.stretches * (float(self.ordinates[at]) - 1.0)
+        # In logarithms: a strong line has a chance below the smallest number.
         chance = log_beta_above(min(float(self.share[at]), 1.0 - 1e-12), self.stretches, others)
         return min(chance + math.log(tried), 0.0)
 
@@ -126,6 +130,7 @@ def periodogram(stretches: Sequence[FloatArray], step_s: float) -> Periodogram |
     power = np.zeros(len(frequencies))
     for part, count in enough:
         known = np.nan_to_num(part - np.nanmean(part))
+        # Padded to a fixed length: stretches of different lengths then share their frequencies, and can be summed.
         power += np.abs(np.fft.rfft(known, _PAD)) ** 2 / count
     samples = float(np.mean([count for _, count in enough]))
     width = max(round(settings.LINE_NEIGHBOURS_HZ / float(frequencies[1])), 3)

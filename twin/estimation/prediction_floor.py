@@ -61,6 +61,8 @@ def _carry(
     for n in range(ahead, len(predicted)):
         if not predicted[n]:
             continue
+        # (S 7) from each estimate anew.  One covariance of a ball at rest would err by up to a factor of 2.8 under dry
+        # friction.
         copy_square(f.P, spread[n - ahead], f.m)
         for k in range(n - ahead + 1, n + 1):
             copy_square(f.F, steps.slopes[k], f.m)

@@ -70,6 +70,7 @@ class Record:
         """Return the median sampling interval; NaN for fewer than two samples."""
         steps = np.diff(self.t)
         steps = steps[np.isfinite(steps) & (steps > 0)]
+        # The median, not the mean: a lost sample doubles one interval.
         return float(np.median(steps)) if steps.size else float("nan")
 
 
@@ -94,6 +95,7 @@ def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:
     # A lost sample doubles the interval of a regular clock.
     on_grid = np.abs(step - np.maximum(np.rint(step / median), 1.0) * median) <= REGULAR_SHARE * median
     regular = np.count_nonzero(on_grid & good) >= 0.9 * np.count_nonzero(good)
+    # Not by one limit for all clocks: where the interval varies on purpose, twice the median is no gap.
     follows = good & (step <= (GAP_REGULAR if regular else GAP_IRREGULAR) * median)
     step = np.where(np.abs(step - median) <= 1e-3 * median, median, step)
     return np.where(follows, step, 0.0), follows

@@ -77,5 +77,6 @@ def remembered(loglik: NDArray[np.float64], forget: float, ahead: int, total: ND
     """
     known = 0.0
     for n in range(ahead, len(loglik)):
+        # One number for each phase.  A window would have to keep the likelihoods of all its samples.
         known = forget * known + loglik[n - ahead]
         total[n] = known

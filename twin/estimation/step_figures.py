@@ -103,15 +103,20 @@ class Response:
     simulation: FloatArray
 
 
+def changes(x_ref_m: FloatArray, interval_s: float) -> list[tuple[slice, slice]]:
+    """Return the (level before, level after) of each change of a reference that lasts less than half a second."""
+    is_constant = np.concatenate(([True], np.abs(np.diff(x_ref_m)) < 1e-9))
+    levels = runs(np.asarray(is_constant), max(round(DWELL_S / interval_s) - 1, 2))
+    # A longer way between two levels is a ramp, after which a time since the step says nothing.
+    return [(before, after) for before, after in pairwise(levels) if after.start - before.stop < 0.5 / interval_s]
+
+
 def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
     """Return the changes of the reference between constant levels; `sigma_x_m` is the noise of x, m."""
-    T_s = float(np.median(np.diff(run.t_s)))
-    is_constant = np.concatenate(([True], np.abs(np.diff(run.x_ref_m)) < 1e-9))
-    levels = runs(np.asarray(is_constant), max(round(DWELL_S / T_s) - 1, 2))
     steps = []
-    for before, after in pairwise(levels):
+    for before, after in changes(run.x_ref_m, float(np.median(np.diff(run.t_s)))):
         low, high = float(run.x_ref_m[before.stop - 1]), float(run.x_ref_m[after.start])
-        if abs(high - low) >= SMALLEST_SIGMAS * sigma_x_m and after.start - before.stop < 0.5 / T_s:
+        if abs(high - low) >= SMALLEST_SIGMAS * sigma_x_m:
             steps.append(Step(begin=before.stop, end=after.stop, from_m=low, to_m=high))
     return steps
 
@@ -222,6 +227,7 @@ def measure(
     values = x[part]
     known = np.isfinite(values)
     values = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+    # Padded by the end values: zeros would look like the ball leaving its level at both ends.
     padded = np.concatenate((np.full(width // 2, values[0]), values, np.full(width - 1 - width // 2, values[-1])))
     y = (np.convolve(padded, np.full(width, 1.0 / width), mode="valid") - step.from_m) / size
     band = settling_band(size, noise_m)
@@ -231,6 +237,7 @@ def measure(
     # Settled only if the last quarter of the step is inside the band.
     has_settling_time = band <= WIDEST_BAND and last < 0.75 * len(y)
     settling = last * T_s if has_settling_time else float("nan")
+    # The effort counts from the final level: the current that holds the ball is no effort of the step.
     level = float(np.nanmean(u[part][-max(len(y) // 5, 1) :]))
     return [
         (_crossing(y, 0.9) - _crossing(y, 0.1)) * T_s,

@@ -60,6 +60,7 @@ def whiteness(series: Series, white: FloatArray) -> Whiteness:
             if pairs < 50:
                 continue
             rho = float(np.sum(filled[lag:] * filled[:-lag] * same)) / power * n / pairs
+            # With the pairs of each lag in place of n (n + 2) / (n - k): many chains have fewer pairs at long lags.
             statistic += pairs * rho * rho
             worst = max(worst, abs(rho))
         results.append((power / n, chi2_above(statistic, LAGS), worst))

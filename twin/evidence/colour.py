@@ -67,6 +67,8 @@ def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | N
     )
     i_c_colour, captured_colour = _colour(i_c), _colour(captured)
     if i_c_colour is not None and captured:
+        # Together and apart, by the likelihood ratio: the instrument of captures may be another one, or the same behind
+        # another filter.
         joint, separate = (
             _coloured([*i_c, *captured]),
             _coloured(i_c).total + max(_white(captured).total, _coloured(captured).total),
@@ -107,6 +109,7 @@ def _colour(windows: Sequence[_Windows]) -> Colour | None:
 
 def _score(windows: Sequence[_Windows], tau_s: float) -> float:
     """Return the score of a small part with this correlation time in white noise, in standard errors."""
+    # The score test (C. R. Rao, 1948) for a second number beside the variance, (S 8).
     variance = sum(float(np.sum(part.rows**2)) for part in windows) / sum(part.rows.size for part in windows)
     slope = information = trace = 0.0
     for part in windows:
@@ -161,6 +164,8 @@ def _coloured(windows: Sequence[_Windows]) -> _Fit:
 
 def _wandering(windows: Sequence[_Windows]) -> _Fit:
     """Fit white noise with an offset that wanders."""
+    # Its variance grows with the interval, so windows of another interval are scaled.  Without this rival a slow walk
+    # would count as a colour with a long correlation time.
     values, axes = np.linalg.eigh(_WALK)
     fits = []
     for white in _WHITE.tolist():
@@ -174,6 +179,7 @@ def _wandering(windows: Sequence[_Windows]) -> _Fit:
 
 def _likelihood(transformed: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, float]:
     """Return (log-likelihood of each window, its maximising standard deviation) from squares and relative variances."""
+    # The variance has a maximum in closed form, so the grid has two numbers and not three.
     squares = [rows / variances for rows, variances in transformed]
     variance = sum(float(values.sum()) for values in squares) / sum(values.size for values in squares)
     each = [
@@ -205,6 +211,7 @@ def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
             window = slice(start, start + WINDOW)
             if changed[window][1:].any():
                 continue
+            # Three digits of the interval: jitter of the clock would give each window matrices of its own.
             step_s = float(f"{np.median(series.step[start + 1 : start + WINDOW]):.3g}")
             rows_of_step.setdefault(step_s, []).append(_FREE @ values[window])
     return [calm for step_s, rows in rows_of_step.items() if (calm := _calm(step_s, np.array(rows))) is not None]
@@ -220,5 +227,6 @@ def is_fast(series: Series) -> BoolArray:
 def _calm(step_s: float, rows: FloatArray) -> _Windows | None:
     """Remove windows far noisier than the others; None if only rounding is left."""
     squares = np.mean(rows**2, axis=1)
+    # The median as the scale: in a mean, a window in which the rig was touched would hide itself.
     calm = (squares <= settings.RESTLESS * float(np.median(squares))) & (squares > 0.0)
     return _Windows(step_s=step_s, rows=rows[calm]) if calm.any() else None

@@ -46,11 +46,10 @@ def delayed(record: Record, samples: int) -> Record:
 
 
 def _fast(record: Record) -> list[Record]:
-    empty = record.t[:0]
     captures = tuple(capture for capture in record.captures if capture.sample_time_s <= settings.DEAD_TIME_FAST_S)
     result = []
     if captures:
-        result.append(replace(record, captures=captures, t=empty, u_c=empty, i_c=empty, x=empty, x_ref=empty))
+        result.append(replace(record.part(slice(0, 0)), captures=captures))
     if record.kind == "amplifier-step" and len(record.t) > 1 and record.interval_s <= settings.DEAD_TIME_FAST_S:
         result.append(replace(record, captures=()))
     return result
@@ -62,5 +61,6 @@ def _delayed(record: Record, samples: int) -> Record:
 
 
 def _error(steps: Sequence[Record], delay: int) -> float:
+    # K_A and T_A are found anew for each delay: held, they would keep what they had taken from the delay.
     start = amplifier_start([_delayed(record, delay) for record in steps])
     return start.sigma_i_c_a if start is not None else np.inf

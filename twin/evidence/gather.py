@@ -206,6 +206,8 @@ def _until_lifted(flags: NDArray[np.uint16], series: Series, lifts_at: float) ->
     chain = chains(series)
     for number in np.unique(chain):
         in_chain = np.flatnonzero(chain == number)
+        # By the current, as a step of the amplifier need not have x.  What follows would count the ball's motion as an
+        # error of (1).
         over = np.flatnonzero(series.i[in_chain] > lifts_at)
         if len(over):
             after_lift = in_chain[
@@ -217,6 +219,7 @@ def _until_lifted(flags: NDArray[np.uint16], series: Series, lifts_at: float) ->
 def _trim(flags: NDArray[np.uint16]) -> None:
     """Take TRIM_SAMPLES off both ends of each flight between stops, as a lagging sensor shows the impact later."""
     for piece in runs(np.asarray(flags & FLIES != 0)):
+        # A fixed number, not the lag of the model: all models must be judged by the same samples.
         begin, end = piece.start + settings.TRIM_SAMPLES, piece.stop - settings.TRIM_SAMPLES
         for part in (slice(piece.start, begin), slice(end, piece.stop)):
             flags[part] &= np.uint16(~(FLIES | USE_X) & 0xFFFF)
@@ -224,6 +227,8 @@ def _trim(flags: NDArray[np.uint16]) -> None:
 
 def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[float, float]:
     """Return (scale, shift) that map the readings at the stops to 0 and the travel, for the search for contact."""
+    # By both stops where both are known.  With one of them the scale is taken for right, and only the offset is
+    # removed.
     if low is not None and high is not None:
         return plant.travel_m / (high - low), low
     if low is not None:

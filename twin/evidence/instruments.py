@@ -86,6 +86,7 @@ def _windows(
         flies = series.flags & FLIES != 0
         rests = series.flags & RESTS != 0
         for name, part in parts_of(evidence.records, evidence.series):
+            # Fifth differences, not residuals of a model: a wrong model would make every instrument seem noisy.
             rough = differences(series.part(part), column)
             colour = colours[2 if column == 0 and captured[part.start] else column]
             if colour is not None:  # scale to the level of white noise of the same variance
@@ -102,6 +103,7 @@ def _windows(
                 max_square = settings.RESTLESS * float(np.median([squares[index] for index in usual])) if usual else 0.0
                 rows += [
                     (
+                        # Logarithms: their scatter between windows is their error, whatever the tails of the noise are.
                         0.5 * math.log(squares[index]),
                         float(np.mean(series.x[windows[index]])),
                         names.index(name),
@@ -162,6 +164,7 @@ def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
 
     before = np.concatenate((u[:1], u[:-1]))
     lagged = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, settings.INPUT_SHOWS + 1)]
+    # A few fixed lags in place of a fit of T_A: the regression stays linear, and no model of the amplifier is needed.
     slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
     regressors = np.column_stack([np.ones(len(u)), *lagged, *slow])
     return np.asarray(i - regressors @ np.linalg.lstsq(regressors[used], i[used], rcond=None)[0])
@@ -173,6 +176,7 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
     levels: list[Level] = []
     rests = bool(windows.rests.any())
     reference = sigma = math.nan
+    # Rest first where there is one: in flight the loop responds to the noise, so a level there may be a tenth too high.
     for flies in (False, True) if rests else (True, False):
         flown = windows.where(windows.flies == flies)
         groups = _groups(flown)
@@ -256,6 +260,7 @@ def _curve(windows: _Windows) -> Channel:
     if len(flown.log) < fewest or not _fitted(flown, flown.source).bend:
         return Channel()
     groups = _groups(flown)
+    # Flights of one instrument alone: a difference between instruments would look like one between heights.
     comparable = windows.where(windows.rests | (windows.flies & np.isin(windows.source, groups[0].sources)))
     curve = _fitted(comparable, np.zeros(len(comparable.log), np.int64))
     if comparable.rests.any() and not _follows(comparable.where(comparable.flies), curve):

@@ -68,6 +68,7 @@ class Noise:
 
     def noise_ratio(self, records: Sequence[Record], series: Series) -> FloatArray:
         """Return the noise variance of each reading of i_c and x over its channel's reference, shape (n, 2)."""
+        # Sums of logarithms: the factors of instrument and height multiply.
         ratio, flies = np.zeros((len(series), 2)), series.flags & FLIES != 0
         for column, channel in enumerate(self.channels):
             for name, samples in parts_of(records, series):
@@ -81,6 +82,7 @@ class Noise:
         """Return the standard error of ln sigma due to the ratios, averaged over a channel (0: i_c, 1: x)."""
         used = series.flags & (USE_I, USE_X)[column] != 0
         flies = series.flags & FLIES != 0
+        # The mean error by readings: the level of an instrument with few of them is badly known, and matters little.
         total = sum(
             level.error * np.count_nonzero(used[samples] & (flies[samples] == level.flies))
             for name, samples in parts_of(records, series)

@@ -55,6 +55,8 @@ def _wild(series: Series, column: int) -> BoolArray:
         return np.zeros(len(series), np.bool_)
     values, whole = smooth(series, column, around=2)
     off = np.full(len(values), np.nan)
+    # The fourth difference: it removes a cubic, so that a moving ball leaves little, and has one large value for a
+    # wrong reading.
     off[2:-2] = np.convolve(values, _SPIKE, mode="valid")
     off[~whole] = np.nan
     scaled = np.full(len(values), np.nan)

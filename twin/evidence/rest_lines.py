@@ -31,6 +31,8 @@ def without_lines(series: Series) -> Series:
 def _cleaned(series: Series, values: FloatArray, known: BoolArray, step_s: float) -> FloatArray:
     """The values without their lines where the mask `known` is set."""
     pieces = runs(np.asarray(known & np.isfinite(values)), settings.WAVE_READINGS)
+    # In blocks, with phase and size anew in each: the mains wander, so that one sinusoid over minutes would leave most
+    # of the line.
     length = max(round(MEMORY_S / step_s), settings.LINE_SAMPLES)
     blocks = [
         block
@@ -42,6 +44,7 @@ def _cleaned(series: Series, values: FloatArray, known: BoolArray, step_s: float
     for piece in pieces:
         level[piece] = np.mean(values[piece])
     known = np.isfinite(level)
+    # One line at a time, the strongest first: its side lobes would count as lines of their own.
     for _ in range(settings.MAX_LINES):
         spectrum = spectrum_of(series, values - level, known, step_s)
         at = None if spectrum is None else spectrum.line(settings.LINE_LOWEST_HZ, highest_hz(step_s))

@@ -44,6 +44,8 @@ def lost_samples(records: Sequence[Record]) -> Lost | None:
         return None
     n = missing + total
     p, z = missing / n, Z_95
+    # E. B. Wilson, Journal of the American Statistical Association 22(158), 1927.  The usual p +- z sqrt(p (1 - p) / n)
+    # is empty at 0 and may be negative.
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
     return Lost(probability=p, ci95=(middle - half, middle + half), worst=worst[0])

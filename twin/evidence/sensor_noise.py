@@ -33,6 +33,7 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
 
 def noise_errors(evidence: Evidence) -> tuple[float, float]:
     """Return the standard errors of ln sigma of i_c and x: sqrt(1 / 2n), and that of the noise ratios."""
+    # Of n readings of normal noise, var ln sigma = 1 / 2n.
     squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
     if evidence.noise is not None:
         coloured = zip(squares, evidence.noise.colours[:2], strict=True)

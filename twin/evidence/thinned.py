@@ -24,6 +24,7 @@ def thinned(evidence: Evidence, share: float) -> Evidence:
     begins = series.flags & FOLLOWS == 0
     elapsed_s = np.cumsum(series.step)
     elapsed_s -= np.maximum.accumulate(np.where(begins, elapsed_s, 0.0))
+    # Blocks, not every n-th sample: a filter needs a chain, and a model with a delay the input before it.
     heads = begins | (np.diff(np.floor(elapsed_s / settings.THINNED_BLOCK_S + 1e-6), prepend=0.0) != 0.0)
     stays = np.cumsum(heads) * _GOLDEN % 1.0 < share
     flags = np.where(heads, series.flags & np.uint16(~FOLLOWS & 0xFFFF), series.flags)

@@ -65,6 +65,7 @@ def find_loop_delay(likelihood: Blocks, fitted: Fit) -> LoopDelay | None:
     (cause,) = (cause for cause in CATALOGUE if cause.family == "amplifier" and "delays" in cause.traits)
     delay, *_ = names = coordinates_of(cause.name)
     current = Blocks(likelihood.whole.over(bare(_current(likelihood.series))))
+    # In i_c alone: with x, an error of the force law would ask for a delay as well.
     prompt = fit(current, fitted.theta, AMPLIFIER, passes=_PASSES)
     # From several delays, because T_A that imitates one is a maximum of its own, and the likelihood has a kink at each
     # sample of a capture.

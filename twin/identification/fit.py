@@ -76,6 +76,8 @@ class Blocks:
         active = np.diag(fitted.covariance) > 0.0
         inner = inverse(fisher[np.ix_(active, active)])
         robust = np.zeros_like(fitted.covariance)
+        # H. White, Econometrica 50(1), 1982; the middle by W. K. Newey, K. D. West, Econometrica 55(3), 1987.  A model
+        # of the residuals would have to be right itself.
         robust[np.ix_(active, active)] = inner @ middle[np.ix_(active, active)] @ inner
         return replace(fitted, covariance=robust)
 

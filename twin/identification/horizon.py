@@ -60,6 +60,7 @@ def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tup
     """
     error = series.x - roll_out(system, series.samples, state, ahead, stops=True)
     constant = np.full(len(error), np.nan)
+    # "Constant x" as the yardstick: in a loop that holds the ball it is hard to beat, and it has no number to choose.
     constant[ahead:] = series.x[ahead:] - series.x[:-ahead]
     # Both predictions are judged on the same samples.
     constant[np.isnan(error)] = np.nan

@@ -81,6 +81,8 @@ def _profile(likelihood: Blocks, fitted: Fit, name: str, side: int, target: floa
         at = moved(fitted.theta, name, side * distance, plant)
         refit = fit(likelihood, start.having(name, at.value(name)), free, passes=_PASSES)
         start = refit.theta
+        # The signed root of the likelihood ratio (S. S. Wilks, 1938): it is the number of standard errors, whatever
+        # scale the parameter has.
         root = float(np.sqrt(max(2.0 * (fitted.loglik - refit.loglik), 0.0)))
         if abs(root - target) < 0.03 * target:
             break

@@ -155,6 +155,7 @@ def _fitted(
     """Return (the likelihood without outliers, its maximum); their number is added to `usages`."""
     fitted = fit(likelihood, start, free)
     progress(f"fit: {fitted.passes} passes over {len(likelihood.series)} samples")
+    # Once, by the innovations of the first fit: every further round would cost a fit.
     gated, dropped = gate(likelihood.series, likelihood.white(fitted.theta), len(usages))
     if dropped.any():
         for usage, count in zip(usages, dropped, strict=True):
@@ -282,6 +283,8 @@ def _parsimonious(likelihood: Blocks, fitted: Fit) -> Fit:
         if name not in fitted.free or (fitted.converged and 0.0 < relative < settings.NOISE_KNOWN):
             continue
         free = tuple(other for other in fitted.free if other != name)
+        # Fitted without it, not tested by its standard error: 0 is the end of its range, where the likelihood is no
+        # parabola.
         smaller = fit(likelihood, fitted.theta.having(name, FLOORS[name]), free)
         if smaller.loglik > fitted.loglik - settings.PROCESS_NOISE_GAIN:
             fitted = smaller

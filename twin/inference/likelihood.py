@@ -31,14 +31,7 @@ from twin.evidence.gather import Evidence
 from twin.evidence.thinned import thinned
 from twin.inference.budget import Budget, Spent
 from twin.inference.outside import Outside
-from twin.inference.theta import (
-    COLOURS,
-    NOISES,
-    STOPS,
-    Theta,
-    derivative_step,
-    moved,
-)
+from twin.inference.theta import COLOURS, NOISES, STOPS, Theta, derivative_step, moved
 from twin.model.causes.catalogue import with_trait
 from twin.settings import diagnosis as settings
 

@@ -76,10 +76,9 @@ class Theta:
     def having(self, name: str, value: float) -> Theta:
         """A copy with one parameter changed."""
         if "." not in name:
-            return self._with(name, value)
-        causes = dict(self.causes)
-        causes[name] = value
-        return replace(self, causes=tuple(causes.items()))
+            number: dict[str, Any] = {name: value}
+            return replace(self, **number)
+        return replace(self, causes=tuple({**dict(self.causes), name: value}.items()))
 
     def all_of(self, values: Iterable[tuple[str, float]]) -> Theta:
         """A copy with several parameters changed."""
@@ -87,10 +86,6 @@ class Theta:
         for name, value in values:
             theta = theta.having(name, value)
         return theta
-
-    def _with(self, name: str, value: float) -> Theta:
-        number: dict[str, Any] = {name: value}
-        return replace(self, **number)
 
     def without(self, cause: str) -> Theta:
         """A copy without one cause."""

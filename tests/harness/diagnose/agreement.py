@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from twin.diagnosis.report.sentences import micrometres, percent
+from twin.diagnosis.report.quantities import micrometres, percent
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.settings import diagnosis as settings
 

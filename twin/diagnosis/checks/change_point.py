@@ -71,6 +71,8 @@ class Switched(Criterion):
 
     def __init__(self, of: Criterion, holds: Sequence[bool], *, workers: int = 2) -> None:
         super().__init__(of.evidence, of.plant, of.tick_s, workers=workers, budget=of.budget)
+        # One likelihood whose causes end at a cut.  Two fits would have two noise levels and two sets of the paper's
+        # parameters.
         held = np.asarray(holds, np.bool_)[of.evidence.series.recording]
         cuts = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
         self._pieces = [(slice(a, b), bool(held[a])) for a, b in itertools.pairwise(cuts) if b > a]
@@ -117,6 +119,7 @@ def find_change(search: Search, selection: Selection, *, workers: int = 2) -> Ch
         side = second if begins else first
         search.report(f"did something change between {names[0]} and {names[1]}?")
         switched = Switched(criterion, [n in side for n in range(len(records))], workers=workers)
+        # A higher share than usual: a change has more freedom than a cause, so it must explain more.
         one_sided = replace(search, criterion=switched, candidates=candidates, min_share=settings.CHANGE_SHARE)
         chosen = select(one_sided, selection.base, classes=False)
         if criterion.budget.closed:
@@ -151,6 +154,8 @@ def share_clock(records: Sequence[Record]) -> bool:
     """Tell whether the recordings share a clock: none begins before another has ended."""
     if any(not len(record.t) or not np.isfinite(record.t).all() for record in records):
         return False
+    # The order in the campaign file may be any.  Times that do not overlap are taken for one clock, as separate clocks
+    # begin at 0.
     spans = sorted((float(record.t.min()), float(record.t.max())) for record in records)
     return all(a[1] < b[0] for a, b in itertools.pairwise(spans))
 
@@ -205,6 +210,7 @@ def _best_gain(scores: FloatArray, fishers: FloatArray, side: BoolArray, inner: 
     score, fisher = scores[side].sum(axis=0), fishers[side].sum(axis=0)
     for index in range(k, scores.shape[1]):
         cross, diagonal = fisher[:k, index], float(fisher[index, index])
+        # (S 8), with the free numbers those of the whole campaign and the cause that of one side.
         left = diagonal - float(cross @ inner @ cross)
         if (
             diagonal > 0.0

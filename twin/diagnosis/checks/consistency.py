@@ -89,7 +89,9 @@ def contradictions(criterion: Criterion, fit: Fit) -> list[Contradiction]:
             if not of_recording:
                 continue
             weights = np.array([stretch.std**-2 for stretch in of_recording])
+            # The mean by information: stretches in which the ball hardly moves say little and would scatter most.
             move = float(np.sum(weights * [stretch.move for stretch in of_recording]) / weights.sum())
+            # Large and significant: alone, a long recording makes a drift of a thousandth significant.
             if abs(move) > min_change and abs(move) * math.sqrt(float(weights.sum())) > settings.DRIFT_ERRORS:
                 result.append(Contradiction(recording=recording, parameter=name, change=math.expm1(move)))
     return result
@@ -113,6 +115,7 @@ def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Be
         # One change of the mean by least squares (Hinkley, 1970), not a running test: the question is asked once,
         # afterwards.
         index, gain, before, after = _split(strengths, weights)
+        # Absent before, and not only weaker: a strength that drifts is no beginning.
         is_absent_before = abs(before) < settings.BEGINNING_ABSENT * abs(after) and after * strength > 0.0
         is_significant = abs(after) * math.sqrt(float(weights[index:].sum())) > settings.BEGINNING_Z
         if gain > settings.BEGINNING_GAIN and is_absent_before and is_significant:
@@ -131,6 +134,7 @@ def _split(values: FloatArray, weights: FloatArray) -> tuple[int, float, float, 
         if w_1 <= 0.0 or w_2 <= 0.0:
             continue
         first, second = total[index - 1] / w_1, (total[-1] - total[index - 1]) / w_2
+        # The likelihood ratio of two means over one (D. V. Hinkley, Biometrika 57(1), 1970).
         gain = 0.5 * w_1 * w_2 / (w_1 + w_2) * (first - second) ** 2
         if gain > best[1]:
             best = (index, float(gain), float(first), float(second))

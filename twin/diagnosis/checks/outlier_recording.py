@@ -76,6 +76,8 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
         # The noise of its own sensors counts, as another rig has other sensors.
         quiet = replace(fit.theta, process_i_c_a=FLOORS["process_i_c_a"], process_a_m_s2=FLOORS["process_a_m_s2"])
         logliks, counts = expected(single.outputs(quiet))
+        # Other parameters have to explain it down to its noise.  To ask only for a better fit would discard every
+        # recording with an effect of its own.
         if not adequate(single, fit, replace(floor, logliks=logliks, counts=counts))[0]:
             return None
         moves = {name: math.log(fit.theta.value(name) / agreed.theta.value(name)) for name in settings.DRIFT}
@@ -91,6 +93,7 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
 def _most_different(criterion: Criterion, base: Fit) -> int | None:
     """Return the recording that would gain most by parameters of its own; None if none would gain much."""
     series, names = criterion.evidence.series, BASE[:4]
+    # With few recordings nobody knows which of them is the odd one.
     if len(np.unique(series.recording[series.flags & FLIES != 0])) < settings.OUTLIER_RECORDINGS:
         return None
     out, change = criterion.derivatives(base.theta, names)

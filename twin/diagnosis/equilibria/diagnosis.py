@@ -211,6 +211,7 @@ def rounding_of(points: Points, computed_a_v: float | None) -> float:
 
 def separation(first: Explanation, second: Explanation) -> float:
     """Return the standard errors by which a measured pole would tell the two apart."""
+    # A measured pole is assumed to be right to one per cent, so that counts beside the errors of both fits.
     spread = math.hypot(first.pole_std_per_s, second.pole_std_per_s, 0.01 * first.pole_per_s)
     return abs(first.pole_per_s - second.pole_per_s) / spread
 
@@ -262,6 +263,8 @@ def _verdict(
         rough = base.std_a > 3.0 * round_a > 0.0 and base.freedom > 0
         return [], "unknown-cause" if rough else "model-adequate", 0.0
     best = possible[0]
+    # The ratio of two sums of squares.  A difference of likelihoods, as in the search, would need the noise to be
+    # known.
     limit = float(fisher_quantile(1.0 - settings.STATIC_LEVEL, best.fit.freedom, best.fit.freedom))
     members = [
         explanation
@@ -270,6 +273,8 @@ def _verdict(
     ]
     order = {cause.name: index for index, cause in enumerate(CATALOGUE)}
     families = {"force": 0, "motion": 1, "sensing": 2, "amplifier": 3, "timing": 4}
+    # Sums of squares within a per cent are the same to a handful of points.  Their order is then fixed by family, not
+    # by the last digits.
     tied = [explanation for explanation in members if explanation.fit.rss_a2 <= settings.STATIC_TIE * best.fit.rss_a2]
     tied.sort(key=lambda explanation: (families[BY_NAME[explanation.name].family], order[explanation.name]))
     rest = [explanation for explanation in members if explanation not in tied]

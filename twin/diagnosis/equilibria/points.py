@@ -22,7 +22,7 @@ from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.distributions import fisher_above, fisher_quantile
 from twin.estimation.record import FloatArray, Record
-from twin.inference.theta import Theta, parameter_of
+from twin.inference.theta import Theta
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.equilibrium import holding_current
 from twin.model.extended import current_reading
@@ -108,6 +108,7 @@ def points_of(records: Sequence[Record], plant: Plant, min_points: int = setting
 def start(points: Points, plant: Plant) -> Theta:
     """Return (3) through the point in the middle; numbers that points of rest do not determine only fill the model."""
     gap = np.maximum(plant.x_max_m - points.x_m, 1e-3 * plant.travel_m)
+    # (8) at each point; the median, as one wrong row must not move the start.
     K_c = plant.mass_kg * plant.gravity_m_s2 * float(np.median(gap / points.i_c_a)) ** 2
     K_A = 1.0 if points.u_c_v is None else float(np.median(points.i_c_a / points.u_c_v))
     return Theta(
@@ -143,12 +144,12 @@ def fit_static(points: Points, plant: Plant, cause: str = "") -> StaticFit:
     begin = start(points, plant)
     if not cause:
         return _climb(points, plant, begin, cause, (math.log(begin.K_c),))
-    unit = _unit(cause)
-    starts = [value for value in (_value(cause, step * unit) for step in _STARTS) if value != _neutral(cause)]
+    unit, strength = _unit(cause), BY_NAME[cause].strength
+    starts = [value for value in (strength.value(step * unit) for step in _STARTS) if value != strength.neutral]
+    # From both sides and two distances, as least squares end in the nearest minimum; the deepest is kept.
     fits = []
     for value in dict.fromkeys(starts):
         at = begin.having(strength_of(cause), value)
-        strength = BY_NAME[cause].strength
         fits.append(_climb(points, plant, at, cause, (math.log(begin.K_c), strength.coordinate(value) / unit)))
     return min(fits, key=lambda fit: fit.rss_a2)
 
@@ -173,7 +174,7 @@ def is_absorbed(points: Points, plant: Plant, base: StaticFit, cause: str) -> bo
     """Return whether K_c makes up for any strength of this cause: the points then say nothing about it."""
     strength = BY_NAME[cause].strength
     values = [strength.value(step * _unit(cause)) for step in (-10.0, 10.0)]
-    held = [fit_gain(points, plant, cause, value, base.theta).rss_a2 for value in values if value != _neutral(cause)]
+    held = [fit_gain(points, plant, cause, value, base.theta).rss_a2 for value in values if value != strength.neutral]
     return all(abs(rss - base.rss_a2) < 0.01 * base.rss_a2 for rss in held)
 
 
@@ -184,6 +185,8 @@ def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float
     """
     strength = BY_NAME[fit.cause].strength
     best = strength.coordinate(fit.theta.value(strength_of(fit.cause)))
+    # The profile with F(1, n - 2) (D. M. Bates, D. G. Watts, Nonlinear Regression Analysis and Its Applications,
+    # 1988).  A linearised interval would be wrong for a cause that bends the curve.
     limit = fit.rss_a2 * (1.0 + float(fisher_quantile(1.0 - settings.STATIC_LEVEL, 1, fit.freedom)) / fit.freedom)
     ends = []
     for edge in sorted(_edges(fit.cause)):
@@ -207,13 +210,13 @@ def standard_error(points: Points, plant: Plant, fit: StaticFit, *, of_gain: boo
     moves = [replace(fit.theta, K_c=fit.theta.K_c * (1.0 + 1e-4))]
     steps = [1e-4]
     if fit.cause:
-        strength = BY_NAME[fit.cause].strength
-        coordinate = strength.coordinate(fit.theta.value(strength_of(fit.cause)))
-        change = 1e-3 * _unit(fit.cause)
-        if strength.value(coordinate + change) == fit.theta.value(strength_of(fit.cause)):
+        strength, name = BY_NAME[fit.cause].strength, strength_of(fit.cause)
+        value, change = fit.theta.value(name), 1e-3 * _unit(fit.cause)
+        # Inwards at the end of its range, where a step outwards moves nothing.
+        if strength.value(strength.coordinate(value) + change) == value:
             change = -change
-        moves.append(fit.theta.having(strength_of(fit.cause), strength.value(coordinate + change)))
-        steps.append(moves[-1].value(strength_of(fit.cause)) - fit.theta.value(strength_of(fit.cause)))
+        moves.append(fit.theta.having(name, strength.value(strength.coordinate(value) + change)))
+        steps.append(moves[-1].value(name) - value)
     now = holding_currents(fit.theta, plant, points.x_m)
     columns = [
         (holding_currents(at, plant, points.x_m) - now) / change for at, change in zip(moves, steps, strict=True)
@@ -228,6 +231,8 @@ def f_test(base: StaticFit, fit: StaticFit) -> tuple[float, float]:
     """Return (F, probability that chance alone gains as much) of one more parameter under unknown Gaussian noise."""
     if fit.freedom <= 0:
         return math.nan, 1.0
+    # The F test of nested models (G. A. F. Seber, C. J. Wild, Nonlinear Regression, 1989).  The noise is unknown,
+    # so a chi-square would need a level that nobody measured.
     ratio = (base.rss_a2 - fit.rss_a2) / max(fit.rss_a2 / fit.freedom, 1e-300)
     return ratio, float(fisher_above(max(ratio, 0.0), 1, fit.freedom))
 
@@ -236,6 +241,8 @@ def left_out(points: Points, plant: Plant, whole: StaticFit) -> FloatArray:
     """Return i_c measured - predicted of each point by the model fitted to the others, A, shape (n,)."""
     errors = np.full(len(points), np.nan)
     for row in range(len(points)):
+        # Cross-validation (M. Stone, Journal of the Royal Statistical Society B 36(2), 1974): the points are too few
+        # to keep some apart.
         fit = refit(points.without(row), plant, whole)
         errors[row] = points.i_c_a[row] - holding_currents(fit.theta, plant, points.x_m[row : row + 1])[0]
     return errors
@@ -261,7 +268,11 @@ def computed_current(points: Points) -> float | None:
 def _climb(points: Points, plant: Plant, at: Theta, cause: str, begin: tuple[float, ...]) -> StaticFit:
     def theta_of(z: FloatArray) -> Theta:
         theta = replace(at, K_c=math.exp(min(max(float(z[0]), -60.0), 10.0)))
-        return theta if len(z) == 1 else theta.having(strength_of(cause), _value(cause, float(z[1]) * _unit(cause)))
+        return (
+            theta
+            if len(z) == 1
+            else theta.having(strength_of(cause), BY_NAME[cause].strength.value(float(z[1]) * _unit(cause)))
+        )
 
     def residual(z: FloatArray) -> FloatArray:
         off = points.i_c_a - holding_currents(theta_of(z), plant, points.x_m)
@@ -291,17 +302,9 @@ def strength_of(cause: str) -> str:
     return f"{cause}.{BY_NAME[cause].strength.name}"
 
 
-def _neutral(cause: str) -> float:
-    return BY_NAME[cause].strength.neutral
-
-
 def _unit(cause: str) -> float:
     strength = BY_NAME[cause].strength
     return abs(strength.coordinate(strength.probes[0]))
-
-
-def _value(cause: str, coordinate: float) -> float:
-    return parameter_of(strength_of(cause)).value(coordinate)
 
 
 def _edges(cause: str) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnosis.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
 from twin.diagnosis.equilibria.points import StaticFit
-from twin.diagnosis.report.sentences import quantity
+from twin.diagnosis.report.quantities import quantity
 from twin.diagnosis.result import parameters_json
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -31,8 +31,7 @@ def sentence_of(diagnosis: StaticDiagnosis) -> str:
         f" ({100 * off / i:+.0f} % of its holding current) compared with (3)"
     )
     if diagnosis.verdict == "model-adequate":
-        off_ma = 1e3 * rms(diagnosis.base.residual_a)
-        return f"These {n} points of rest do not contradict (3): it is off by {off_ma:.3g} mA rms."
+        return f"These {n} points of rest do not contradict (3): it is off by {1e3 * rms(base_a):.3g} mA rms."
     if diagnosis.verdict == "unknown-cause":
         nearest = next((explanation for explanation in diagnosis.rejected if not explanation.fit.at_bound), None)
         removed = 0.0 if nearest is None else 1.0 - nearest.fit.rss_a2 / diagnosis.base.rss_a2
@@ -66,10 +65,10 @@ def to_json(diagnosis: StaticDiagnosis) -> dict[str, Any]:
     base, first = diagnosis.base, diagnosis.members[0] if diagnosis.members else None
     floor = len(diagnosis.points) * diagnosis.rounding_a**2
     excess = max(base.rss_a2 - floor, 1e-300)
-    left = first.fit.rss_a2 if first else base.rss_a2
-    after = first.left_out_a if first else diagnosis.base_left_out_a
-    worst = int(np.argmax(np.abs(first.fit.residual_a if first else base.residual_a)))
     remains = first.fit if first else base
+    left = remains.rss_a2
+    after = first.left_out_a if first else diagnosis.base_left_out_a
+    worst = int(np.argmax(np.abs(remains.residual_a)))
     where = (
         f"{1e3 * remains.std_a:.2g} mA, most at x = {1e3 * diagnosis.points.x_m[worst]:.2f} mm;"
         f" rounding alone makes {1e3 * diagnosis.rounding_a:.2g} mA"

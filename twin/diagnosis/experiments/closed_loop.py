@@ -98,7 +98,10 @@ def run(
     step = np.diff(t, prepend=t[0])
     scale = np.empty((4, len(t)))
     scale[0], scale[1] = _without_step(theta.sigma_i_c_a, steps.i_lsb_a), _without_step(theta.sigma_x_m, steps.x_lsb_m)
+    # The current's disturbance is a random walk, so its variance grows with the interval.  The acceleration is constant
+    # over one.
     scale[2], scale[3] = theta.process_i_c_a * np.sqrt(step / rig.tick_s), theta.process_a_m_s2
+    # Drawn beforehand: the same seed gives the same noise, whatever the ball does.
     noise = scale * rng.standard_normal((4, len(t)))
     for column in range(2):
         for frequency, amplitude in harmonics(c, column):
@@ -125,6 +128,8 @@ def run(
 
 
 def _without_step(sigma: float, lsb: float) -> float:
+    # Rounding is nearly uniform over a step, hence lsb^2 / 12 (B. Widrow, IRE Transactions on Circuit Theory 3(4),
+    # 1956).
     return math.sqrt(max(sigma * sigma - lsb * lsb / 12.0, 0.0))
 
 
@@ -180,6 +185,7 @@ def play(
             else:
                 a, T_s = noise[3, n], step[n]
                 touches = True
+                # No rebound: its height would need a restitution, which the model does not have.
                 if y[X] <= max(stops_m[0], 0.0) and y[V] <= 0.0:
                     y[X], y[V] = stops_m[0], 0.0
                 elif y[X] >= min(stops_m[1], p.travel_m) and y[V] >= 0.0:

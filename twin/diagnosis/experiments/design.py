@@ -114,6 +114,7 @@ def propose(
             )
             for k, trial in enumerate(confounders)
         )
+        # By the worst pair that can be separated at all: a mean would hide the pair that stays.
         counts = [pair.separation_z for pair in pairs if pair.separable] or [pair.separation_z for pair in pairs]
         smallest = min(counts)
         proposals.append(
@@ -162,6 +163,7 @@ def rank(
     held = [_information_on(fit, member) for member in members]
     ranked = []
     for experiment in MENU:
+        # Minutes of warming separate nothing where no cause warms.
         if experiment.warms and not causes & with_trait("warms"):
             continue
         schedule, times = schedule_of(
@@ -197,6 +199,7 @@ def _information_on(named_fit: Fit, member: Fit) -> _Tied:
         for index, name in enumerate(member.free)
         if name not in NOISES + COLOURS and member.covariance[index, index] > 0.0
     ]
+    # The inverse of a block of the covariance has the noise levels free.  A block of the information would hold them.
     gram = inverse(member.covariance[np.ix_(indices, indices)]) if indices else np.zeros((0, 0))
     lead = 2.0 * max(named_fit.loglik - member.loglik, 0.0)
     return _Tied(names=tuple(member.free[index] for index in indices), gram=gram, lead=lead)
@@ -262,5 +265,6 @@ def _separation(base: FloatArray, rows: FloatArray, tied: _Tied, times: float) -
         return math.sqrt(tied.lead)  # the confounder's filter diverges: no gain is assumed
     gram *= times
     cross = gram[1:, 0]
+    # (S 11) in closed form: both squares are quadratic in xi, and J_campaign' Delta_campaign is 0.
     left = gram[0, 0] - float(cross @ inverse(tied.gram + gram[1:, 1:]) @ cross)
     return math.sqrt(tied.lead + max(left, 0.0))

@@ -87,15 +87,18 @@ def _values(part: Signal, tick_s: float) -> FloatArray:
             chips = np.random.default_rng(1).integers(0, 2, int(turns[-1]) + 1) if n else np.empty(0, np.int64)
             wave = 2.0 * chips[turns.astype(int)] - 1.0
         case "multisine":
+            # Phases by M. R. Schroeder (IEEE Transactions on Information Theory 16(1), 1970).  With equal phases all
+            # harmonics would peak at once.
             wave = sum((np.sin(2.0 * math.pi * (h * turns - h * (h - 1) / 16.0)) for h in _HARMONICS), np.zeros(n))
             wave /= np.max(np.abs(wave))
         case "chirp":
+            # The frequency rises linearly, so the phase is its integral: half of the rise counts.
             rate = 1.0 / part.period_s + (1.0 / part.period_end_s - 1.0 / part.period_s) * t / (2.0 * part.duration_s)
             wave = np.sin(2.0 * math.pi * rate * t)
     return np.asarray(middle + half * wave)
 
 
 def _approached(start: float, values: FloatArray, max_step: float) -> FloatArray:
-    """The constant `values`, approached from `start` in steps of at most `most`."""
+    """The constant `values`, approached from `start` in steps of at most `max_step`."""
     ramp = np.sign(values[0] - start) * max_step * np.arange(1, len(values) + 1) + start
     return np.asarray(np.minimum(ramp, values) if values[0] > start else np.maximum(ramp, values))

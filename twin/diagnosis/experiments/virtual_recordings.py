@@ -200,6 +200,7 @@ def _start(
     known = np.isfinite(record.x[head])
     if known.sum() >= 3:
         t, x = record.t[head][known], record.x[head][known]
+        # A line through eight readings: the difference of two would be a speed of noise.
         line = np.polynomial.polynomial.polyfit(t - record.t[piece.start], x, 0 if clamped else 1)
         x_first = float(line[0])
         y[X] = position_of_reading(p, c, x_first, float(y[I_C]))
@@ -208,6 +209,7 @@ def _start(
             y[X], speed = min(max(y[X], theta.stop_low_m), plant.travel_m + theta.stop_high_m), 0.0
         y[V] = speed
     y[SENSOR], y[RATE] = position_reading(p, c, float(y[X]), float(y[I_C])), y[V]
+    # The mean of the recording: how warm the coil was before is not known.
     warmths = [lasting_warmth(c, i) for i in record.i_c[piece].tolist() if math.isfinite(i)]
     y[WARMTH] = float(np.mean(warmths)) if warmths else 0.0
     return y, speed
@@ -231,6 +233,7 @@ def _bridged(t: FloatArray) -> FloatArray:
     missing = np.maximum(np.rint(steps / median).astype(int), 1)
     if np.all(missing == 1):
         return t
+    # The lost samples are simulated, too: the board ran on while the log lacked them.
     starts = np.repeat(t[:-1], missing)
     offset = np.arange(len(starts)) - np.repeat(np.cumsum(missing) - missing, missing)
     return np.append(starts + offset * np.repeat(steps / missing, missing), t[-1])
@@ -267,6 +270,7 @@ def _recorded_integral(numbers: LawNumbers, record: Record, piece: slice) -> flo
         n = piece.start + k
         i, x, x_prev = float(record.i_c[n]), float(record.x[n]), float(record.x[n - 1])
         x_ref, u = float(record.x_ref[n]), float(record.u_c[n])
+        # The first u_c between its limits: at a limit any integral beyond gives the same u_c.
         if all(map(math.isfinite, (i, x, x_prev, x_ref, u))) and numbers.u_low < u < numbers.u_high:
             integral = _integral(numbers, i, x, x_prev, x_ref, u)
             return integral - float(errors[:k].sum()) * numbers.sample_time_s

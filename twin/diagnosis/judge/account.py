@@ -130,6 +130,7 @@ def verdict_of(
 def _holds(gain: Gain | None) -> bool:
     if gain is None:
         return False
+    # The upper end of the interval, against the noise: a wide interval must not count as a small rest.
     is_small = gain.ci95_floor[1] < settings.PARTLY_ERROR and gain.removed >= settings.PARTLY_SHARE
     return is_small or gain.removed >= settings.LARGE_SHARE
 
@@ -145,6 +146,9 @@ def confidence_of(selection: Selection, cause: str, verdict: Verdict) -> float:
         cause: one of its causes.
         verdict: of the answer; while more than noise is left, a name may imitate an unknown cause.
     """
+    # The lead over the best name outside the class.  The gain itself says that a cause is needed, not which.
     lead = selection.runner_up.get(cause, selection.gains.get(cause, 0.0))
+    # With no lead either of two names is as likely.  With a threshold instead, a little noise would decide between two
+    # confidences.
     sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / settings.CONFIDENCE_LEAD)
     return round(settings.MAX_CONFIDENCE[verdict] * sure, 3)

@@ -73,6 +73,8 @@ def at_20_ms(gains: Sequence[Gain]) -> Gain | None:
 
 def worse(gains: Sequence[Gain]) -> Gain | None:
     """The gain that shows the model to be worse than the reference, the nearest to 20 ms; None if it is not worse."""
+    # One and a half time constants of the unstable pole, so a wrong force shows.  Farther ahead the error of the start
+    # grows as fast.
     decisive = at_20_ms(gains)
     ordered = sorted(gains, key=lambda gain: abs(gain.horizon_s - settings.BENEFIT_HORIZON_S))
     surely = decisive is not None and decisive.ci95_ratio[0] > 1.0
@@ -99,6 +101,7 @@ def refusal_of(candidate: Candidate, gains: Sequence[Gain], *, sure: bool) -> Re
 
 def choice_without_judges(selection: Selection, *, has_model: bool) -> Choice:
     """Return the model of a search that no recording judges; `has_model`: whether the user gave a reference model."""
+    # Written although nothing judged it: it is the likeliest model, and the file says that no recording compared it.
     kind: Kind = "all-causes" if selection.causes else "paper" if has_model else "reference"
     return Choice(kind=kind, fit=selection.fit, gains=(), compared=False)
 

@@ -40,6 +40,7 @@ def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> 
     rng = np.random.default_rng(seed)
     if len(ends) > MAX_WINDOWS:
         chosen = np.sort(rng.choice(len(ends), MAX_WINDOWS, replace=False))
+        # Drawn, not the first windows: those are of the first recordings alone.
         inputs, moved = inputs[chosen], moved[chosen]
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-12
     directions = rng.normal(size=(inputs.shape[1], FEATURES)) / np.sqrt(inputs.shape[1])
@@ -58,6 +59,8 @@ def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> 
 
 
 def _ridge(rows: FloatArray, targets: FloatArray, penalty: float) -> FloatArray:
+    # Ridge regression (A. E. Hoerl, R. W. Kennard, Technometrics 12(1), 1970).  Plain least squares would follow
+    # the noise with 600 features.
     return np.asarray(np.linalg.solve(rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1]), rows.T @ targets))
 
 
@@ -77,6 +80,8 @@ def _windows(
     run = np.convolve(linked, np.ones(length, int))[: len(linked)] if len(linked) else linked
     (ends,) = np.nonzero(run == length)
     now = ends - samples
+    # Differences to the last reading, and the displacement as target: the regression need not learn that the ball stays
+    # near its place.
     past = [series.x[now - k] - series.x[now] for k in range(1, PAST)] + [series.i[now - k] for k in range(PAST)]
     inputs = [series.u[now + k] for k in range(1 - PAST, samples)]
     return ends, np.column_stack([series.x[now], *past, *inputs]), series.x[ends] - series.x[now]

@@ -60,6 +60,7 @@ def judge(
         leading=(is_adequate and counted) or any(account.leads(name) for name in selection.causes),
         worse=harm is not None and harm.ratio > settings.WORSE_ERROR,
     )
+    # Without its names nothing is named, but they did explain something: the model is not adequate.
     if (account.doubted or account.overlaps) and verdict == "model-adequate":
         verdict = "unknown-cause"
     if bench is None or not first:

@@ -89,6 +89,7 @@ class Yardstick:
         """The gain at one horizon, which is not charged to a budget; None if nothing can be predicted."""
         x, tick_s, plant, seed = self.judge.series.x, self.tick_s, self.plant, self.seed
         errors = [predictions(self.judge, theta, plant, tick_s, samples) - x for theta in (before, after)]
+        # The same samples for both: a model that predicts only the easy ones would seem better.
         both = np.isfinite(errors[0]) & np.isfinite(errors[1])
         if both.sum() < 50:
             return None
@@ -148,8 +149,11 @@ def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> t
     # Whole blocks are drawn: errors 20 ms ahead overlap, and single ones would make the interval too narrow.
     edges = np.linspace(0, len(first), count + 1).astype(int)
     sums = np.array([[first[a:b].sum(), second[a:b].sum()] for a, b in pairwise(edges)])
+    # Both errors with the same blocks: what makes a stretch hard for either model cancels in the ratio.
     drawn = np.random.default_rng(seed).integers(0, count, size=(DRAWS, count))
     totals = sums[drawn].sum(axis=1)
     ratios = np.sqrt(totals[:, 1] / np.maximum(totals[:, 0], 1e-300))
+    # Quantiles of the draws (percentile method; B. Efron, R. Tibshirani, An Introduction to the Bootstrap, 1993).  A
+    # normal interval would be symmetric, and a ratio of squares is not.
     low, high = np.quantile(ratios, (0.025, 0.975))
     return float(low), float(high)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.diagnosis.judge.prediction_gain import Gain
-from twin.inference.theta import PARAMETERS, Theta
+from twin.inference.theta import NOISES, PARAMETERS, Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model
 from twin.settings import diagnosis as settings
@@ -27,6 +27,7 @@ def check_plant(model: Model, plant: Plant) -> None:
         DataError: names the first field that differs, with both values.
     """
     for name in _KNOWN:
+        # Refused, not converted: K_c and b hold for their mass and x_max alone (6).
         value, expected = float(getattr(model.plant, name)), float(getattr(plant, name))
         if abs(value - expected) > settings.SAME_PLANT * abs(expected):
             raise DataError(
@@ -37,24 +38,15 @@ def check_plant(model: Model, plant: Plant) -> None:
 
 def theta_of(model: Model, fitted: Theta) -> Theta:
     """The model's numbers, causes and noise; the places of the stops are those of the data."""
-    noise = model.noise
-    return replace(
-        fitted,
-        K_A=model.K_A,
-        T_A=model.T_A,
-        K_c=model.K_c,
-        b=model.b,
-        sigma_i_c_a=noise.sigma_i_c_a,
-        sigma_x_m=noise.sigma_x_m,
-        process_i_c_a=noise.process_i_c_a,
-        process_a_m_s2=noise.process_a_m_s2,
-        causes=tuple(
-            (f"{cause.name}.{name}", parameter.value)
-            for cause in model.causes
-            for name, parameter in cause.parameters.items()
-            if BY_NAME[cause.name].detector != "gaps"
-        ),
+    numbers = [(name, getattr(model, name)) for name in PARAMETERS]
+    numbers += [(name, getattr(model.noise, name)) for name in NOISES]
+    causes = tuple(
+        (f"{cause.name}.{name}", parameter.value)
+        for cause in model.causes
+        for name, parameter in cause.parameters.items()
+        if BY_NAME[cause.name].detector != "gaps"
     )
+    return replace(fitted.all_of(numbers), causes=causes)
 
 
 def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain | None) -> str:
@@ -68,6 +60,7 @@ def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain 
     """
     if gain is None or refitted is None or gain.baseline_rmse_m < settings.REFERENCE_WORSE * refitted.baseline_rmse_m:
         return ""
+    # Without b, which may be near 0, where a relative change says nothing.
     moves = {name: fitted.value(name) / max(getattr(model, name), 1e-300) - 1.0 for name in PARAMETERS if name != "b"}
     listed = ", ".join(
         f"{name} {100.0 * change:+.1f} %" for name, change in moves.items() if abs(change) > settings.REFERENCE_OFF

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,16 +50,18 @@ def visited(evidence: Evidence) -> dict[str, FloatArray]:
     inner[:reach] = inner[max(n - reach, 0) :] = False
     for shift in range(1 - reach, reach + 1):
         inner &= np.roll(follows, -shift)
+    # A difference over four intervals: one interval is mostly noise, and a filter's speed would be that of the wrong
+    # model.
     (middle,) = np.nonzero(inner)
     duration = sum((series.step[middle + shift] for shift in range(1 - reach, reach + 1)), np.zeros(len(middle)))
     speed = (series.x[middle + reach] - series.x[middle - reach]) / duration
     return {"x": series.x[has_x], "v": speed, "i": series.i[has_i], "u": series.u[flies]}
 
 
-def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
-    """Return theta with a curve that is 0 over the range of these values."""
+def with_range(theta: Theta, curve: Cause, values: Mapping[str, FloatArray]) -> Theta:
+    """Return theta with a curve that is 0 over the range of its quantity in `values`, of `visited`."""
     # Quantiles, not extremes: a single reading far out would stretch the knots over a range without data.
-    ends = np.nanquantile(values, (settings.CURVE_OUTER, 1.0 - settings.CURVE_OUTER)).tolist()
+    ends = np.nanquantile(values[quantity_of(curve)], (settings.CURVE_OUTER, 1.0 - settings.CURVE_OUTER)).tolist()
     for parameter, end in zip(curve.parameters[:2], ends, strict=True):
         theta = theta.having(f"{curve.name}.{parameter.name}", float(end))
     for name in coefficients(curve):
@@ -70,12 +72,12 @@ def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
 def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[CurveScore]:
     """The curves beside `at`, best first; those whose quantity hardly moves are left out."""
     values = visited(criterion.evidence)
-    curves = [curve_ for curve_ in curves if _moves(values[_over(curve_)])]
+    curves = [curve_ for curve_ in curves if _moves(values[quantity_of(curve_)])]
     if not curves:
         return []
     theta = at.theta
     for curve in curves:
-        theta = with_range(theta, curve, values[_over(curve)])
+        theta = with_range(theta, curve, values)
     names = (*at.free, *(name for curve in curves for name in coefficients(curve)))
     run = criterion.run(theta)
     # Rough derivatives suffice: the score only ranks the curves, and a fit of the best of them decides.
@@ -85,6 +87,8 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
     known = inverse(fisher[:k, :k])
     results = []
     for number, curve in enumerate(curves):
+        # (S 8) for eight numbers at once.  One by one they would share what they explain, as neighbouring splines
+        # overlap.
         block = slice(k + number * COEFFICIENTS, k + (number + 1) * COEFFICIENTS)
         cross = fisher[block, :k] @ known
         left = fisher[block, block] - cross @ fisher[:k, block]  # with the information of the prior
@@ -93,9 +97,10 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         widths = np.array([prior_spread(name) for name in coefficients(curve)])
         # The coefficients are integrated out: by the maximum alone a curve would always gain, as it has eight numbers.
         _, logarithm = np.linalg.slogdet(left * np.outer(widths, widths))
-        start = with_range(at.theta, curve, values[_over(curve)])
+        start = with_range(at.theta, curve, values)
         for name, change in zip(coefficients(curve), (settings.CURVE_START * step).tolist(), strict=True):
             start = moved(start, name, change, criterion.plant)
+        # Laplace's method (R. E. Kass, A. E. Raftery, Journal of the American Statistical Association 90, 1995).
         results.append(
             CurveScore(curve=curve, evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm), start=start)
         )
@@ -142,12 +147,15 @@ def basis(share: FloatArray) -> FloatArray:
     """The cubic B-splines of `curve.py` at shares of the range, shape (n, COEFFICIENTS)."""
     from scipy.interpolate import BSpline
 
+    # (S 12), uniform knots (P. H. C. Eilers, B. D. Marx, Statistical Science 11(2), 1996).  Knots at quantiles
+    # would be fine where the ball hovers, and coarse where it seldom is.
     knots = np.arange(-3, COEFFICIENTS + 1, dtype=np.float64) / (COEFFICIENTS - 3)
     splines = BSpline(knots, np.eye(COEFFICIENTS), 3, extrapolate=False)
     return np.asarray(splines(np.clip(share, 0.0, 1.0 - 1e-12)))
 
 
-def _over(curve: Cause) -> str:
+def quantity_of(curve: Cause) -> str:
+    """The quantity that a curve is a function of, as `visited` names it."""
     return curve.parameters[0].name.removeprefix("from_")
 
 

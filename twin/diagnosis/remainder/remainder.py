@@ -30,6 +30,7 @@ from twin.diagnosis.remainder.curve_fits import (
     band,
     coefficients,
     fully_fitted,
+    quantity_of,
     roughly_fitted,
     scores,
     visited,
@@ -218,11 +219,14 @@ def remainder_of(
     best = _Extension(extends="causes", fit=named, squares=before)
     instead: _Extension | None = None
     if rival is not None:
+        # A curve that took a name's place is the only one that is tried: the names that others would stand beside no
+        # longer hold.
         instead = _substituted(judging, rival, named, attempts)
     else:
         best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
         if paper is not None and named.theta.causes:
             bare = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
+            # One curve, as it is one unknown effect that the names may imitate together.
             instead = _extend(judging, bare, (), attempts, max_curves=1)
     refused: Cause | None = None
     if instead is not None and _replaces_names(judging, instead, best, named, is_rival=rival is not None):
@@ -361,8 +365,7 @@ def substitutes(
     """
     thinned = criterion.thinner
     without_curve = {score.cause: score for score in screen(thinned, at.theta, at.free, candidates) if score.testable}
-    over = curve.parameters[0].name.removeprefix("from_")
-    theta = with_range(at.theta, curve, visited(criterion.evidence)[over])
+    theta = with_range(at.theta, curve, visited(criterion.evidence))
     with_curve = {score.cause: score for score in screen(thinned, theta, (*at.free, *coefficients(curve)), candidates)}
     # By the information, not by the two forms: what differs only outside the visited range is the same to the data.
     absorbed = {
@@ -383,6 +386,6 @@ def substitutes(
 def _shape(fit: Fit, curve: Cause, values: dict[str, FloatArray]) -> Shape:
     low, high = (fit.theta.value(f"{curve.name}.{parameter.name}") for parameter in curve.parameters[:2])
     at = np.linspace(low, high, POINTS)
-    over = values[curve.parameters[0].name.removeprefix("from_")]
+    over = values[quantity_of(curve)]
     share, error = band(fit, curve, at, over[np.isfinite(over)])
     return Shape(curve=curve, at=at, share=share, low=share - Z_95 * error, high=share + Z_95 * error)

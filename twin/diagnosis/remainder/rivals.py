@@ -19,14 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from twin.diagnosis.remainder.curve_fits import (
-    coefficients,
-    fully_fitted,
-    roughly_fitted,
-    scores,
-    visited,
-    with_range,
-)
+from twin.diagnosis.remainder.curve_fits import coefficients, fully_fitted, roughly_fitted, scores, visited, with_range
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection, fit_without
 from twin.inference.fisher_scoring import Fit, climb
@@ -116,9 +109,7 @@ def _is_free_form(
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:
     """Return whether hardly any information about a cause is left where the curve is free."""
     thinned, candidates = criterion.thinner, [BY_NAME[cause]]
-    theta = with_range(
-        without.theta, curve, visited(criterion.evidence)[curve.parameters[0].name.removeprefix("from_")]
-    )
+    theta = with_range(without.theta, curve, visited(criterion.evidence))
     before = screen(thinned, without.theta, without.free, candidates)
     after = screen(thinned, theta, (*without.free, *coefficients(curve)), candidates)
     if not before or not after or before[0].visible <= 0.0:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from twin.diagnosis.judge.choice import Choice, Kind, Refusal
-from twin.diagnosis.report.sentences import ON_JUDGES, micrometres
+from twin.diagnosis.report.quantities import micrometres
+from twin.diagnosis.report.sentences import ON_JUDGES
 from twin.diagnosis.result import Diagnosis
 from twin.model.parameters import Model
 

@@ -106,11 +106,11 @@ def curve_figure(curve: Curve) -> Figure:
     """Draw a mean residual over one quantity."""
     figure, ax = panel()
     factor, unit = _SCALES.get(curve.unit, (1.0, curve.unit))
-    up, what = (1e3, "unexplained force [mN]") if curve.residual_unit == "N" else (1e3, "unexplained current [mA]")
+    what = "unexplained force [mN]" if curve.residual_unit == "N" else "unexplained current [mA]"
     at = np.array([point.at for point in curve.points]) * factor
     ax.axhline(0.0, color="black", lw=0.6)
     for name, colour, estimates in _sides([p.baseline for p in curve.points], [p.extended for p in curve.points]):
-        _bars(ax, at, estimates, up, name, colour)
+        _bars(ax, at, estimates, 1e3, name, colour)
     label(ax, f"{curve.title} [{unit}]", what)
     return figure
 
@@ -169,6 +169,7 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
     names = [cause + (" ✓" if cause == step.selected else "") for cause, _, _ in rows]
     ax.set_yticks(range(len(rows)), names)
     ax.invert_yaxis()
+    # Logarithmic beyond the threshold: gains span from chance to tens of thousands, and those below it matter little.
     ax.set_xscale("symlog", linthresh=threshold)
     ax.set_xlim(0.0, 1.6 * max([gain for _, gain, _ in rows], default=threshold) + threshold)
     ax.xaxis.set_minor_locator(matplotlib.ticker.NullLocator())
@@ -207,11 +208,10 @@ def _bars(
     high = np.maximum(np.array([estimate.high for estimate in values]) * factor - middle, 0.0)
     marker = "s" if colour == EXTENDED else "o"  # for a print without colour
     style: dict[str, Any] = {"color": colour, "marker": marker, "ms": 4.5, "elinewidth": 1.2, "capsize": 3}
-    style["lw"] = 0.0 if sideways else 1.0
     if sideways:
-        ax.errorbar(middle, at, xerr=[low, high], label=name, **style)
+        ax.errorbar(middle, at, xerr=[low, high], label=name, lw=0.0, **style)
     else:
-        ax.errorbar(at, middle, yerr=[low, high], label=name, **style)
+        ax.errorbar(at, middle, yerr=[low, high], label=name, lw=1.0, **style)
 
 
 def short_label(label: str) -> str:

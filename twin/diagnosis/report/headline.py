@@ -7,11 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from twin.diagnosis.report.sentences import BLIND, adequate_sentence, candidates_sentence, capital, cause_sentence
+from twin.diagnosis.report.sentences import (
+    BLIND,
+    NUMBERS,
+    adequate_sentence,
+    candidates_sentence,
+    capital,
+    cause_sentence,
+)
 from twin.diagnosis.result import Diagnosis, Finding
 from twin.model.causes.catalogue import BY_NAME
-
-_NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
 
 
 def headline_of(diagnosis: Diagnosis, *, blind: bool, off: str) -> str:
@@ -22,6 +27,7 @@ def headline_of(diagnosis: Diagnosis, *, blind: bool, off: str) -> str:
 
 def _answer(diagnosis: Diagnosis) -> tuple[str, ...]:
     sure = [finding for finding in diagnosis.causes if diagnosis.holds(finding)]
+    # By the share, not by the order of the search: what was found first may explain less once the others are there.
     first = max(sure or diagnosis.causes, key=lambda finding: finding.share_of_excess_explained, default=None)
     if diagnosis.verdict == "unfinished":
         so_far = (f"So far it points to {_listed(diagnosis.causes)}.",) if diagnosis.causes else ()
@@ -42,7 +48,7 @@ def _answer(diagnosis: Diagnosis) -> tuple[str, ...]:
 def _difference(causes: Sequence[Finding]) -> str:
     if len(causes) == 1:
         return capital(cause_sentence(causes[0].name, causes[0].parameters))
-    return f"{_NUMBERS.get(len(causes), str(len(causes)))} causes act: {_listed(causes)}"
+    return f"{NUMBERS.get(len(causes), str(len(causes)))} causes act: {_listed(causes)}"
 
 
 def _listed(causes: Sequence[Finding]) -> str:

@@ -10,7 +10,7 @@ from twin.diagnosis.result import fit_parameters
 from twin.distributions import Z_95
 from twin.estimation.record import Record, day_of
 from twin.inference.fisher_scoring import Fit
-from twin.inference.theta import PARAMETERS
+from twin.inference.theta import NOISES, PARAMETERS
 from twin.model import parameters as file
 from twin.model.assumed import mark, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME
@@ -42,12 +42,7 @@ def model_of(
     return file.Model(
         plant=plant,
         parameters=mark(parameters, plant),
-        noise=file.Noise(
-            sigma_x_m=float(theta.sigma_x_m),
-            sigma_i_c_a=float(theta.sigma_i_c_a),
-            process_a_m_s2=float(theta.process_a_m_s2),
-            process_i_c_a=float(theta.process_i_c_a),
-        ),
+        noise=file.Noise(**{name: theta.value(name) for name in NOISES}),
         causes=tuple(file.ModelCause(name=name, parameters=_of_cause(fit, name, spread, plant)) for name in names),
         provenance={
             "tool": "board51 diagnose",

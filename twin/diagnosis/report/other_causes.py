@@ -28,6 +28,7 @@ def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
 def not_testable(selection: Selection, records: Sequence[Record]) -> list[Excluded]:
     """The causes that these recordings could not show."""
     entries = []
+    # The last round: beside the named causes, the data may show less of another than they did at first.
     last = {score.cause: score for score in selection.rounds[-1].scores} if selection.rounds else {}
     for cause in CATALOGUE:
         missing = missing_channels(cause, records)

@@ -18,7 +18,8 @@ from twin.diagnosis.report import figures
 from twin.diagnosis.report.page_causes import causes
 from twin.diagnosis.report.page_errors import errors
 from twin.diagnosis.report.page_remainder import remainder
-from twin.diagnosis.report.sentences import capital, measured, quantity, sizes
+from twin.diagnosis.report.quantities import measured, quantity
+from twin.diagnosis.report.sentences import capital, sizes
 from twin.diagnosis.report.trade_offs import trade_off_cards
 from twin.diagnosis.residuals.regimes import Estimate
 from twin.diagnosis.residuals.summary import HORIZON_S, Ahead, Summary
@@ -142,11 +143,8 @@ def _pictures(summary: Summary) -> list[Picture]:
 
 
 def _ahead_row(horizon: Ahead, unchanged: bool) -> list[str]:
-    time_ms, baseline, floor = (
-        f"{horizon.horizon_s * 1e3:.3g} ms",
-        _with_interval(horizon.baseline),
-        _micro(horizon.floor_m),
-    )
+    time_ms = f"{horizon.horizon_s * 1e3:.3g} ms"
+    baseline, floor = _with_interval(horizon.baseline), _micro(horizon.floor_m)
     if unchanged:
         return [time_ms, baseline, floor, f"{horizon.count}"]
     return [

@@ -7,7 +7,8 @@ from typing import Any
 
 from twin.diagnosis.judge.account import Account
 from twin.diagnosis.report import figures
-from twin.diagnosis.report.sentences import LACKED, capital, percent, rival_sentence, round_sentence, sizes
+from twin.diagnosis.report.quantities import percent
+from twin.diagnosis.report.sentences import LACKED, capital, rival_sentence, round_sentence, sizes
 from twin.diagnosis.result import Diagnosis, Finding, Proposal
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter

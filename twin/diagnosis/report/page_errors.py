@@ -6,7 +6,8 @@ import math
 from typing import Any
 
 from twin.diagnosis.report import figures
-from twin.diagnosis.report.sentences import LACKED, ON_JUDGES, capital, percent, quantity
+from twin.diagnosis.report.quantities import percent, quantity
+from twin.diagnosis.report.sentences import LACKED, ON_JUDGES, capital
 from twin.diagnosis.residuals.force import Curve
 from twin.diagnosis.residuals.step_response import Steps
 from twin.diagnosis.residuals.summary import Summary
@@ -138,6 +139,7 @@ def _largest(summary: Summary) -> list[str]:
     for regime in summary.regimes:
         largest = max(regime.bins, key=lambda bin_: bin_.extended.value)
         smallest = min(regime.bins, key=lambda bin_: bin_.extended.value)
+        # Only where the intervals do not overlap: some group is always the largest.
         if largest.extended.low > smallest.extended.high:
             lines.append(
                 f"{regime.title}: {largest.label}, {largest.extended.value * 1e6:.3g} µm "

@@ -10,7 +10,8 @@ import numpy as np
 
 from twin.diagnosis.remainder.remainder import Improvement, Remainder, Shape
 from twin.diagnosis.report import figures
-from twin.diagnosis.report.sentences import capital, finding_sentence, micrometres, quantity
+from twin.diagnosis.report.quantities import micrometres, quantity
+from twin.diagnosis.report.sentences import capital, finding_sentence
 from twin.diagnosis.result import Diagnosis
 from twin.model.parameters import Parameter
 from twin.page.figures import inline
@@ -39,8 +40,7 @@ def remainder_sentence(remainder: Remainder, parameters: Mapping[str, Mapping[st
         return f"{capital(remainder.refused.title)} predicts x worse than the names, so it is not in the model."
     if not parts:
         return NO_CURVE + _regression_sentence(remainder.improvement)
-    text = "; ".join(parts)
-    return f"{text[:1].upper()}{text[1:]}. {_improvement_sentence(remainder.improvement)}"
+    return f"{capital('; '.join(parts))}. {_improvement_sentence(remainder.improvement)}"
 
 
 def answer_with(diagnosis: Diagnosis, sentence: str) -> str:
@@ -72,7 +72,7 @@ def remainder(diagnosis: Diagnosis) -> dict[str, Any]:
         "remainder": {
             "sentence": remainder_sentence(left, {entry.name: entry.parameters for entry in diagnosis.extended.causes}),
             "pictures": [
-                inline(figures.shape_figure(shape), f"{shape.curve.title[:1].upper()}{shape.curve.title[1:]}{instead}")
+                inline(figures.shape_figure(shape), f"{capital(shape.curve.title)}{instead}")
                 for shapes, instead in (
                     (left.shapes, ""),
                     (left.replaced, f"; in its place: {', '.join(left.proposed)}"),

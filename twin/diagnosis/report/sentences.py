@@ -1,9 +1,8 @@
 """Sentences for people: a cause with its size, the answer of a diagnosis, the bound on what was not found.
 
-Rule 1: a number has as many digits as its interval leaves it; both ends of an interval are in the unit of the number.
-Rule 2: the answer has the causes, how sure they are, their share of the error, and the gain.  Causes that these data
+Rule 1: the answer has the causes, how sure they are, their share of the error, and the gain.  Causes that these data
         cannot tell apart come next.
-Rule 3: a share is one of log-likelihood on the recordings for fitting, and the text says so.  A gain is given in
+Rule 2: a share is one of log-likelihood on the recordings for fitting, and the text says so.  A gain is given in
         prediction errors on the judge recordings.
 """
 
@@ -13,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from twin.diagnosis.report.quantities import measured, micrometres, percent, quantity, times
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import Score
 from twin.distributions import Z_95
@@ -31,41 +31,10 @@ if TYPE_CHECKING:
     from twin.diagnosis.remainder.rivals import Rival
     from twin.diagnosis.result import Diagnosis, Finding
 
-_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
-_SCALED = ("m", "A", "s", "N", "V", "m/A")
 LACKED = "the log-likelihood that the model lacks"  # on the recordings for fitting, against sensor noise alone
 ON_JUDGES = "on the judge recordings"
 BLIND = "For the amplifier only, because no recording has x:"
-_NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
-
-
-def quantity(value: float, unit: str) -> str:
-    """A number with its unit at a readable power of ten."""
-    factor, scaled_unit = scale_of(value, unit)
-    digits = ".3g" if factor != 1.0 else ".4g"
-    return f"{value / factor:{digits}} {scaled_unit}".rstrip()
-
-
-def measured(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple[str, str]:
-    """Return (the number with its unit, its interval, or ""), with the digits that the interval leaves."""
-    if ci95 is None:
-        return quantity(value, unit), ""
-    factor, scaled_unit = scale_of(value, unit)
-    half = 0.5 * (ci95[1] - ci95[0]) / factor
-    if not 0.0 < half < math.inf or not 1e-4 <= abs(value / factor) < 1e5:
-        return quantity(value, unit), f"{quantity(ci95[0], unit)} to {quantity(ci95[1], unit)}"
-    first = math.floor(math.log10(half))
-    places = min(max(-first if half >= 3.0 * 10.0**first else 1 - first, 0), 6)
-    number, low, high = (f"{end / factor:.{places}f}" for end in (value, *ci95))
-    return f"{number} {scaled_unit}".rstrip(), f"{low} to {high} {scaled_unit}".rstrip()
-
-
-def scale_of(value: float, unit: str) -> tuple[float, str]:
-    """Return (factor, unit with its prefix) in which the value is readable."""
-    if unit in _SCALED and 0.0 < abs(value) < 0.1:
-        factor, prefix = next(((f, p) for f, p in _PREFIXES if abs(value) >= 0.1 * f), _PREFIXES[-1])
-        return factor, prefix + unit
-    return 1.0, unit
+NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
 
 
 class _Size:
@@ -135,9 +104,12 @@ def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
         for shape in shapes:
             value = values.get(shape.name, shape.neutral)
             at = parameters[value].value if isinstance(value, str) else value
+            # In spreads of the priors, as shapes have no common unit.  Standard errors would call the best known shape
+            # the most different.
             total += ((parameters[shape.name].value - at) / shape.spread) ** 2
         return total
 
+    # A shape that the data leave open stays near its prior, so the usual form keeps its name.
     if not any(differs(shape) for shape in shapes):
         return ""
     forms: dict[str, Mapping[str, float | str]] = {"": {}, **{form.name: form.values for form in cause.forms}}
@@ -159,6 +131,7 @@ def bound_sentence(cause: Cause, score: Score) -> str:
     strength = cause.strength
     if score.detectable <= 0.0:
         return "no effect on these recordings"
+    # The far end of the interval, not the estimate: that of an absent cause is near 0 and bounds nothing.
     reach = abs(score.step) + Z_95 / score.detectable
     if math.isinf(strength.neutral):
         if score.step <= 0.0:
@@ -288,7 +261,7 @@ def _causes_sentence(causes: Sequence[Finding], *, whole: bool) -> str:
         for n, (finding, share) in enumerate(zip(causes, shares, strict=True), start=1)
     )
     of = f" (shares: of {LACKED})" if any(share > 0.0 for share in shares) else ""
-    return f"{_NUMBERS.get(len(causes), str(len(causes)))} causes{of}: {listed}."
+    return f"{NUMBERS.get(len(causes), str(len(causes)))} causes{of}: {listed}."
 
 
 def _classes_sentence(causes: Sequence[Finding]) -> str:
@@ -344,9 +317,9 @@ def _gain_sentence(diagnosis: Diagnosis) -> str:
     error = f"{gain.horizon_s * 1e3:.0f} ms prediction error"
     change = f"hardly changes the {error}"
     if ratio >= settings.WORSE_ERROR:
-        change = f"cuts the {error} by a factor of {_ratio(ratio)}"
+        change = f"cuts the {error} by a factor of {times(ratio)}"
     elif ratio < 1.0 / settings.WORSE_ERROR:
-        change = f"makes the {error} {_ratio(1.0 / ratio)} times as large"
+        change = f"makes the {error} {times(1.0 / ratio)} times as large"
     return (
         f" On the judge recordings extending the model {change}: from {micrometres(gain.baseline_rmse_m)} to "
         f"{micrometres(gain.extended_rmse_m)}; noise alone makes {micrometres(gain.floor_m)}."
@@ -390,24 +363,6 @@ def change_sentence(change: Change) -> str:
     if change.begins:
         return f"{names} begins in {change.after}: it is absent up to {change.before}"
     return f"{names} ends after {change.before}: it is absent from {change.after} on"
-
-
-def _ratio(ratio: float) -> str:
-    """Format a ratio of errors; a number over 100 says nothing, as the prediction has left the travel."""
-    return "over 100" if ratio > 100.0 else f"{ratio:.2g}"
-
-
-def percent(share: float) -> str:
-    """Format a share in percent, bounded at 1 % and 99 %: no cause explains everything."""
-    return "over 99 %" if share > 0.995 else "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
-
-
-def micrometres(value_m: float) -> str:
-    """Format a length with three digits, never with an exponent."""
-    micro = value_m * 1e6
-    if micro >= 1e3:
-        return f"{micro / 1e3:.3g} mm"
-    return f"{micro:.0f} µm" if micro >= 100.0 else f"{micro:.3g} µm"
 
 
 def capital(text: str) -> str:

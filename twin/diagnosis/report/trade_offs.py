@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin.diagnosis.report.figures import panel
-from twin.diagnosis.report.sentences import quantity, scale_of
+from twin.diagnosis.report.quantities import quantity, scale_of
 from twin.distributions import Z_95
 from twin.inference.theta import parameter_of
 from twin.inference.trade_offs import END_DROP, TradeOff

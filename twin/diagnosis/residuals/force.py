@@ -91,6 +91,8 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
     c[periodic.CAUSE.strength.index] = 0.0  # a periodic force is left in the residual
     out, state, _, _ = run_filter(system, evidence.samples, state=True)
     modelled, positions_m = np.empty(len(s)), np.empty(len(s))
+    # Without the causes of the amplifier: the current is known at both ends of an interval, and its errors are the
+    # residual current.
     quiet = c.copy()
     for cause in CATALOGUE:
         if cause.family == "amplifier":
@@ -123,7 +125,7 @@ def _fill_positions(
     reading: NDArray[np.float64],
     x_m: NDArray[np.float64],
 ) -> None:
-    """Fill `seen`, shape (n,), with the position that gives each reading in flight, m."""
+    """Fill `x_m`, shape (n,), with the position that gives each reading in flight, m."""
     p = Base(*base)
     for n in range(len(reading)):
         x_m[n] = np.nan
@@ -162,6 +164,8 @@ def _fill_acceleration(
             y[k] = state[n, k]
         y[X] = x[n]
         left = math.exp(-T_s / p.T_A)
+        # The input that takes the current to its next value, in place of u_c: no error of the amplifier then acts on
+        # the force.
         target = (state[n + 1, I_C] - state[n, I_C] * left) / (1.0 - left)
         advance(base, c, y, target / p.K_A, t[n], T_s, False)
         further = y[X] - x[n] - T_s * state[n, V]
@@ -231,6 +235,8 @@ def windows(step: FloatArray, flags: NDArray[np.uint16], flies: NDArray[np.bool_
 def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:
     """Return weights of the readings for both derivatives (1/s, 1/s^2) of their parabola, shape (2 half + 1,)."""
     k = np.arange(-half, half + 1, dtype=np.float64)
+    # A. Savitzky, M. J. E. Golay, Analytical Chemistry 36(8), 1964.  The second difference of three readings would have
+    # many times the noise.
     rows = np.linalg.pinv(np.vander(k, 3, increasing=True))
     return np.asarray(rows[1] / T_s), np.asarray(2.0 * rows[2] / T_s**2)
 
@@ -238,6 +244,8 @@ def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:
 def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: Blocks) -> list[Curve]:
     """Return the residual force of baseline and extended model as functions of x, x' and i_c."""
     s = evidence.series
+    # The speed of the parabola, not of the filter: the noise of the latter is in the residual, too, and would look like
+    # a drag.
     x, v, i = s.x, models[1].slope_m_s, s.i
     flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
     x, v, i = (np.where(flown, values, np.nan) for values in (x, v, i))

@@ -19,8 +19,8 @@ from twin.diagnosis.residuals.regimes import (
     quantile_edges,
 )
 from twin.estimation.innovations import LOST
-from twin.estimation.record import FloatArray, runs
-from twin.estimation.step_figures import DWELL_S
+from twin.estimation.record import FloatArray
+from twin.estimation.step_figures import changes
 from twin.evidence.gather import Evidence
 from twin.model.extended import V
 
@@ -46,6 +46,7 @@ def sorted_errors(errors_m: FloatArray, evidence: Evidence, model: Filtered, blo
     elapsed = np.where(known, t, np.nan)
     regimes = [
         _numeric("position", "position x", "m", x, even_edges(x, _GROUPS), errors_m, blocks),
+        # By quantiles: in a closed loop the speed is mostly near 0, and even groups would leave the outer ones empty.
         _numeric("speed", "speed x'", "m/s", v, quantile_edges(v, _SPEED_SHARES), errors_m, blocks),
         _numeric("current", "current i_c", "A", i, even_edges(i, _GROUPS), errors_m, blocks),
         _named("direction", "direction of motion", *_direction(v), errors_m, blocks),
@@ -82,6 +83,7 @@ def _named(name: str, title: str, labels: Labels, names: Sequence[str], errors_m
 def _direction(v: FloatArray) -> tuple[Labels, list[str]]:
     """Return the labels sinking, slow, rising; the slower half of the samples is slow."""
     known = np.isfinite(v)
+    # Half of the samples count as slow: the sign of a speed near 0 is noise.
     slow = float(np.median(np.abs(v[known]))) if known.any() else 0.0
     labels = np.where(known, np.where(v < -slow, 0, np.where(v > slow, 2, 1)), -1).astype(np.int64)
     return labels, ["sinking", f"slower than {slow * 1e3:.2g} mm/s", "rising"]
@@ -96,12 +98,9 @@ def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
         rows = np.flatnonzero((s.recording == number) & (s.flags & LOST == 0))[:n]
         if record.kind != "closed-loop" or len(rows) < n or not record.has("x_ref"):
             continue
-        is_constant = np.concatenate(([True], np.abs(np.diff(record.x_ref)) < 1e-9))
-        levels = runs(np.asarray(is_constant), max(round(DWELL_S / record.interval_s) - 1, 2))
-        for before, after in pairwise(levels):
-            if after.start - before.stop < 0.5 / record.interval_s:
-                part = slice(before.stop, after.stop)
-                since[rows[part]] = record.t[part] - record.t[before.stop]
+        for before, after in changes(record.x_ref, record.interval_s):
+            part = slice(before.stop, after.stop)
+            since[rows[part]] = record.t[part] - record.t[before.stop]
     edges = np.array(_AFTER_STEP_S)
     names = [f"{a * 1e3:.0f} to {b * 1e3:.0f} ms" for a, b in pairwise(edges[:-1])]
     return bin_labels(since, edges), [*names, f"later than {edges[-2] * 1e3:.0f} ms"]

@@ -85,6 +85,7 @@ def blocks_of(recording: NDArray[np.int32], tick_s: float, seed: int) -> Blocks:
     of = np.cumsum(new | (since % length == 0)) - 1
     count = int(of[-1]) + 1 if n else 0
     rng = np.random.default_rng(seed)
+    # How often each block is drawn, not which: the means of all groups and draws are then one product of matrices.
     drawn = rng.multinomial(count, np.full(count, 1.0 / count), size=DRAWS) if count else np.zeros((DRAWS, 0))
     return Blocks(of=of, drawn=drawn.astype(np.float64))
 
@@ -176,6 +177,7 @@ def even_edges(values: FloatArray, groups: int) -> FloatArray:
     known = values[np.isfinite(values)]
     if len(known) < MIN_SAMPLES:
         return np.empty(0)
+    # Without the outer half per cent at either end: a single reading far out would stretch all groups.
     low, high = np.quantile(known, (0.005, 0.995))
     return np.linspace(low, high, groups + 1) if high > low else np.empty(0)
 
@@ -185,5 +187,6 @@ def quantile_edges(values: FloatArray, shares: Sequence[float]) -> FloatArray:
     known = values[np.isfinite(values)]
     if len(known) < MIN_SAMPLES:
         return np.empty(0)
+    # Equal quantiles, as of a quantity that stands still, are one edge.
     edges = np.unique(np.quantile(known, shares))
     return edges if len(edges) > 1 else np.empty(0)

@@ -47,6 +47,8 @@ def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | 
     rows = np.array(starts)[:, None] + np.arange(length)
     densities = []
     for errors in errors_m:
+        # P. D. Welch, IEEE Transactions on Audio and Electroacoustics 15(2), 1967.  One periodogram of the whole
+        # would scatter by its own size however long it is.
         power = np.abs(np.fft.rfft(errors[rows] * window, axis=1)) ** 2
         densities.append(np.sqrt(2.0 * tick_s / float(window @ window) * power.mean(axis=0)))
     # 11 half-overlapping Hann segments have the variance of 9 independent ones [Welch 1967].
@@ -55,6 +57,8 @@ def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | 
         frequency_hz=np.arange(1, length // 2 + 1) / (length * tick_s),
         baseline=densities[0][1:],
         extended=densities[1][1:],
+        # White noise of this variance is flat up to the highest frequency, 1 / (2 T), so its one-sided density is 2 T
+        # sigma^2.
         floor=floor_m * np.sqrt(2.0 * tick_s),
         spread=(
             float(np.sqrt(freedom / chi2_quantile(0.975, freedom))),

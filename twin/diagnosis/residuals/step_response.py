@@ -58,6 +58,7 @@ def step_responses(
     if controller is None:
         return "the campaign has no [controller]: the law that ran on the board is unknown"
     sigma = floor.sigma_x_m
+    # Without process noise: it stands for what a model lacks, and would be noise of the simulated ball.
     rigs = [
         Rig(theta=floor.quiet(theta), plant=plant, controller=controller, tick_s=tick_s) for theta in (before, after)
     ]
@@ -82,6 +83,8 @@ def step_responses(
 
 
 def _runs(records: Sequence[Record], rig: Rig) -> list[LoopRun]:
+    # Under the law, not with the recorded u_c: the ball is unstable, and would leave its place within a few time
+    # constants.
     again = resimulate(rig, records, seed=0)
     return [
         LoopRun(

@@ -95,6 +95,8 @@ def summarise(diagnosis: Diagnosis, controller: Controller | None, *, quick: boo
     plant = diagnosis.extended.plant
     judge = diagnosis.judge_evidence
     from_judges = judge is not None and bool(diagnosis.gains)
+    # Without judges the recordings for fitting serve, marked as such.  Without any errors the report could not say
+    # where the model fails.
     evidence = judge if judge is not None and from_judges else diagnosis.fit_evidence
     gains = diagnosis.gains if from_judges else _gains_on(diagnosis, evidence, plant, seed)
     blocks = blocks_of(evidence.series.recording, diagnosis.tick_s, seed)
@@ -180,6 +182,7 @@ def _ahead(result: Gain, blocks: Blocks) -> Ahead:
 def _with_holm(ahead: tuple[Ahead, ...], regimes: tuple[Regime, ...]) -> tuple[tuple[Ahead, ...], tuple[Regime, ...]]:
     """The same with `worse` decided over all of them as one family of tests."""
     bins = [entry for regime in regimes for entry in regime.bins]
+    # Over all horizons and groups together: each at 5 %, a right model would fail in one of fifty on most pages.
     significant = iter(holm([*(entry.chance for entry in ahead), *(entry.chance for entry in bins)]))
     return (
         tuple(replace(entry, worse=next(significant)) for entry in ahead),
@@ -199,6 +202,7 @@ def _piece(errors_m: FloatArray, evidence: Evidence, tick_s: float) -> Piece | N
         length = max(round(shorter * PIECE_S / tick_s), 2)
         for piece in runs(known, length):
             sums = np.concatenate(([0.0], np.cumsum(errors_m[0, piece] ** 2)))
+            # The worst stretch and not a typical one: there the reader sees what the model gets wrong.
             totals = sums[length:] - sums[:-length]
             start = int(np.argmax(totals))
             if best is None or totals[start] > best[0]:

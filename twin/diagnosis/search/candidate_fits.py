@@ -64,11 +64,7 @@ def fit_candidates(
         best = max((trial.gain for trial in trials), default=0.0)
         last = stage == len(settings.HALVING) - 1 and bool(trials)
         # The last stage compares with the end of the best fit.  Before that its lead is uncertain by STEEPNESS_DOUBT.
-        overtaken = (
-            best - settings.EQUIVALENT_GAIN
-            if last
-            else (1.0 - settings.STEEPNESS_DOUBT) * best - settings.EQUIVALENT_GAIN
-        )
+        overtaken = (1.0 - (0.0 if last else settings.STEEPNESS_DOUBT)) * best - settings.EQUIVALENT_GAIN
         # If no candidate can reach the required gain, the last passes are worth their cost only for a cause that
         # improves the prediction: half of the required reduction so far makes that likely.
         if last and all(_promise(trial) < min_gain for trial in trials):
@@ -95,6 +91,7 @@ def fit_candidates(
 def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) -> list[Trial]:
     """Fit the best trial within its range to the end unless that was done: it may be selected."""
     trials = sorted(trials, key=lambda trial: -trial.gain)
+    # The best within its range, not the best of all: a cause outside its range is refused whatever its fit gains.
     first = next((n for n, trial in enumerate(trials) if within_range(trial)), len(trials))
     if first < len(trials) and trials[first].cause not in ended and not trials[first].fit.converged:
         trials[first] = refine(criterion, trials[first])
@@ -104,7 +101,8 @@ def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) ->
 def start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
     """Fit the candidate of a score a little."""
     start = start_of(criterion.thinner, current.theta, score)
-    fit = _with_exchanged_lags(criterion, approach(criterion, start, _with(current.free, score.cause)), score.cause)
+    fit = approach(criterion, start, current.free + coordinates_of(score.cause))
+    fit = _with_exchanged_lags(criterion, fit, score.cause)
     return Trial(cause=score.cause, fit=fit, gain=fit.loglik - current.loglik - score.chance)
 
 
@@ -118,6 +116,8 @@ def _with_exchanged_lags(criterion: Criterion, fit: Fit, cause: str) -> Fit:
     if strength.unit != "s" or not strength.low < T_A < strength.high:
         return fit
     start = fit.theta.having("T_A", fit.theta.value(name)).having(name, T_A)
+    # One run decides whether the exchange is fitted.  A fit from both orders in any case would double the cost of every
+    # lag.
     if criterion.value(start) <= fit.loglik:
         return fit
     again = approach(criterion, start, fit.free)
@@ -167,11 +167,8 @@ def _promise(trial: Trial) -> float:
 
 def steepness(cause: str) -> float:
     """Return the factor by which the likelihood may rise above the parabola of its slope."""
+    # The likelihood of a delay is flat at zero, so one factor for all causes would drop delays or keep everything.
     return settings.STEEPNESS_DELAY if BY_NAME[cause].family == "timing" else settings.STEEPNESS
-
-
-def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
-    return free + coordinates_of(cause)
 
 
 def within_range(trial: Trial) -> bool:
@@ -184,6 +181,8 @@ def within_range(trial: Trial) -> bool:
             return False
         span = parameter.high - parameter.low
         ends = [end for end in (parameter.low, parameter.high) if end != parameter.neutral]
+        # A strength at its end is set by the catalogue and not by the data.  A shape may end there, as an end can be a
+        # formula of its own.
         if any(abs(value - end) < 1e-6 * span for end in ends) and (
             parameter.walks or name == coordinates_of(trial.cause)[0]
         ):

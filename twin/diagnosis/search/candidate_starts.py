@@ -14,7 +14,7 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.diagnosis.search.probes import probes_of
-from twin.diagnosis.search.score_test import Score, probed
+from twin.diagnosis.search.score_test import Score, probed, two_sided
 from twin.estimation.record import Record
 from twin.evidence.starting.regression import amplifier_start
 from twin.inference.likelihood import Criterion
@@ -28,6 +28,7 @@ from twin.settings import diagnosis as settings
 def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     """The best of the starts by the likelihood itself."""
     cause, theta = BY_NAME[score.cause], replace(theta, phases_s=score.phases_s or theta.phases_s)
+    # Many starts, each judged by one run of the filter: a pass of a fit costs a run for each free number.
     starts = [
         _linear(criterion, theta, score, cause, part, names)
         for names in _coordinate_sets(score)
@@ -40,6 +41,7 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
             gains.add(robust)
         quick = shortest_time_constant(criterion.evidence.records)
         if quick is not None:
+            # Only a shorter T_A is another start: what a model lacks makes its T_A longer.
             times.add(min(quick, theta.T_A))
         values = [(name, value) for name, value in score.other_values if name.startswith(f"{cause.name}.")]
         for K_A in sorted(gains):
@@ -80,7 +82,7 @@ def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounde
     """
     strength = confounder.strength
     at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in settings.START_SIZES]
-    if strength.low < strength.neutral < strength.high:
+    if two_sided(confounder):
         at += [-coordinate for coordinate in at]
     sizes = [strength.value(coordinate) for coordinate in at]
     same = {(strength.unit, strength.unit): 1.0, ("V", "A"): theta.K_A, ("A", "V"): 1.0 / theta.K_A}
@@ -99,6 +101,8 @@ def robust_gain(records: Sequence[Record]) -> float | None:
         if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * settings.STEADY_SAMPLES:
             continue
         u, i = record.u_c, record.i_c
+        # Where u_c stands still no lag counts.  The median, not a regression: readings under a limit are all off to one
+        # side.
         steady = np.ones(len(u), np.bool_)
         for lag in range(1, settings.STEADY_SAMPLES):
             steady[lag:] &= np.abs(u[lag:] - u[:-lag]) <= settings.STEADY_CHANGE * np.abs(u[lag:])
@@ -116,18 +120,8 @@ def shortest_time_constant(records: Sequence[Record]) -> float | None:
     """The shortest T_A that any single recording or capture of steps asks for, s."""
     time_constants = []
     for record in records:
-        singles = [
-            replace(
-                record,
-                captures=(capture,),
-                t=record.t[:0],
-                u_c=record.u_c[:0],
-                i_c=record.i_c[:0],
-                x=record.x[:0],
-                x_ref=record.x_ref[:0],
-            )
-            for capture in record.captures
-        ]
+        # Each response alone: in a joint fit those that a limit slows down would lengthen the T_A of the others.
+        singles = [replace(record.part(slice(0, 0)), captures=(capture,)) for capture in record.captures]
         if record.kind == "amplifier-step" and len(record.t):
             singles.append(replace(record, captures=()))
         for single in singles:
@@ -151,9 +145,12 @@ def _coordinate_sets(score: Score) -> list[list[str]]:
 
 def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float, names: Sequence[str]) -> Theta:
     strength = cause.strength
+    # In units of the usual probe: the same distance is more steps of a finer probe.
     max_reach = settings.START_MAX_REACH / min(score.fineness, 1.0)
     reach = min(max(score.step, -max_reach), max_reach)
+    # A step near 0 only says that the slope vanishes there, as that of a delay does.  So a usual size is tried.
     reach = reach if abs(reach) > settings.START_MIN_REACH else settings.START_USUAL_REACH
+    # All moves are shortened by one factor: they compensate each other only in proportion.
     shorter = min(
         [1.0, *(max_step(name) / max(abs(move * reach), 1e-300) for name, move in score.moves if name in names)]
     )

@@ -43,6 +43,7 @@ def find_classes(search: Search, selection: Selection) -> Selection:
         selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection), selection.causes))
     for cause in selection.causes[::-1] if _doubtful(search, selection) else selection.causes:
         if search.quick and len(selection.causes) > 1 and _is_last(selection, cause):
+            # The trials of its own round serve: they were fitted beside all other causes, as this was the last.
             selected = Trial(cause=cause, fit=selection.fit, gain=selection.gains[cause])
             same = same_as(cause) & {entry.name for entry in search.candidates}
             equals = [renamed(selected, other) for other in sorted(same)] + _equals_at_selection(selection, cause, same)
@@ -102,6 +103,7 @@ def _replace_two(search: Search, selection: Selection, cause: str, trial: Trial)
     # The bar is that of the fit with both causes, less what a class allows: one cause in place of two has fewer
     # parameters, so equal likelihood suffices.
     min_loglik = selection.fit.loglik - settings.EQUIVALENT_GAIN
+    # The weakest first: it is the likeliest to be superfluous, and the first that goes ends the search.
     remaining = sorted(set(selection.causes) - {cause, trial.cause}, key=lambda name: selection.gains[name])
 
     def less(other: str) -> Fit:
@@ -134,6 +136,7 @@ def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selecti
         current = fit_without(criterion, selection, cause)
         selection = selection.with_fits([current])
     selected = Trial(cause=cause, fit=selection.fit, gain=selection.fit.loglik - current.loglik)
+    # A minor effect is judged by the floor of another model, which costs a run more.  So only a thorough search asks.
     is_needless = superfluous(search, selection, current) if search.thorough else selected.gain < settings.MIN_GAIN
     if is_needless and len(selection.causes) > 1:
         search.report(f"dropped: {cause} (the others explain it)")
@@ -148,6 +151,7 @@ def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selecti
         search.report(f"{trials[0].cause} explains more than {cause} next to the others: it replaces it")
         selection = _exchanged(criterion, selection, cause, trials[0])
         trials, selected = [selected, *trials[1:]], trials[0]
+    # (S 10).  All of them are reported, not the likeliest alone: by so small a lead chance decides.
     equals = tuple(trial for trial in trials if selected.gain - trial.gain < settings.EQUIVALENT_GAIN)
     behind = [trial.gain for trial in trials if selected.gain - trial.gain >= settings.EQUIVALENT_GAIN]
     selection = replace(
@@ -245,6 +249,7 @@ def _rephase(
     simulated flights the log-likelihood of the right cause was 990 below that of the wrong one with the phases of the
     latter, and 110 above it with its own.
     """
+    # Only between the two: further behind, phases are not the reason, and further ahead none are needed.
     lower, upper = selected.gain - settings.PHASE_SHARE * periodic_gain, selected.gain + settings.EQUIVALENT_GAIN
     behind = [n for n, trial in enumerate(trials) if trial.cause in similar and lower < trial.gain < upper]
     for n in behind[: settings.PHASE_CANDIDATES] if periodic_gain > 0.0 else ():

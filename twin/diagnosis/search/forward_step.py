@@ -50,6 +50,8 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
     criterion, min_share = search.criterion, search.min_share
     with criterion.budget.question("what else of the catalogue explains what is left"):
         scores = screen(criterion, current.theta, current.free, search.candidates)
+        # Periodic forces and lines are scored from spectra.  At zero amplitude a frequency has no slope, so a probe at
+        # one frequency would miss all others.
         if any(cause.name == periodic.CAUSE.name for cause in search.candidates):
             force = periodic.score(criterion, current.theta)
             scores = sorted([*scores, force], key=lambda entry: -entry.gain) if force is not None else scores
@@ -57,15 +59,13 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
         scores = sorted([*scores, *lines], key=lambda entry: -entry.gain) if lines else scores
         scores = _with_dead_time(criterion, current, scores)
         floor = search.floor.under(criterion, current.theta)
-    excess, material, gained = (
-        floor.excess(current.loglik),
-        floor.material(current.loglik),
-        current.loglik - base.loglik,
-    )
+    excess, material = floor.excess(current.loglik), floor.material(current.loglik)
+    gained = current.loglik - base.loglik
     # Candidates that cannot reach the required share are not fitted.
     min_gain = (min(settings.MINOR_SHARE, min_share) if material else settings.MINOR_SHARE_AT_NOISE) * gained
     if min_share > settings.MIN_SHARE and material:
         min_gain = max(min_gain, min_share * excess)
+    # A share of the best score, too: beside a strong candidate a weak one loses, and the next round asks for it again.
     min_score = max(
         settings.MIN_SCORE * settings.MIN_GAIN,
         settings.MIN_SCORE_SHARE * max((score.gain for score in scores), default=0.0),
@@ -73,6 +73,8 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
     chosen = [
         score
         for score in scores
+        # A likelihood rises at most `steepness` times what its slope promises, so this bar keeps all that could reach
+        # `min_gain`.
         if score.testable and score.gain - score.chance > max(min_score, min_gain / steepness(score.cause))
     ][: search.max_candidates]
     search.report("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in chosen) or "nothing"))
@@ -86,6 +88,7 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
             min_share * min(excess, *parts) if material else 0.0,
             _required_reduction(min_share),
         )
+        # For the leading candidate alone: phases for each of them would cost a fit more for each.
         if trials and any(name == periodic.AMPLITUDE for name, _ in current.theta.causes):
             # A cause that delays the response also shifts the phase of the periodic force: fit the phase again.
             fit = periodic.fit_phases(criterion, trials[0].fit, settings.PASSES)
@@ -152,6 +155,7 @@ def _share(criterion: Criterion, base: Fit, current: Fit, floor: Floor, best: Tr
     # all that the position lacks.
     part = int(np.argmax(gains))
     lacking = floor.lacking(before, len(criterion.evidence.statics))[part]
+    # A finite lack is one beyond the uncertainty of the noise, so that a share of it means something.
     if np.isfinite(lacking):
         return float(gains[part] / lacking)
     if gains[part] > settings.MINOR_SHARE_AT_NOISE * (before - none)[part]:

@@ -43,6 +43,8 @@ def placed(criterion: Criterion, selected: Trial, trials: Sequence[Trial]) -> li
     if other is None:
         return list(trials)
     gains = place_gains(criterion, selected.fit.theta)
+    # Least squares hold for small effects.  A lead within a thousandth of the gain may come from a large line, and
+    # counts as none.
     lead = gains[other.cause] - gains[selected.cause]
     decided = abs(lead) > settings.PLACE_SHARE * gains[selected.cause]
     moved = replace(other, gain=selected.gain + (lead if decided else 0.0))
@@ -61,6 +63,7 @@ def place_gains(criterion: Criterion, theta: Theta) -> Mapping[str, float]:
     first_hz = lines[0][0] if lines else theta.value(periodic.FREQUENCY)
     bare = replace(theta.without(FORCE).without(SENSOR), phases_s=())
     white = whitened(criterion.outputs(bare))
+    # The signatures are differences of whole runs of the filter: it reacts to a line, and follows a part of it.
     force = [whitened(out) - white for out in periodic.shaken(criterion, bare, first_hz)]
     return {
         FORCE: _gain(criterion, white, force),
@@ -113,7 +116,10 @@ def _gain(criterion: Criterion, white: FloatArray, moves: Sequence[FloatArray]) 
         good = np.isfinite(residual) & np.isfinite(columns).all(axis=1)
         if np.count_nonzero(good) < settings.WAVE_READINGS or not columns[good].any():
             continue
+        # With a cutoff: where sine and cosine nearly coincide, least squares would give huge amplitudes for nothing.
         fitted = columns[good] @ np.linalg.lstsq(columns[good], residual[good], rcond=1e-6)[0]
+        # Both columns weigh alike, as A' A is nearly n times the unit matrix over many periods.  Exact weights would
+        # need a search for the phases.
         n = 0.5 * float(np.sum(columns[good] ** 2))
         total, weight = total + math.sqrt(n) * float(np.linalg.norm(fitted)), weight + n
     return 0.5 * total**2 / weight if weight > 0.0 else 0.0

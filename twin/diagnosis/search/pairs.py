@@ -28,15 +28,19 @@ def join(search: Search, selection: Selection) -> Selection:
     criterion, current, refused = search.criterion, selection.fit, selection.rounds[-1]
     floor = search.floor.under(criterion, current.theta)
     excess = floor.excess(current.loglik)
+    # Rule 2.  Pairs at every refusal would cost up to 182 runs each time, and a small rest hides no strong cause.
     if not floor.material(current.loglik) or excess < current.loglik - selection.base.loglik:
         return selection
     fitted = {trial.cause for trial in refused.trials}
     scores = [score for score in refused.scores if score.testable and score.gain > settings.MIN_GAIN]
+    # No periodic force: it needs phases in each recording, and merged values carry none.
     scores = [score for score in scores if score.cause not in fitted and score.cause != periodic.CAUSE.name]
     scores = scores[: max(settings.PAIR_CANDIDATES - len(fitted), 0)]
     trials = [*refused.trials, *criterion.each(partial(start_trial, criterion, current), scores)]
     pairs = [(first, second) for first, second in combinations(trials, 2) if second.cause not in same_as(first.cause)]
+    # Both ways round, as K_A, T_A and the noise are those of the first, and either of the two may have bent them.
     starts = [start for first, second in pairs for start in (_merged(first, second), _merged(second, first))]
+    # One run over part of the samples ranks a pair.  Fits of all pairs would be some ninety instead of three.
     values = criterion.thinner.values(starts)
     order = sorted(range(len(pairs)), key=lambda n: -max(values[2 * n : 2 * n + 2]))[: settings.PAIRS_FITTED]
 
@@ -47,6 +51,7 @@ def join(search: Search, selection: Selection) -> Selection:
         return first, Trial(cause=second.cause, fit=fit, gain=fit.loglik - current.loglik)
 
     best = max(criterion.each(short_fit, order), key=lambda pair: pair[1].gain, default=None)
+    # A short fit that explains less than a fifth is not carried on: it would have to end four times as high.
     if best is None or best[1].gain < settings.PAIR_PROMISE * excess:
         return selection
     first, second = best[0], refine(criterion, best[1])

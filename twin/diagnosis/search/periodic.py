@@ -63,16 +63,17 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
             continue
         design = columns[use]
         normal = design.T @ design
+        # Two signatures that nearly coincide determine no phase: without one the recording adds nothing.
         if np.linalg.cond(normal) > 1e10:
             continue
+        # An innovation falls where the prediction rises, so residual + columns * pair -> 0.
         pair = np.linalg.solve(normal, design.T @ -residual[use])
-        pair = -pair  # innovation falls where the prediction rises: residual + columns * pair -> 0
         power = float(pair @ normal @ pair)
         gain += 0.5 * power
         phases += 1
+        # One amplitude for all recordings: each counts by its information, as a short flight says little.
         size = math.hypot(*pair)
         weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
-        pair = -pair
         shift_s = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
         phases_s[number] = _without_whole_periods(shift_s, float(criterion.evidence.t[use].mean()), frequency)
     if weight == 0.0:
@@ -147,6 +148,7 @@ def _newton_phases(criterion: Criterion, theta: Theta) -> tuple[float, ...]:
     series = criterion.evidence.series
     phases_s = list(theta.phases_s or (0.0,) * len(criterion.evidence.records))
     step = _STEP / (2.0 * math.pi * theta.value(FREQUENCY))
+    # Three runs for the phases of all recordings at once: each sample depends on the phase of its own recording alone.
     less, middle, more = (
         criterion.white(replace(theta, phases_s=tuple(phase + shift_s for phase in phases_s)))[0]
         for shift_s in (-step, 0.0, step)
@@ -157,6 +159,7 @@ def _newton_phases(criterion: Criterion, theta: Theta) -> tuple[float, ...]:
             float(np.sum((more - less)[in_recording])),
             float(np.sum((more - 2.0 * middle + less)[in_recording])),
         )
+        # Where the curvature has the wrong sign a Newton step would lead downwards, so the phase stays.
         shift_s = step * float(np.clip(0.5 * slope / curve, -_FAR_STEPS, _FAR_STEPS)) if curve < 0.0 else 0.0
         middle_s = float(criterion.evidence.t[in_recording].mean())
         phases_s[number] = _without_whole_periods(phases_s[number] - shift_s, middle_s, theta.value(FREQUENCY))
@@ -177,6 +180,7 @@ def _strongest(criterion: Criterion, theta: Theta) -> float | None:
     _, white = criterion.white(theta)
     flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
     spectrum = spectrum_of(series, white[:, 1], flying, step_s)
+    # Not up to the end of the spectrum: a fast force hardly moves the ball.
     low_hz, high_hz = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, settings.FORCE_HIGHEST / step_s)
     at = None if spectrum is None else spectrum.line(low_hz, high_hz)
     return None if spectrum is None or at is None else float(spectrum.frequency_hz[at])

@@ -23,6 +23,7 @@ def error_reduction(criterion: Criterion, before: Theta, after: Theta) -> float:
     both = np.isfinite(first) & np.isfinite(second)
     if np.count_nonzero(both) < settings.BENEFIT_PREDICTIONS:
         return 0.0
+    # Without the largest hundredth before: single events would decide a mean of squares.
     usual = both & (first <= np.quantile(first[both], settings.BENEFIT_QUANTILE))
     return 1.0 - float(second[usual].mean() / max(first[usual].mean(), 1e-300))
 

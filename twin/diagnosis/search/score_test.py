@@ -94,6 +94,7 @@ def screen(
             continue
         slope, left = projection.slope, projection.information
         step = slope / left
+        # A one-sided cause that the data want negative is absent.  It stays in the list, for its largest possible size.
         if step < 0.0 and not two_sided(cause):
             gain, step = 0.0, 0.0
         else:
@@ -109,6 +110,7 @@ def screen(
             moves=projection.moves,
             other_values=shape,
         )
+        # The probe that gains most stands for the cause: at another size a limit may have no signature at all.
         if cause.name not in best or entry.gain > best[cause.name].gain:
             best[cause.name] = entry
     return sorted(best.values(), key=lambda entry: -entry.gain)
@@ -124,10 +126,14 @@ def projections(
     inner = inverse(fisher[:k, :k])
     result: list[Projection | None] = []
     for index in range(k, k + len(trials)):
+        # (S 8), (S 9).  One candidate at a time beside the free numbers: all candidates together would share what each
+        # explains alone.
         cross, total = fisher[:k, index], float(fisher[index, index])
         if not (total > 0.0 and math.isfinite(total)):
             result.append(None)
             continue
+        # Rounding may leave less than nothing.  The floor is below VISIBLE, so such a candidate is refused and not
+        # divided by.
         left = max(total - float(cross @ inner @ cross), 1e-12 * total)
         moves = tuple(zip(free, (-(inner @ cross)).tolist(), strict=True))
         slope = float(score[index] - cross @ inner @ score[:k])
@@ -160,13 +166,10 @@ def _sums(
 
 def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
     """The coordinates of the forms that are looked at; () for the usual one."""
-    forms = [form for form in cause.forms if form.probed]
+    forms = [form.values.items() for form in cause.forms if form.probed]
     return [
         (),
-        *(
-            tuple((f"{cause.name}.{name}", value) for name, value in form.values.items() if not isinstance(value, str))
-            for form in forms
-        ),
+        *(tuple((f"{cause.name}.{k}", value) for k, value in form if not isinstance(value, str)) for form in forms),
     ]
 
 
@@ -181,5 +184,4 @@ def probed(theta: Theta, cause: Cause, value: float, other_values: Sequence[tupl
 
 def two_sided(cause: Cause) -> bool:
     """Tell whether the strength may lie on either side of its neutral value."""
-    strength = cause.strength
-    return math.isfinite(strength.neutral) and strength.low < strength.neutral < strength.high
+    return cause.strength.low < cause.strength.neutral < cause.strength.high

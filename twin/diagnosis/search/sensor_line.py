@@ -76,15 +76,14 @@ def line_scores(criterion: Criterion, current: Fit, candidates: Iterable[Cause])
     for cause in missing:
         column = CHANNELS[cause.name]
         line = find_line(criterion.evidence.series, white, column, criterion.tick_s)
-        if line is not None and (column == 1 or _misreads(criterion, current, line)):
+        if line is None:
+            continue
+        # The motion of the ball must show that a line of i_c does not flow, as the name says.
+        leads = math.inf if column == 1 else reading_leads(criterion, current.theta, line.frequency_hz)
+        if leads > settings.EQUIVALENT_GAIN:
             sigma = math.sqrt(float(np.nanmedian(out[:, (2, 4)[column]])))
             scores.append(_score(criterion, current, cause, line, line.amplitude * sigma))
     return scores
-
-
-def _misreads(criterion: Criterion, current: Fit, line: Line) -> bool:
-    """Tell whether the motion of the ball shows that a line of i_c does not flow, as the name says."""
-    return reading_leads(criterion, current.theta, line.frequency_hz) > settings.EQUIVALENT_GAIN
 
 
 def _score(criterion: Criterion, current: Fit, cause: Cause, line: Line, size: float) -> Score:
@@ -94,6 +93,7 @@ def _score(criterion: Criterion, current: Fit, cause: Cause, line: Line, size: f
         (f"{cause.name}.frequency_hz", line.frequency_hz),
         *((f"{cause.name}.harmonic_{k}", value) for k, value in enumerate(line.harmonics, 2)),
     )
+    # The filter follows a part of the line, so its innovations show less than its size: multiples of it are tried.
     sizes = [min(size * factor, 0.5 * strength.high) for factor in settings.LINE_SIZES]
     starts = [probed(current.theta, cause, value, other) for value in sizes]
     best = int(np.argmax(criterion.thinner.values(starts)))

@@ -19,6 +19,8 @@ from twin.settings import diagnosis as settings
 class Selection:
     """The causes in the order of selection, and everything that was tried; each step makes a new `Selection`."""
 
+    # Immutable: a step that runs out of budget leaves the selection before it as it was.  A state changed in place
+    # would be left half done.
     base: Fit
     fit: Fit
     causes: tuple[str, ...] = ()
@@ -53,6 +55,7 @@ def material(search: Search, fit: Fit) -> bool:
 
 def superfluous(search: Search, selection: Selection, smaller: Fit) -> bool:
     """Tell whether `smaller`, the model without one cause, does as well by the criteria of a forward step."""
+    # The bars for entering, not lower ones for staying: a lower bar would keep causes that could no longer enter.
     loss = selection.fit.loglik - smaller.loglik
     minor_effect = loss < settings.MINOR_SHARE_AT_NOISE * (selection.fit.loglik - selection.base.loglik)
     return loss < settings.MIN_GAIN or (minor_effect and not material(search, smaller))
@@ -65,6 +68,7 @@ def fit_without(criterion: Criterion, selection: Selection, cause: str, passes: 
     known = selection.recall(free)
     # The known fit may be a lower maximum than the one to which later causes have led.
     if known is not None and criterion.value(start) < known.loglik + settings.MIN_GAIN:
+        # Not fitted on to the end: what it could still gain is less than what separates two causes.
         if known.converged or known.ahead < settings.EQUIVALENT_GAIN:
             return known
         start = known.theta

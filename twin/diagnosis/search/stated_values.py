@@ -123,6 +123,8 @@ def _absorbed(information: _Information, free: Sequence[str], suspect: str, stre
         return None
     if not _shows(total, total):
         return Absorbed(cause=suspect, by=(), shows=False)
+    # One number at a time: a number takes it up if the suspect would show without it.  Pairs are not asked, as their
+    # count is quadratic.
     by = tuple(
         name
         for name in free
@@ -143,6 +145,7 @@ def _in_place_of(
     if not _shows(total, left):
         return None  # what is absorbed without the cause cannot explain what the cause explains
     parameter = parameter_of(gone[0])
+    # (S 14): own, cross and left are M_cc, M_ce and M_ee, and the step is -c.
     # The strength goes to neutral, and the suspect to where the parabola is highest then.
     step = -parameter.coordinate(fit.theta.value(gone[0])) / unit_of(parameter)
     gain, loss, size = 0.5 * step**2 * own, 0.5 * step**2 * (own - cross**2 / left), -cross / left * step
@@ -162,6 +165,7 @@ def _in_place_of(
 
 def _corrected(criterion: Criterion, information: _Information, start: Theta, free: tuple[str, ...]) -> Fit:
     """Take Newton steps with the derivatives of the fit that was left, a run of the filter each."""
+    # Derivatives of the fit that was left: new ones would cost a run for each free number in each step.
     change = information.change[[information.names.index(name) for name in free]]
     covariance = inverse(information.at(free, free))
     theta, best, loglik = start, start, -math.inf
@@ -184,6 +188,8 @@ def _contradiction(criterion: Criterion, fit: Fit, strength: str) -> float:
     clock = combined([record.clock_error for record in criterion.evidence.records])
     if strength != coordinates_of(CLOCK)[0] or clock is None:
         return 0.0
+    # A measurement beside the samples: z standard errors cost z^2 / 2, as under a Gaussian error.  A fixed limit would
+    # forget how sure the clock is.
     spread = math.hypot(clock[1], fit.std(strength, criterion.plant))
     return 0.5 * ((fit.theta.value(strength) - clock[0]) / spread) ** 2
 
@@ -197,6 +203,8 @@ def _exchanged(
     into: tuple[str, float],
 ) -> Theta:
     """Exchange a cause for a suspect, (name, move of its strength) each; the other coordinates follow."""
+    # The other coordinates move with both, along the ridge of the likelihood.  Held, they would make the exchange look
+    # worse than it is.
     follow = dict.fromkeys(others, 0.0)
     for name, step in (out, into):
         for other, move in information.moves(coordinates_of(name)[0], others).items():

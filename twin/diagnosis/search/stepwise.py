@@ -39,6 +39,7 @@ def select(search: Search, base: Fit, *, classes: bool = True) -> Selection:
         classes: whether to find the equivalence classes; otherwise `find_classes` can do so later.
     """
     selection = Selection(base=base, fit=base)
+    # The steps are yielded one by one.  A function that returned the end alone would lose every step before `Spent`.
     unanswered = search.criterion.budget.unanswered
     try:
         for step_result in _steps(search, selection, classes):
@@ -56,6 +57,7 @@ def _confounder_question(causes: Sequence[str]) -> str:
 
 def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Selection]:
     """Yield the selection after each step."""
+    # A lower required share asks for more causes, so the catalogue alone then limits their number.
     max_causes = settings.MAX_CAUSES if search.min_share >= settings.MIN_SHARE else len(search.candidates)
     # Forward and backward steps alone are greedy: a false first name stays if the later ones lean on it.  The class
     # search may replace it, and then the forward steps are worth another try.  The number of round trips is limited,
@@ -64,6 +66,8 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
         while len(selection.causes) < max_causes:
             for step_result in _add(search, selection):
                 yield (selection := step_result)
+            # A pair only after a refusal: it costs a fit for each of many candidates, and a single cause is the simpler
+            # answer.
             if selection.rounds[-1].selected:
                 continue
             if len(selection.causes) + 2 <= max_causes:
@@ -73,6 +77,8 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
         if not classes:
             break
         before = set(selection.causes)
+        # Before the classes and after them: a lag beside phases of another model explains too little, and a new cause
+        # has other phases.
         yield (selection := _refine_phases(search, selection))
         with search.criterion.budget.question(_confounder_question(selection.causes)):
             selection = find_classes(search, selection)
@@ -109,6 +115,7 @@ def _add(search: Search, selection: Selection) -> Iterator[Selection]:
         yield selection
         return
     first = step.trials[0]
+    # The gain of the trial, until `backward` measures what is lost without the cause beside the later ones.
     gains = {**selection.gains, step.selected: first.gain}
     fit = _revived(criterion, first.fit)
     yield (selection := replace(selection, causes=(*selection.causes, step.selected), fit=fit, gains=gains))

@@ -31,6 +31,7 @@ class Search:
     @property
     def thorough(self) -> bool:
         """Tell whether selected causes are doubted while more than noise is left; it costs many fits."""
+        # With a lower share many small causes are selected, and to doubt each of them would cost many fits.
         return self.min_share == settings.MIN_SHARE and not self.quick
 
     @property

@@ -68,6 +68,7 @@ def measure_current(f: Memory, reading: float) -> None:
         f.P[f.i_sensor, 0] = _CURRENT_VARIANCE
     correct(f, f.h_i[:], f.r_i, reading - expected_current_reading(f))
     if f.i_sensor >= 0:
+        # A slow sensor shows the current of a time constant ago, and the rate at which it changed since is unknown.
         f.P[0, 0] += (f.c[current_sensor_lag.TAU] * _RATE_A_S) ** 2
 
 
@@ -96,6 +97,7 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
     else:
         _forget(f, 0)
         f.y[I_C], f.P[0, 0] = f.base[0] * u, _CURRENT_VARIANCE
+    # As after a long time at this current: the inputs before the first sample are not known.
     settle_current(f.c[:], f.y, f.y[I_C])
     for k in (f.second, f.core):
         if k >= 0:

@@ -170,8 +170,7 @@ def active_states(c: Floats) -> list[int]:
 def _fields() -> np.dtype[np.void]:
     vector, square = (STATES,), (STATES, STATES)
     numbers = ("moments_s", "r_i", "r_x", "v_i", "v_x", "tau_i", "tau_x", "share_x", "q_i", "q_a", "low_m", "high_m")
-    counts = ("m", *_NAMED, "lasting", "wandering", "coloured", "first", "readings")
-    counts += ("lines", "lines_count")
+    counts = ("m", *_NAMED, "lasting", "wandering", "coloured", "first", "readings", "lines", "lines_count")
     vectors = ("y", "previous", "moved", "back", "K", "h_i", "h_x", "h_line")
     fields: list[Any] = [("base", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]

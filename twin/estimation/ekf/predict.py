@@ -12,11 +12,7 @@ from twin.estimation.ekf.memory import Floats, Memory, base_of, copy_square, wan
 from twin.estimation.ekf.transition import moments, transit
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
 from twin.estimation.structures import Steps
-from twin.model.causes import (
-    amplifier_gain_drift,
-    coulomb_friction,
-    magnetic_hysteresis,
-)
+from twin.model.causes import amplifier_gain_drift, coulomb_friction, magnetic_hysteresis
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.extended import (
     FIELD,
@@ -300,6 +296,7 @@ def _differences_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -
                         F[row, column] = (moved[f.places[row]] - y[f.places[row]]) / _DELTA[a]
     if f.warmth >= 0:
         F[f.warmth, f.warmth] = math.exp(-T_s / c[amplifier_gain_drift.TAU])
+        # The steady current falls with the warmth, and the coil's goes the share 1 - F_00 of the way to it.
         F[0, f.warmth] = -base[0] * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - F[0, 0])
     if f.loop >= 0:
         i, z = f.previous[I_C], f.previous[LOOP]

@@ -62,6 +62,8 @@ def transit(
     gap = max(p.x_max_m - x, gap_min_m)
     c0 = 1.0 / (gap * gap)
     x_half, x_end, v_end = x + 0.5 * T_s * v, x + T_s * v, v
+    # Picard's iteration: each sweep takes the path of the one before.  Newton's would need the slope of the force as
+    # well.
     for _ in range(_SWEEPS):
         gap_half, gap_end = max(p.x_max_m - x_half, gap_min_m), max(p.x_max_m - x_end, gap_min_m)
         c_half, c_end = 1.0 / (gap_half * gap_half), 1.0 / (gap_end * gap_end)

@@ -80,6 +80,7 @@ def law_gap(record: Record, plant: Plant, c: LawNumbers) -> LawGap | None:
         columns, gains = np.column_stack((error, integral, -speed)), np.array([c.k_p, c.k_s, c.k_v])
     else:
         columns, gains = np.column_stack((-i, -x, -speed, -integral)), np.array([c.k_i, c.k_x, c.k_v, -c.k_s])
+    # Without the ends of u_c: at a limit no gains give it.
     good = (u > np.nanmin(record.u_c)) & (u < np.nanmax(record.u_c)) & np.isfinite(columns).all(axis=1)
     group = (np.arange(len(u)) * T_s / settings.LAW_WINDOW_S).astype(int)[good]
     u, columns = _centred(u[good][:, None], group)[:, 0], _centred(columns[good], group)
@@ -89,6 +90,8 @@ def law_gap(record: Record, plant: Plant, c: LawNumbers) -> LawGap | None:
     if spread <= 0.0:
         return None
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    # By least squares on the recorded samples, not by a simulated loop: a wrong model of the ball would count against
+    # the law.
     fitted = np.linalg.lstsq(columns / scale, u, rcond=None)[0] / scale
     rest = u - columns @ fitted
     off, left = _size(u - columns @ gains), _size(rest)

@@ -76,6 +76,7 @@ def _without_unmoving(record: Record, plant: Plant) -> tuple[Record, list[str]]:
     if not rows:
         return record, []
     left, force, _ = np.concatenate(rows).T
+    # The response of x against that which (6) demands: a ball held still has none, and a noisy free ball has all of it.
     whole = float(left.mean() / force.mean())  # K_c / m by the weight alone
     change = force - force.mean()
     power = float(change @ change)

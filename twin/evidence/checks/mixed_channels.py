@@ -96,6 +96,7 @@ def _lag(u: FloatArray, i: FloatArray, max_lag: int = 3) -> tuple[int, float]:
     if norm == 0.0:
         return 0, 0.0
     n = len(du)
+    # Correlations of the changes, not of the values: slow ramps correlate at any lag.
     values = {
         lag: float(du[max(0, -lag) : n - max(0, lag)] @ di[max(0, lag) : n - max(0, -lag)]) / norm
         for lag in range(-max_lag, max_lag + 1)
@@ -134,6 +135,7 @@ def downwards(records: list[Record], plant: Plant) -> None:
         if record.kind == "sawtooth" and record.has("x", "i_c")
         for point in lift_offs([replace(record, x=plant.travel_m - record.x)], plant)
     ]
+    # Only if no ball rises: a single wrong departure must not turn a campaign around.
     if falling and not rising:
         raise DataError(
             f"{falling[0].recording}: x falls where the rising current pulls the ball up; it is measured downwards",

@@ -176,6 +176,8 @@ def _level(u: float, i: FloatArray) -> Level | None:
         return None
     first, last = i[: n // 2], i[n // 2 :]
     noise = max(robust_spread(i - np.median(i)), float(np.std(np.diff(i))) / np.sqrt(2.0))
+    # sqrt(pi / 2), by which a median of normal noise scatters more than a mean.  A mean would follow a jump at the end
+    # of a level.
     error = 1.2533 * noise / np.sqrt(n)
     drift = abs(float(np.mean(last) - np.mean(first)))
     if drift > 4.0 * 2.0 * noise / np.sqrt(n) and drift > 0.01 * max(abs(float(np.median(i))), 1e-12):
@@ -200,6 +202,7 @@ def find_shape(records: list[Record]) -> Shape | None:
     def cost(log_tau: float) -> float:
         return sum(_first_order(step, float(np.exp(log_tau)))[0] for step in steps)
 
+    # A grid before the search: the cost of a T_A is flat far above and far below the right one.
     grid = np.linspace(np.log(shortest), np.log(longest), 60)
     values = [cost(g) for g in grid]
     k = int(np.argmin(values))
@@ -214,6 +217,7 @@ def find_shape(records: list[Record]) -> Shape | None:
         last = min(max(int(np.ceil(6.0 * T_A / step.sample_time_s)), 4), len(residual))
         squares += float(np.sum(residual[1:last] ** 2))
         count += last - 1
+        # Each step alone, too: a T_A that changes from step to step is no constant of (1), however well the mean fits.
         single_fit = minimize_scalar(
             lambda g, step=step: _first_order(step, float(np.exp(g)))[0],
             bounds=(best - 2.0, best + 2.0),
@@ -274,6 +278,7 @@ def _resolution(i: FloatArray) -> float:
 
 def _first_order(step: _Step, T_A: float) -> tuple[float, FloatArray]:
     """Return (sum of squares, residual) of i = c + a exp(-t/T_A) with both free."""
+    # (1) with level and jump free, by linear least squares: so neither K_A nor an offset enters T_A.
     decay = np.exp(-np.arange(len(step.i)) * step.sample_time_s / T_A)
     columns = np.column_stack((np.ones(len(step.i)), decay))
     solution, *_ = np.linalg.lstsq(columns, step.i, rcond=None)

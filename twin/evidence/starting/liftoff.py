@@ -80,6 +80,7 @@ def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
     if not points:
         return None
     values = np.array([point.K_c for point in points])
+    # The median: one ball that stuck, or was pushed, must not move it.
     K_c = float(np.median(values))
     error = float(np.sqrt(np.mean([point.relative_error**2 for point in points])))
     scatter = robust_spread(values / K_c - 1.0) if len(values) > 2 else 0.0
@@ -96,6 +97,7 @@ def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
         sigma = float(np.sqrt(residual @ residual / max(len(gaps) - 2, 1)))
         covariance = sigma**2 * np.linalg.inv(columns.T @ columns)
         shift = float(solution[1] / solution[0])
+        # The error of a ratio, to first order.
         gradient = np.array([-solution[1] / solution[0] ** 2, 1.0 / solution[0]])
         shift_std = float(np.sqrt(gradient @ covariance @ gradient))
     return ForceConstant(

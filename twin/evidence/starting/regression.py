@@ -90,6 +90,7 @@ def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) ->
     cross = power = 0.0
     prepared = []
     for step, u, i in pieces:
+        # (1) exactly over an interval under a held u_c: an Euler step would be wrong for T_A below it.
         a = float(np.exp(-step / T_A))
         response = lfilter([0.0, 1.0 - a], [1.0, -a], u)
         alive = min(len(i), int(30.0 * T_A / step) + 1)  # later powers are denormal numbers, a hundred times slower
@@ -192,6 +193,8 @@ def _mean_square(i: FloatArray, u: FloatArray, step: float, amplifier: Amplifier
     if amplifier is None or not np.isfinite(u).all():
         after = np.append(i[1:], i[-1])
         return np.asarray((i * i + i * after + after * after) / 3.0)
+    # i = e + w exp(-t / T_A) by (1), squared and averaged in closed form.  Between samples 2 ms apart a fast amplifier
+    # has settled.
     e = amplifier.K_A * u
     tau = amplifier.T_A
     w = i - e
@@ -207,6 +210,8 @@ def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: 
 
     s = np.linspace(-1.0, 1.0, width + 1)
     reach_s = 0.5 * width * step
+    # M. Shinbrot, On the analysis of linear and nonlinear systems, Transactions of the ASME 79, 1957.  A filter would
+    # need derivatives of noisy readings.
     phi = (1.0 - s**2) ** 3
     slope = -6.0 * s * (1.0 - s**2) ** 2 / reach_s
     bend = (-6.0 * (1.0 - s**2) ** 2 + 24.0 * s**2 * (1.0 - s**2)) / reach_s**2

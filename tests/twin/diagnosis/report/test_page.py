@@ -19,7 +19,8 @@ from twin.diagnosis.report.figures import (
     short_label,
 )
 from twin.diagnosis.report.page import to_html
-from twin.diagnosis.report.sentences import cause_sentence, finding_sentence, measured, quantity, summary_sentence
+from twin.diagnosis.report.quantities import measured, quantity
+from twin.diagnosis.report.sentences import cause_sentence, finding_sentence, summary_sentence
 from twin.diagnosis.residuals.step_response import Steps
 from twin.diagnosis.residuals.summary import Summary, summarise
 from twin.diagnosis.result import Diagnosis, Member, MinorEffect, Proposal, to_json
