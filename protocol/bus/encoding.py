@@ -78,6 +78,7 @@ def stamp_ns(message: Message) -> int | None:
 
 def state_batch(states: Iterable[bytes]) -> bytes:
     """Return the serialised pb.StateBatch of serialised pb.State: each behind its tag and length."""
+    # Joined as bytes: the states are serialised already, and a message of them would parse each again.
     parts = bytearray()
     for state in states:
         parts.append(_TAG_OF_STATES)

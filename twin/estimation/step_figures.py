@@ -52,6 +52,11 @@ class LoopRun:
     quiet_x_m: FloatArray  # simulated without noise
     expected_std_m: float  # of measured - quiet under a right model; NaN if the model's loop is unstable
 
+    @property
+    def interval_s(self) -> float:
+        """Return the sampling interval, s."""
+        return float(np.median(np.diff(self.t_s)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
@@ -103,14 +108,13 @@ class Response:
     simulation: FloatArray
 
 
-def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
-    """Return the changes of the reference between constant levels; `sigma_x_m` is the noise of x, m."""
-    T_s = float(np.median(np.diff(run.t_s)))
-    is_constant = np.concatenate(([True], np.abs(np.diff(run.x_ref_m)) < 1e-9))
+def find_steps(x_ref: FloatArray, T_s: float, sigma_x_m: float) -> list[Step]:
+    """Return the changes of the reference (m, every T_s) between constant levels; `sigma_x_m` is the noise of x, m."""
+    is_constant = np.concatenate(([True], np.abs(np.diff(x_ref)) < 1e-9))
     levels = runs(np.asarray(is_constant), max(round(DWELL_S / T_s) - 1, 2))
     steps = []
     for before, after in pairwise(levels):
-        low, high = float(run.x_ref_m[before.stop - 1]), float(run.x_ref_m[after.start])
+        low, high = float(x_ref[before.stop - 1]), float(x_ref[after.start])
         if abs(high - low) >= SMALLEST_SIGMAS * sigma_x_m and after.start - before.stop < 0.5 / T_s:
             steps.append(Step(begin=before.stop, end=after.stop, from_m=low, to_m=high))
     return steps
@@ -121,7 +125,7 @@ def responses(loops: Sequence[LoopRun], sigma_x_m: float) -> list[Response]:
     scaled = []
     for run in loops:
         quiet = run.simulated_x_m.mean(axis=0)
-        for step in find_steps(run, sigma_x_m):
+        for step in find_steps(run.x_ref_m, run.interval_s, sigma_x_m):
             part = slice(step.begin, step.end)
             size = step.to_m - step.from_m
             rig, simulation = ((x[part] - step.from_m) / size for x in (run.x_m, quiet))
@@ -135,9 +139,9 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
     simulation: list[list[float]] = []
     bands: list[float] = []
     for run in loops:
-        T_s = float(np.median(np.diff(run.t_s)))
+        T_s = run.interval_s
         noise = run.expected_std_m if np.isfinite(run.expected_std_m) else sigma_x_m
-        for step in find_steps(run, sigma_x_m):
+        for step in find_steps(run.x_ref_m, T_s, sigma_x_m):
             rig.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, noise))
             bands.append(settling_band(step.to_m - step.from_m, noise))
             several = [
@@ -175,8 +179,8 @@ def rig_figures(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[RigFigure, 
     """The figures of the rig alone; empty without a step."""
     rows, bands = [], []
     for run in loops:
-        T_s = float(np.median(np.diff(run.t_s)))
-        for step in find_steps(run, sigma_x_m):
+        T_s = run.interval_s
+        for step in find_steps(run.x_ref_m, T_s, sigma_x_m):
             rows.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, sigma_x_m))
             bands.append(settling_band(step.to_m - step.from_m, sigma_x_m))
     used = _widths(bands)
