@@ -2,8 +2,8 @@
 
 The states are sensor readings, because these are what the board measures and feeds back.
 
-Rule 1: (14) is the matrix logarithm of differences of `extended.advance` over a short time, so there is no second set
-        of equations.
+Rule 1: (14) is the matrix logarithm of differences of `integration.advance` over a short time, so there is no second
+        set of equations.
 Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale.  The states
         that causes add follow (currents that lag behind the coil's, settled reading of `position-sensor-lag` and its
         rate).
@@ -45,11 +45,11 @@ from twin.model.extended import (
     Base,
     V,
     X,
-    advance,
     current_reading,
     position_reading,
 )
 from twin.model.extension import base, vector
+from twin.model.integration import advance
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact

@@ -1,6 +1,6 @@
 """The model as a differential equation, (11)-(12) with causes, for tools that integrate by themselves.
 
-`extended.advance` integrates the same equation with the input held; tests/twin/model/test_rates.py compares the two.
+`integration.advance` integrates the same equation with the input held; tests/twin/model/test_rates.py compares the two.
 
 Rule 1: the state is [i_c, x, x'].  A cause with a state of its own, or that holds the ball, has no such equation:
         `without_equation` says which and why.
