@@ -92,6 +92,7 @@ class Column(Keys):
 
     def _look_up(self, raw: float) -> float:
         right = bisect_right(self.table, raw, key=lambda point: point[0])
+        # The first and the last segment serve for what lies beyond them.
         right = min(max(right, 1), len(self.table) - 1)
         (x0, y0), (x1, y1) = self.table[right - 1], self.table[right]
         return y0 + (y1 - y0) * ((raw - x0) / (x1 - x0))

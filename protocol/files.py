@@ -70,6 +70,7 @@ def read_small(path: Path, *, remedy: str, what: str = "", error: Refusal = Data
     Arguments and errors are those of `open_regular`; a file that is too large or not UTF-8 is an error, too.
     """
     with open_regular(path, remedy=remedy, what=what, error=error) as file:
+        # One byte beyond the bound, whatever size was stated: the file may grow while it is read.
         data = file.read(LARGEST_SMALL + 1)
     if len(data) > LARGEST_SMALL:
         raise error(f"{what}{path} has more than {LARGEST_SMALL} bytes", remedy=remedy)
@@ -100,6 +101,7 @@ def replace_text(path: Path, text: str) -> None:
     part = path.with_name(f".{path.name}.part")
     with part.open("w", encoding="utf-8") as file:
         file.write(text)
+        # On the disk before the name changes: after a power cut the name must not lead to an empty file.
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)

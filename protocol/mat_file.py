@@ -61,6 +61,7 @@ def parse_mat(data: bytes, largest: int) -> dict[str, Variable]:
     try:
         for kind, content in _elements(memoryview(data)[HEAD:], order):
             if kind == _COMPRESSED:
+                # One byte beyond the bound shows a part that is too large, without unpacking all of it.
                 content = memoryview(zlib.decompressobj().decompress(content, largest + 1))
                 if len(content) > largest:
                     raise MatTooLargeError
@@ -87,6 +88,7 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
         if end > (len(data) if padded else at + 8):
             raise BrokenMatError(f"an element of {size} bytes is cut off")
         yield kind, data[begin:end]
+        # Elements are padded to eight bytes, compressed ones are not.
         at = end if kind == _COMPRESSED else end + -size % 8 if padded else at + 8
 
 

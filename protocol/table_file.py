@@ -59,6 +59,7 @@ def read_header(path: Path, line: str, row: str, number: int = 1) -> tuple[tuple
     Raises:
         DataError: the file cannot be a recording, has no line of names, or a name twice.
     """
+    # The most frequent one: a name in a table with semicolons may hold a comma.
     separator = max(",;\t", key=line.count)
     names = tuple(cell.strip() for cell in split(line, separator))
     if len(names) < 2 or not any(is_number(cell) for cell in split(row, separator)):

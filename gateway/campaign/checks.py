@@ -67,6 +67,7 @@ def check(
 ) -> tuple[Problem, ...]:
     """The problems of a recording; empty if it is usable."""
     problems = [_continuity(samples, events, rig)]
+    # In this order: a gap or a fault would fail the later checks for a reason that is not theirs.
     if not any(problems):
         problems = [*_converters(experiment, samples, rig), _captures(experiment, captures)]
     if not any(problems):
@@ -212,6 +213,7 @@ def _bounces(s: Samples, rig: CheckedRig) -> Problem | None:
     if float(np.max(x)) < LIFTED_SHARE * rig.travel_m:
         return Problem("never-lifted", "the ball never left its rest", "raise")
     above = x > 0.5 * rig.travel_m
+    # Crossings, not the range of x: one jump to the top would pass, and shows too little of flight.
     crossings = int(np.count_nonzero(above[1:] != above[:-1]))
     seconds = float(s.tick[-1] - s.tick[0]) * rig.sample_time_s
     if crossings < FEWEST_CROSSINGS_PER_S * seconds:
@@ -232,6 +234,7 @@ def _flies(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | Non
     longest_s = _longest(at_stop) * rig.sample_time_s
     if longest_s > AT_STOP_S:
         return Problem("ball-fell", f"the ball lay at a stop for {longest_s:.2g} s", "lower")
+    # Within a count: the converter rounds u_c at its limit.
     ends = (s.u_c_v >= rig.limits.u_max_v - rig.limits.u_lsb_v) | (s.u_c_v <= rig.limits.u_min_v + rig.limits.u_lsb_v)
     share = float(np.mean(ends | ((s.flags & Flag.INPUT_SATURATED) != 0)))
     if share > SATURATED_SHARE:

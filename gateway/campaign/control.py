@@ -107,6 +107,7 @@ class RigControl:
                     raise _lost("No samples", self._address)
                 if end_s is not None and time.monotonic() > end_s:
                     return False
+                # With a time-out, because the silence of a board wakes nobody.
                 self._subscriber.changed.wait(0.05)
         if self._stop.is_set():
             raise Stopped
@@ -202,6 +203,7 @@ class RigControl:
     def _send(self, command: pb.Command, *, timeout_s: float = 5.0) -> pb.CommandReply:
         request = pb.Command()
         request.CopyFrom(command)
+        # A new id for each attempt: under the old one the gateway would repeat the refusal that it kept.
         request.id = f"{ID_PREFIX}{new_id()}"
         return self._rig.send(request, timeout_s=timeout_s)
 
@@ -242,6 +244,7 @@ class RigControl:
     def go_to(self, x_ref_m: float) -> None:
         """Move the reference in steps within the board's limit."""
         parameters = self._subscriber.newest_parameters
+        # Less than the board allows: both ends of the jump are rounded to counts.
         step_m, count_m = 0.95 * parameters.x_ref_step_max_m, abs(parameters.x_lsb_m)
         while True:
             at_m = self._subscriber.newest.x_ref_m
@@ -300,6 +303,7 @@ class RigControl:
     def park(self) -> str:
         """Send STOP; returns "" or why it could not be delivered.  Never raises."""
         why = "no answer"
+        # Three attempts: the worst end of a run is a coil that stays on.
         for _ in range(3):
             with contextlib.suppress(Board51Error, zenoh.ZError):
                 reply = self._send(pb.Command(stop=pb.Stop()), timeout_s=2.0)

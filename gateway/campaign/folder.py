@@ -129,6 +129,7 @@ class Folder:
         Raises:
             UsageError: the folder is of another rig, or cannot be created.
         """
+        # A folder without a recording is bound to no rig yet.
         if self._identity is not None and self.retained:
             for part, known in self._identity.items():
                 if known.get("assumed"):

@@ -195,6 +195,7 @@ def _on_reference(wave: Wave, scale: Scale) -> Send | str:
         low, high = limits.x_min_m, limits.x_max_m
     middle, span = (low + high) / 2, (wave.high - wave.low) * scale.travel_m
     half = min((high - low) / 2, span / 2) * scale.x_factor
+    # A jump is bounded by the board's step, a smooth signal by its slew: a sine's steepest slope is A 2 pi / T.
     if wave.shape in _JUMPS:
         half = min(half, limits.step_m / 2)
     else:

@@ -196,6 +196,7 @@ class Runner:
             text = "; ".join(problem.text for problem in problems)
             outcome.problems.append(text)
             cures = {problem.cure for problem in problems}
+            # Without a cure there is no second attempt: each one takes time at the rig and moves the ball.
             if "none" in cures or attempt == ATTEMPTS:
                 break
             if "raise" in cures:

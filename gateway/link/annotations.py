@@ -31,6 +31,7 @@ class Annotations:
             name = "shelved" if command.acknowledge.shelve_s else "acknowledged"
             remark = " ".join(part for part in (command.acknowledge.alarm, command.acknowledge.comment) if part)
             self._keep(command.acknowledge, who, host_ns)
+        # Replaced, not refused: a remark must not be lost for one character.
         text = "".join(c if c.isprintable() else " " for c in f"{who}: {remark}")
         event = pb.Event(host_time_ns=host_ns, tick=tick, session=session, source="gateway", severity="info")
         event.name, event.text = name, text
@@ -38,6 +39,7 @@ class Annotations:
         return pb.CommandReply(id=command.id, accepted=True, tick=tick)
 
     def _keep(self, acknowledge: pb.Acknowledge, who: str, host_ns: int) -> None:
+        # The oldest goes, not the new one, which is accepted in the same moment.
         remaining = [entry for entry in self.acknowledged if entry.alarm != acknowledge.alarm][-(MAX_RETAINED - 1) :]
         new = pb.Acknowledgement(alarm=acknowledge.alarm, who=who, host_time_ns=host_ns, comment=acknowledge.comment)
         new.shelve_s = acknowledge.shelve_s

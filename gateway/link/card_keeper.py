@@ -65,6 +65,7 @@ class CardKeeper:
                 card = pb.PlantCard(plant=plant_message(emulated), who=EMULATED, stated_ns=host_ns, board=self._board)
                 self._replace(card, host_ns)
         elif is_stated:
+            # Once for each board: this is called with every reading of the parameters.
             if self._doubted != self._board:
                 self._doubted = self._board
                 text = f"The plant card was stated for board {self.card.board}, this is {self._board}: state its plant."
@@ -93,6 +94,7 @@ def _refused(stated: pb.SetPlant, highest_reference_m: float | None) -> Refusal 
     if not 0 < len(plant.name) <= MAX_NAME:
         return Refusal("malformed", f"The name of a rig has 1 to {MAX_NAME} characters, not {len(plant.name)}.")
     answers = objections(asdict(plant), highest_reference_m=highest_reference_m)
+    # Errors first: a confirmation makes no impossible plant possible.
     errors = [objection.text for objection in answers if objection.is_error]
     if errors:
         return Refusal("implausible", " ".join(errors))

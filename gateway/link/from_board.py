@@ -97,6 +97,7 @@ class FromBoard:
         if now_s - self.began_s < DIAGNOSE_S:
             return None
         received = self.bytes_received - self._bytes_at_open
+        # By what came since the port was opened: so a cut line is told from another device.
         if self._counters.valid_frames > self._valid_at_open:
             if now_s - self._valid_s < DIAGNOSE_S:
                 return "hello-unanswered", "Frames arrive but HELLO is not answered: is the line to the board intact?"

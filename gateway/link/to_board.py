@@ -38,6 +38,7 @@ class ToBoard:
 
     def sent(self, now_s: float) -> None:
         """Note that bytes were sent that require an answer."""
+        # From the first frame without an answer: each repetition would put the limit off.
         if self._waits_since_s is None:
             self._wait(now_s)
 

@@ -84,6 +84,7 @@ def stamp_ns(message: Message) -> int | None:
 
 def batch(topic: str, messages: Iterable[bytes]) -> bytes:
     """Return the batch, for BATCH_OF[topic], of serialised messages of one topic: each behind its tag and length."""
+    # Joined as bytes: the messages are serialised already, and a message of them would parse each again.
     tag, data = _FIELD_OF[topic] << 3 | 2, bytearray()  # 2: a length follows
     for message in messages:
         data.append(tag)

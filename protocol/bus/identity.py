@@ -77,6 +77,7 @@ def load_identity(folder: Path) -> Identity:
     folder = folder.absolute()
     for name in FILES:
         with open_regular(folder / name, remedy=_REMEDY, error=ConfigError) as file:
+            # Of the open file, not of its name, which may lead to another file by now.
             mode = os.fstat(file.fileno()).st_mode
         if name in _PRIVATE and mode & OTHERS:
             raise ConfigError(

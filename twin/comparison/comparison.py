@@ -44,11 +44,13 @@ class Comparison:
             return "The flights are too short, or the predictions too equal, for a comparison."
         marked = [change for change in whole if change.significant]
         if not marked:
+            # The widest interval: the answer claims no more than the poorest horizon shows.
             widest = max(whole, key=lambda change: change.ci95[1] / change.ci95[0])
             return (
                 f"No difference is significant. {_ms(widest)} ahead the second error is between "
                 f"{widest.ci95[0]:.3g} and {widest.ci95[1]:.3g} times the first."
             )
+        # By the logarithm: half the error is as large a change as twice the error.
         largest = max(marked, key=lambda change: abs(math.log(change.ratio)))
         better = {change.ratio < 1.0 for change in marked}
         name = self.names[1] if largest.ratio < 1.0 else self.names[0]
@@ -123,6 +125,7 @@ def compare_over_time(models: Sequence[Model]) -> Comparison:
         DataError: the models are of different rigs.
     """
     _same_rig(models)
+    # All or none: a model without a day has no place among dated ones.
     dated = all(model.measured is not None for model in models)
     ordered = sorted(models, key=lambda model: str(model.measured)) if dated else list(models)
     notes = () if dated else ("Not every model states its day of measurement: they are in the order given.",)
@@ -139,6 +142,7 @@ def compare_over_time(models: Sequence[Model]) -> Comparison:
 
 def _decided(changes: Sequence[Change]) -> tuple[Change, ...]:
     """The changes with `significant` decided over all of them as one family of tests."""
+    # One family: of 16 independent tests at 5 % each, one or more would mark equal models in half of all comparisons.
     marks = holm([change.chance for change in changes])
     return tuple(replace(change, significant=mark) for change, mark in zip(changes, marks, strict=True))
 

@@ -89,6 +89,7 @@ def paired(first: Sequence[Prediction], second: Sequence[Prediction], travel_m: 
     """Compare two models at one horizon on the samples that both predict; one pair of predictions for each flight."""
     rows = []
     for a, b in zip(first, second, strict=True):
+        # Common samples only: a model that predicts the easy ones alone would look better.
         _, in_first, in_second = np.intersect1d(a.t, b.t, assume_unique=True, return_indices=True)
         errors = np.array([(a.x_hat - a.x)[in_first], (b.x_hat - b.x)[in_second]])
         rows.append((a.t[in_first], a.x[in_first], errors))
@@ -111,6 +112,7 @@ def unpaired(first: Prediction, second: Prediction, travel_m: float) -> list[Cha
         freedom = [len(side.counts) - 1 for side in totals]
         variance = sum(spread**2 for spread in spreads)
         divisor = sum(spread**4 / max(f, 1) for spread, f in zip(spreads, freedom, strict=True))
+        # Not the pooled degrees of freedom: flights of different length and noise have different spreads.
         welch = variance**2 / divisor if divisor > 0.0 else math.nan
         changes.append(_change(first, region, totals, math.sqrt(variance), welch if min(freedom) > 0 else 0.0))
     return _informative(changes)
@@ -128,9 +130,11 @@ def _totals(flights: Sequence[tuple[FloatArray, FloatArray, FloatArray]], region
     squares, counts = [], []
     for t, x, error in flights:
         if region != WHOLE:
+            # By the measured x: by the prediction a sample could be in two regions.
             third = np.clip(np.floor(3.0 * x / travel_m), 0, 2)
             t, error = (values[third == REGIONS.index(region)] for values in (t, error))
         if len(t):
+            # By time, not by number: behind a gap a block would hold errors that are far apart.
             block = np.floor((t - t[0]) / ERROR_BLOCK_S).astype(np.int64)
             squares.append(np.bincount(block, error**2))
             counts.append(np.bincount(block).astype(float))
@@ -142,6 +146,7 @@ def _change(at: Prediction, region: str, totals: Sequence[Totals], spread: float
     """The change with Student's t for the logarithm of the ratio of mean squares."""
     blocks, ratio = min(len(side.counts) for side in totals), totals[1].rmse_m / (totals[0].rmse_m or math.nan)
     enough = blocks >= MIN_BLOCKS and math.isfinite(ratio) and spread > 0.0 and freedom > 0.0
+    # In logarithms: half and twice the error are equally far from 1, and the interval stays positive.
     width = student_quantile(0.975, freedom) * spread / 2.0 if enough else math.nan  # of log rms: half the log square
     return Change(
         horizon_s=at.ahead * at.interval_s,

@@ -65,12 +65,14 @@ def _course(name: str, estimates: Sequence[Parameter | None]) -> Course:
     known = np.flatnonzero(np.isfinite(values) & (stds > 0.0))
     chance, change, half = math.nan, math.nan, math.nan
     if len(known) > 1:
+        # Cochran (1954): under one true value, the weighted squares about the weighted mean are chi-square.
         weights = stds[known] ** -2.0
         mean = float(weights @ values[known] / weights.sum())
         chance = chi2_above(float(weights @ (values[known] - mean) ** 2), len(known) - 1)
         first, last = known[0], known[-1]
         if values[first]:
             change = float(values[last] / values[first] - 1.0)
+            # The error of a ratio near 1; with a large change the part of the first value would grow with the ratio.
             half = Z_95 * math.hypot(stds[last], stds[first]) / abs(float(values[first]))
     return Course(
         name=name,

@@ -51,6 +51,7 @@ def quantise(
     c = converters
     proportional = c.x_lsb_m / c.u_lsb_v
     speed, integral = proportional / sample_time_s, proportional * sample_time_s
+    # In counts: a speed is a difference of counts per tick, an integral a sum of counts.
     per_count = (
         (c.i_lsb_a / c.u_lsb_v, proportional, speed, integral) if law == "lqi" else (proportional, integral, speed, 1.0)
     )

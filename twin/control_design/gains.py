@@ -103,6 +103,7 @@ def bryson(model: Model, point: OperatingPoint, *, settling_time_s: float | None
     A, _ = linearise(model, point.x_m)
     unstable = float(np.max(np.linalg.eigvals(A).real))
     time_s = TIME_CONSTANTS / unstable if settling_time_s is None else settling_time_s
+    # A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975.
     x = LARGEST_X_SHARE * model.plant.travel_m
     u = LARGEST_U_SHARE * point.u_v
     i = model.K_A * u
@@ -142,12 +143,14 @@ def design_gains(
     first = 1 if law == "pid" else 0
     A, B = augmented(phi[first:, first:], gamma[first:], sample_time_s)
     try:
+        # (17), (18) of the discrete model: a continuous law that is sampled afterwards would ignore the hold of T_s.
         K, _, poles = control.dlqr(A, B, np.diag(weights.Q[first:]), np.array([[weights.R]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise UsageError(
             f"no gains for Q = {weights.Q}, R = {weights.R:g} ({error})", remedy="Choose weights less far apart"
         ) from error
     numbers = [float(k) for k in np.asarray(K).ravel()]
+    # Tested, because the solver may return gains that do not stabilise, without an error.
     if not np.all(np.isfinite(numbers)) or np.max(np.abs(poles)) >= 1.0:
         raise UsageError(
             f"the gains for Q = {weights.Q}, R = {weights.R:g} do not even stabilise their own model",
@@ -180,15 +183,18 @@ def refined(
     start = np.array(K)
     free = start != 0.0
     x = LARGEST_X_SHARE * model.plant.travel_m
+    # The speed that a deviation x has along the fastest mode of the ball.
     speed = x * float(np.max(np.abs(np.linalg.eigvals(linearise(without_lags(model), point.x_m)[0][1:, 1:]))))
 
     def cost(change: NDArray[np.float64]) -> float:
         gains = start.copy()
+        # In logarithms: the signs stay, and gains per metre and per ampere differ by powers of ten.
         gains[free] *= np.exp(np.clip(change, -3.0, 3.0))
         law = backward((gains[0], gains[1], gains[2], gains[3]), sample_time_s)
         F = closed_loop(plant, law)
         pole = float(np.max(np.abs(np.linalg.eigvals(F))))
         if pole >= 1.0:
+            # By the pole, not infinity: so the search finds its way out of unstable gains.
             return 1e6 * pole
         to_u = np.hstack([law.D, np.zeros((1, n - 3)), law.C])
         spent = np.zeros((n + 2, n + 2))
@@ -200,6 +206,7 @@ def refined(
         moved[[1, n], 0], moved[2, 1] = x, speed
         return float(np.trace(moved.T @ P @ moved))
 
+    # Nelder-Mead needs no gradient, which the cost does not have at the edge of stability.
     optimum = minimize(cost, np.zeros(int(free.sum())), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4})
     gains = start.copy()
     gains[free] *= np.exp(np.clip(optimum.x, -3.0, 3.0))

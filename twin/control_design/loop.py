@@ -57,6 +57,7 @@ def ideal(K: Gains, sample_time_s: float) -> Controller:
 def backward(K: Gains, sample_time_s: float) -> Controller:
     """The board's law: speed = (x - x_prev)/T_s, u computed before s is advanced; z = [x_prev, s]."""
     k_i, k_x, k_v, k_int = K
+    # (18) with the speed of the paper, (x(k) - x(k-1)) / T_s.
     k_d = k_v / sample_time_s
     return Controller(
         np.diag([0.0, 1.0]),
@@ -81,7 +82,9 @@ def kalman_gain(plant: Plant, noise: Noise) -> NDArray[np.float64]:
     process[0, 0] += noise.process_i
     process[2, 2] += noise.process_v
     H = np.eye(2, n)
+    # The filter's equation is that of the regulator for the transposed system (R. E. Kalman, 1960).
     P = solve_discrete_are(A.T, H.T, process / np.outer(scale, scale), np.eye(2))
+    # L = P H' inv(H P H' + R), with R = I in these units; solved, not inverted.
     gain = np.linalg.solve(H @ P @ H.T + np.eye(2), H @ P).T
     return np.asarray(gain * scale[:, None] / scale[None, :2])
 
@@ -142,7 +145,5 @@ def noise_rms(plant: Plant, controller: Controller, noise: Noise) -> tuple[float
     G[0, 3] = G[2, 4] = 1.0
     P = discrete_lyapunov(closed_loop(plant, controller), G @ np.diag(noise) @ G.T)
     H = np.hstack([direct, read])
-    through = np.array(
-        [direct[0, 0], direct[0, 1], 1.0, 0.0, 0.0]
-    )  # u_c as it reaches the plant, its rounding included
+    through = np.array([direct[0, 0], direct[0, 1], 1.0, 0.0, 0.0])  # to u_c as the plant gets it, rounded
     return float(np.sqrt(P[1, 1])), float(np.sqrt((H @ P @ H.T)[0, 0] + through**2 @ np.array(noise)))

@@ -48,7 +48,7 @@ def margins(
         sample_time_s: T_s, s.
         model_delay_s: delay of the model, s; the delay margin is in addition to it.
     """
-    plant = delayed_plant(A, B, model_delay_s, sample_time_s)
+    plant = Plant(*discretised(A, B, model_delay_s, sample_time_s))
     if radius(plant, controller) >= 1.0:
         return None
 
@@ -57,8 +57,10 @@ def margins(
         return radius(plant, scaled) < 1.0
 
     def with_delay(delay_s: float) -> bool:
-        return radius(delayed_plant(A, B, model_delay_s + delay_s, sample_time_s), controller) < 1.0
+        return radius(Plant(*discretised(A, B, model_delay_s + delay_s, sample_time_s)), controller) < 1.0
 
+    # Steps of 5 %, and bisection within one: stability is not monotonic in the gain, and bisection alone could miss a
+    # loss.
     factors = np.geomspace(1.0, GAIN_MAX, 150)[1:].tolist()
     low = _first_loss(lambda inverse: with_gain(1.0 / inverse), 1.0, factors)
     delays = (0.2 * sample_time_s * n for n in range(1, 5 * DELAY_MAX_TICKS + 1))
@@ -68,14 +70,6 @@ def margins(
         phase_deg=phase_margin_deg(plant, controller),
         delay_s=_first_loss(with_delay, 0.0, delays),
     )
-
-
-def delayed_plant(A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float) -> Plant:
-    """Discretise by (15) with u_c delayed by `delay_s`, exactly; see `twin.model.linear.late`.
-
-    The states are [i_c, x, x', .., u(k-1), u(k-2), ..]; the controller uses the first three.
-    """
-    return Plant(*discretised(A, B, delay_s, sample_time_s))
 
 
 def _first_loss(holds: Callable[[float], bool], start: float, values: Iterable[float]) -> float:
@@ -98,6 +92,7 @@ def phase_margin_deg(plant: Plant, controller: Controller) -> float:
     omega = np.geomspace(1e-3, np.pi, FREQUENCIES)  # rad per tick
     size = np.abs(_loop_gain(plant, controller, omega))
     k = np.flatnonzero((size[1:] > 1.0) != (size[:-1] > 1.0))
+    # In logarithms, in which gain over frequency is nearly straight.
     share = np.log(size[k]) / np.log(size[k] / size[k + 1])
     crossings = omega[k] * (omega[k + 1] / omega[k]) ** share
     if not len(crossings):

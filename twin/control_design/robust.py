@@ -49,6 +49,8 @@ def over_intervals(model: Model, controller: Controller, x_m: float, sample_time
                 box[name] = (low, high)
     fixed = tuple(name for name in listed if name not in box)
     rng = np.random.default_rng(seed)
+    # Corners and random points: corners alone miss an instability inside the box, random points hardly reach the
+    # corners.
     ends = list(itertools.islice(itertools.product(*box.values()), CORNERS))  # [()] without a box
     plants = [dict(zip(box, corner, strict=True)) for corner in ends]
     if box:
@@ -73,6 +75,7 @@ def stable_range_m(model: Model, controller: Controller, x_m: float, sample_time
     def stable(x: float) -> bool:
         return radius(plant_at(model, x, sample_time_s), controller) < 1.0
 
+    # Outwards: beyond the first unstable position the ball is lost, even if a farther one is stable.
     below = list(itertools.takewhile(stable, (x for x in reversed(grid) if x < x_m)))
     above = list(itertools.takewhile(stable, (x for x in grid if x > x_m)))
     return min(below, default=x_m), max(above, default=x_m)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import actuation_delay, sampling_delay
-from twin.model.extended import Base, held_current, over, reading_of_current
+from twin.model.extended import Base, held_current, reading_of_current
+from twin.model.integration import over
 
 INPUT_DELTA_V = 1e-3
 UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the previous one

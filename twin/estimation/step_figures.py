@@ -52,6 +52,11 @@ class LoopRun:
     quiet_x_m: FloatArray  # simulated without noise
     expected_std_m: float  # of measured - quiet under a right model; NaN if the model's loop is unstable
 
+    @property
+    def interval_s(self) -> float:
+        """Return the sampling interval, s."""
+        return float(np.median(np.diff(self.t_s)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
@@ -103,19 +108,19 @@ class Response:
     simulation: FloatArray
 
 
-def changes(x_ref_m: FloatArray, interval_s: float) -> list[tuple[slice, slice]]:
+def changes(x_ref_m: FloatArray, T_s: float) -> list[tuple[slice, slice]]:
     """Return the (level before, level after) of each change of a reference that lasts less than half a second."""
     is_constant = np.concatenate(([True], np.abs(np.diff(x_ref_m)) < 1e-9))
-    levels = runs(np.asarray(is_constant), max(round(DWELL_S / interval_s) - 1, 2))
+    levels = runs(np.asarray(is_constant), max(round(DWELL_S / T_s) - 1, 2))
     # A longer way between two levels is a ramp, after which a time since the step says nothing.
-    return [(before, after) for before, after in pairwise(levels) if after.start - before.stop < 0.5 / interval_s]
+    return [(before, after) for before, after in pairwise(levels) if after.start - before.stop < 0.5 / T_s]
 
 
-def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
-    """Return the changes of the reference between constant levels; `sigma_x_m` is the noise of x, m."""
+def find_steps(x_ref_m: FloatArray, T_s: float, sigma_x_m: float) -> list[Step]:
+    """Return the changes of the reference (every T_s) between constant levels; `sigma_x_m` is the noise of x, m."""
     steps = []
-    for before, after in changes(run.x_ref_m, float(np.median(np.diff(run.t_s)))):
-        low, high = float(run.x_ref_m[before.stop - 1]), float(run.x_ref_m[after.start])
+    for before, after in changes(x_ref_m, T_s):
+        low, high = float(x_ref_m[before.stop - 1]), float(x_ref_m[after.start])
         if abs(high - low) >= SMALLEST_SIGMAS * sigma_x_m:
             steps.append(Step(begin=before.stop, end=after.stop, from_m=low, to_m=high))
     return steps
@@ -126,7 +131,7 @@ def responses(loops: Sequence[LoopRun], sigma_x_m: float) -> list[Response]:
     scaled = []
     for run in loops:
         quiet = run.simulated_x_m.mean(axis=0)
-        for step in find_steps(run, sigma_x_m):
+        for step in find_steps(run.x_ref_m, run.interval_s, sigma_x_m):
             part = slice(step.begin, step.end)
             size = step.to_m - step.from_m
             rig, simulation = ((x[part] - step.from_m) / size for x in (run.x_m, quiet))
@@ -140,9 +145,9 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
     simulation: list[list[float]] = []
     bands: list[float] = []
     for run in loops:
-        T_s = float(np.median(np.diff(run.t_s)))
+        T_s = run.interval_s
         noise = run.expected_std_m if np.isfinite(run.expected_std_m) else sigma_x_m
-        for step in find_steps(run, sigma_x_m):
+        for step in find_steps(run.x_ref_m, T_s, sigma_x_m):
             rig.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, noise))
             bands.append(settling_band(step.to_m - step.from_m, noise))
             several = [
@@ -180,8 +185,8 @@ def rig_figures(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[RigFigure, 
     """The figures of the rig alone; empty without a step."""
     rows, bands = [], []
     for run in loops:
-        T_s = float(np.median(np.diff(run.t_s)))
-        for step in find_steps(run, sigma_x_m):
+        T_s = run.interval_s
+        for step in find_steps(run.x_ref_m, T_s, sigma_x_m):
             rows.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, sigma_x_m))
             bands.append(settling_band(step.to_m - step.from_m, sigma_x_m))
     used = _widths(bands)

@@ -27,7 +27,7 @@ from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import RESTS, Colour, uncut
 from twin.evidence.rest_lines import without_lines
-from twin.model.extended import SHORT_S
+from twin.model.integration import SHORT_S
 from twin.settings import diagnosis as settings
 
 WINDOW = settings.COLOUR_WINDOW  # readings; the matrices below are made for it

@@ -119,6 +119,7 @@ def _flown(source: Source, model: Model, notes: list[str]) -> list[_Flown]:
     law = _law_of(source, model, notes)
     signals = np.stack((r.x_ref, r.u_c, r.i_c, r.x))
     step, follows = intervals(r.t)
+    # Equal steps only: a transform has one sampling interval.
     usable = np.isfinite(signals).all(axis=0) & follows & (np.abs(step - T_s) < 0.05 * T_s)
     flying = np.zeros(len(r.t), np.bool_)
     for piece in flights(r, model.plant):
@@ -157,6 +158,7 @@ def _law_of(source: Source, model: Model, notes: list[str]) -> LawNumbers | None
 def _grouped(flown: Sequence[_Flown], reach_m: float) -> list[list[_Flown]]:
     groups: list[list[_Flown]] = []
     for part in sorted(flown, key=lambda item: item.setting.x_m):
+        # From the first of the group, not from the last: a chain of near heights would become one group.
         if groups and part.setting.x_m - groups[-1][0].setting.x_m < reach_m:
             groups[-1].append(part)
         else:
@@ -176,6 +178,7 @@ def _height(group: Sequence[_Flown], model: Model) -> Height:
     law = next((part.setting.law for part in group if part.setting.law is not None), None)
     setting = replace(group[0].setting, law=law, x_m=x_m)
     every = np.concatenate([m.f_hz for m in joined.values()] or [np.array([1.0])])
+    # Below half the sampling rate, at which a sampled response has no phase.
     top = min(2.0 * every.max(), 0.49 / setting.sample_time_s)
     dense = np.geomspace(0.5 * every.min(), top, CURVE_POINTS)
     measured_margins, model_margins = _margins(joined.get("loop"), model, setting)
@@ -206,6 +209,7 @@ def _compared(part: _Flown, model: Model) -> dict[Name, tuple[Measured, Deviatio
         # Within a band the response has the model's shape; its size is measured.
         shaped = bottom * h / middle[name].value
         driven = s.on_r(shaped)
+        # What the estimate adds by itself, such as leakage, is in the simulation as well, and is taken off.
         value = (s.on_r(top) - expected) / driven
         measured = Measured(
             f_hz=s.f_hz,
@@ -234,6 +238,7 @@ def _margins(loop: Measured | None, model: Model, setting: Setting) -> tuple[dic
         return {}, {}
     rng = np.random.default_rng(1)
     f_hz, value, std = _merged(loop)
+    # Half of the variance for either part: std^2 is that of the complex error.
     noise = rng.standard_normal((DRAWS, 2, len(f_hz))) * std / np.sqrt(2.0)
     measured = with_intervals(f_hz, value, list(value + noise[:, 0] + 1j * noise[:, 1]))
     dense = np.geomspace(0.1, 0.49 / setting.sample_time_s, 2 * CURVE_POINTS)
@@ -241,6 +246,7 @@ def _margins(loop: Measured | None, model: Model, setting: Setting) -> tuple[dic
     if curve is None:
         return measured, {}
     relative = curve.slopes / curve.value[:, None]
+    # Factors, not summands: ln |L| and the phase are drawn, in which the delta method is nearly right.
     drawn = [curve.value * np.exp(relative @ rng.standard_normal(relative.shape[1])) for _ in range(DRAWS // 2)]
     return measured, with_intervals(dense, curve.value, drawn)
 
@@ -248,10 +254,12 @@ def _margins(loop: Measured | None, model: Model, setting: Setting) -> tuple[dic
 def _merged(loop: Measured) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Return (frequencies, L, its standard deviation) of what is known; equal frequencies once, weighted."""
     keep = loop.std < USABLE * np.abs(loop.value)
+    # Parts of one height share frequencies up to rounding, and the interpolation takes each once.
     f_hz = np.unique(np.round(loop.f_hz[keep], 6))
     value, std = np.empty(len(f_hz), dtype=complex), np.empty(len(f_hz))
     for k, f in enumerate(f_hz):
         same = keep & (np.abs(loop.f_hz - f) < 1e-5)
+        # 1 / variance: of all weighted means of independent values this has the smallest variance.
         weight = loop.std[same] ** -2.0
         value[k], std[k] = np.sum(weight * loop.value[same]) / weight.sum(), weight.sum() ** -0.5
     return f_hz, value, std

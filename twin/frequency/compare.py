@@ -70,12 +70,15 @@ def chances(d: Deviations) -> tuple[FloatArray, float]:
     noise = 0.5 * d.variance[:, None, None] * np.eye(2)
     parameter_part, error = np.empty_like(noise), np.empty_like(z)
     mean, covariance = np.zeros(slopes.shape[2]), np.eye(slopes.shape[2])
+    # In turn: a joint quadratic form of estimated variances has no known distribution, a product of independent p has
+    # one (rule 2).
     for k in range(len(z)):
         error[k], parameter_part[k] = z[k] - slopes[k] @ mean, slopes[k] @ covariance @ slopes[k].T
         gain = covariance @ slopes[k].T @ np.linalg.inv(noise[k] + parameter_part[k])
         mean, covariance = mean + gain @ error[k], covariance - gain @ slopes[k] @ covariance
     in_turn = _chance(error, noise, parameter_part, d.dof)
     single = _chance(z, noise, slopes @ slopes.transpose(0, 2, 1), d.dof)
+    # A p that rounds to 0 would make the sum infinite.
     return single, chi2_above(-2.0 * np.sum(np.log(np.maximum(in_turn, 1e-300))), 2 * len(z))
 
 

@@ -79,11 +79,13 @@ def _periodic(x_ref: FloatArray, piece: slice, tolerance: float, shortest: int, 
         moving = changes[np.minimum(grid[1:] + period, len(r) - 1)] > changes[grid[:-1]]
         if not (equal[1:] & equal[:-1] & moving).any():
             continue
+        # Differences, not an autocorrelation: one changed value ends a period, and a correlation would average it away.
         breaks = np.flatnonzero(np.abs(r[period:] - r[:-period]) > tolerance)
         ends = np.concatenate(([-1], breaks, [len(r) - period]))
         for k in np.flatnonzero(np.diff(ends) - 1 + period > longest):
             begin, length = int(ends[k]) + 1, int(ends[k + 1] - ends[k]) - 1 + period
             moves = float(np.ptp(r[begin : begin + period])) > 8.0 * tolerance
+            # Strictly longer: multiples of a period fit as well, so the shortest is taken.
             if length >= REPEATS * period and length > longest and moves:
                 longest = length
                 best = Part(samples=slice(piece.start + begin, piece.start + begin + length), period=period)
@@ -91,6 +93,7 @@ def _periodic(x_ref: FloatArray, piece: slice, tolerance: float, shortest: int, 
 
 
 def _moving(x_ref: FloatArray, piece: slice, tolerance: float, shortest: int) -> Iterator[Part]:
+    # From the first change to the last: a constant reference at the ends excites nothing.
     changes = np.flatnonzero(np.abs(np.diff(x_ref[piece])) > tolerance)
     if len(changes) > 1 and changes[-1] - changes[0] >= shortest:
         yield Part(samples=slice(piece.start + int(changes[0]), piece.start + int(changes[-1]) + 1), period=0)

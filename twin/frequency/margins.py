@@ -45,6 +45,7 @@ def margins_of(f_hz: FloatArray, loop: ComplexArray) -> Margins:
         return Margins(gain_low=np.nan, gain_high=np.nan, phase_deg=np.nan, modulus=np.nan)
     at = np.log(f_hz)
     grid = np.linspace(at[0], at[-1], POINTS)
+    # PCHIP and no cubic spline, which overshoots between few points and would add crossings of 1.
     size = PchipInterpolator(at, np.log(np.abs(loop)))(grid)
     # The phase about -180 degrees, so that a crossing of the negative real axis is a change of sign.
     phase = PchipInterpolator(at, np.unwrap(np.angle(-loop)))(grid)
@@ -73,6 +74,7 @@ def with_intervals(f_hz: FloatArray, loop: ComplexArray, draws: list[ComplexArra
     for name, value in nominal.items():
         several = np.array([item[name] for item in drawn])
         several = several[np.isfinite(several)]
+        # The quantiles of the few draws that have the margin would be too narrow.
         enough = np.isfinite(value) and len(several) >= SHARE * len(drawn) > 0
         low, high = np.quantile(several, [0.025, 0.975]) if enough else (np.nan, np.nan)
         result[name] = Margin(value=float(value), low=float(low), high=float(high))

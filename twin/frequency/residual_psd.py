@@ -54,7 +54,9 @@ def _spectrum(filtered: Sequence[Filtered], column: int, name: str) -> ResidualS
         for piece in runs(np.isfinite(run.white[:, column]), settle + length):
             e = run.white[piece.start + settle : piece.stop, column]
             count = (len(e) - length) // (length // 2) + 1
+            # Not one periodogram: its scatter is as large as its value, however long the recording is.
             f, power = welch(e, fs=1.0 / T_s, nperseg=length, detrend=False)
+            # Without bin 0 and the Nyquist frequency: their coefficients are real, with half the degrees of freedom.
             f_hz = f[1:-1]
             total = np.asarray(total + count * power[1:-1] / (2.0 * T_s))
             segments += count
@@ -64,6 +66,7 @@ def _spectrum(filtered: Sequence[Filtered], column: int, name: str) -> ResidualS
     dof = 36.0 * segments**2 / (19.0 * segments - 1.0)
     tail = chi2_below(dof * power, dof)
     tested = slice(1, None, BINS)
+    # Both tails: too little power is wrong as well, as where the noise is stated too large.
     wrong = np.array(holm((2.0 * np.minimum(tail, 1.0 - tail)[tested]).tolist(), LEVEL), np.bool_)
     low, high = (chi2_quantile(tail_p, dof) / dof for tail_p in (0.025, 0.975))
     return ResidualSpectrum(channel=name, f_hz=f_hz, power=power, low=low, high=high, wrong_hz=f_hz[tested][wrong])

@@ -95,6 +95,7 @@ def linear_responses(model: Model, setting: Setting, f_hz: FloatArray) -> dict[N
     if not np.isfinite(phi).all():
         return {}
     z = np.exp(2j * np.pi * f_hz * T_s)[:, None, None]
+    # Solved at each frequency: the polynomials of a transfer function of many states would lose digits.
     states = np.linalg.solve(z * np.eye(len(phi)) - phi, gamma[None] * z**-setting.delay)[:, :, 0]
     item = np.ones(len(f_hz), dtype=complex)
     return {a: top / bottom for a, (top, bottom) in _pairs(item, states[:, 0], states[:, 1], setting.law, f_hz).items()}
@@ -107,6 +108,7 @@ def curves(model: Model, setting: Setting, f_hz: FloatArray) -> dict[Name, Curve
     """
     nominal = linear_responses(model, setting, f_hz)
     slopes: dict[Name, list[ComplexArray]] = {name: [] for name in nominal}
+    # Differences, no derivatives of (14): those would need an equation for each cause.
     for higher, lower in _varied(model):
         up, down = (linear_responses(changed, setting, f_hz) for changed in (higher, lower))
         for name in nominal:

@@ -39,12 +39,14 @@ def simulated(x_ref: FloatArray, model: Model, law: LawNumbers, *, delay: int = 
     plant = plant_numbers(model, T_s)
     begin = rig_at(plant, i=i, x=float(x_ref[0]), v=0.0, u=u)
     steady = law.u_0 - law.k_i * (i - law.i_0) - law.k_x * (x_ref[0] - law.x_0)
+    # The integral that holds the ball there: from 0, the loop would first have to build it up.
     begin[INTEGRAL] = (u - steady) / law.k_s if law.k_s != 0.0 else 0.0
     begin[X_BEFORE] = x_ref[0]
     out = np.empty((3, len(driven)))
     quiet, exact = np.zeros((4, len(driven))), np.zeros(3)
     simulate_loop(tuple(plant), tuple(law), driven, quiet, exact, begin, np.full(delay, u), out)
     i_c, x, u_c = out[:, lead:]
+    # At a stop or a limit of u_c a loop has no response to speak of.
     touches = not np.isfinite(out).all() or x.min() <= 0.0 or x.max() >= model.plant.travel_m
     limited = u_c.min() <= law.u_low or u_c.max() >= law.u_high
     return None if touches or limited else np.stack((driven[lead:], u_c, i_c, x))

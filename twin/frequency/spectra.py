@@ -108,6 +108,7 @@ def spectra(signals: FloatArray, part: Part, interval_s: float) -> Spectra | Non
         first = part.period * int(np.ceil(SETTLE_S / (part.period * interval_s)))
         step = (signals.shape[1] - first) // part.period
         reach = min(REACH, step - 1)
+        # Whole periods: each harmonic is one bin then, and nothing leaks into the bins of the noise.
         signals = signals[:, first : first + step * part.period]
     n = signals.shape[1]
     if reach < SHORTEST_REACH or n < 8 * REACH:
@@ -118,6 +119,7 @@ def spectra(signals: FloatArray, part: Part, interval_s: float) -> Spectra | Non
     bands = middles + np.arange(-reach, reach + 1)[:, None]
     r = coefficients[0][bands]
     size = np.abs(r[reach]) if part.period else np.sqrt(np.mean(np.abs(r) ** 2, axis=0))
+    # Frequencies that are hardly excited are left out: their ratio would be noise over noise.
     excited = size > WEAK[bool(part.period)] * size.max(initial=0.0)
     if not excited.any():
         return None

@@ -120,6 +120,7 @@ def _test(
     known: tuple[Name, float, Deviations, BoolArray], p_each: FloatArray, p: float, refused: bool, single: BoolArray
 ) -> Test:
     name, x_m, d, certain = known
+    # The least probable, not the largest difference: where the noise is large, a large difference says little.
     worst = int(np.argmin(p_each))
     ratio = complex(1.0 + d.z[worst] / d.predicted[worst])
     return Test(
@@ -141,6 +142,7 @@ def _test(
 def forms(d: Deviations) -> list[Form]:
     """Return gain, delay and lag fitted to a difference by weighted least squares, the best first."""
     bounds = {"gain": (0.2, 5.0), "delay": (-LONGEST_S, LONGEST_S), "lag": (-LONGEST_S, LONGEST_S)}
+    # As if the parameters' part were independent over frequency: this weights the fit only, and `chances` tests.
     weight = 1.0 / (d.variance + np.sum(np.abs(d.slopes) ** 2, axis=1))
 
     def left(kind: str, value: float) -> ComplexArray:
@@ -151,6 +153,7 @@ def forms(d: Deviations) -> list[Form]:
 
     result = []
     for kind, ends in bounds.items():
+        # Each form has one number, so a bounded search needs neither a starting value nor a gradient.
         fitted = minimize_scalar(size, bounds=ends, args=(kind,), method="bounded", options={"xatol": 1e-7})
         value, step = float(fitted.x), 1e-3 if kind == "gain" else 1e-5
         slope = (left(kind, value - step) - left(kind, value + step)) / (2.0 * step)
@@ -167,6 +170,7 @@ def _change(kind: str, value: float, f_hz: FloatArray) -> ComplexArray:
         return np.full(len(s), value, dtype=complex)
     if kind == "delay":
         return np.asarray(np.exp(-s * value))
+    # 1 / (1 - s T) would have an unstable pole, so a lead is 1 + s T.
     return np.asarray(1.0 / (1.0 + s * value) if value >= 0.0 else 1.0 - s * value)
 
 
@@ -201,6 +205,7 @@ def _sentence(tests: Sequence[Test], low: float, high: float, heights: int) -> s
 def clause(test: Test) -> str:
     """A clause on one difference: where, of what, how much, and as what."""
     gain, phase = test.worst_gain, test.worst_phase_deg
+    # Radians and the logarithm of the gain are the two parts of ln H, so they can be compared.
     if abs(np.radians(phase)) > abs(np.log(gain)):
         how = "lags" if phase < 0.0 else "leads"
         what = f"the measured phase of {WORDS[test.name]} {how} the model's by {abs(phase):.2g} degrees"

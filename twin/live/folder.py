@@ -34,6 +34,7 @@ def write(live: LiveData, pieces: Sequence[Piece], plant: Plant, out: Path, *, s
         with TwinLog(folder / f"{piece.name}.mcap") as log:
             if live.parameters:
                 session = piece.states[0].session if piece.states else live.parameters[-1].session
+                # Those of its own session: the ticks of another one do not belong to these samples.
                 known = [announced for announced in live.parameters if announced.session == session] or live.parameters
                 at_ns = piece.states[0].host_time_ns if piece.states else known[-1].host_time_ns
                 key = topics.key(site, board, "parameters")
@@ -73,6 +74,7 @@ def plant_of(live: LiveData) -> Plant:
 
 def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:
     """The law, where one set of gains was in force throughout."""
+    # Without the session: gains that a reset did not change are the same law.
     laws = {in_force(announced)[1:] for announced in parameters}
     if len(laws) != 1:
         return None

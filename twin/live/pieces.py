@@ -81,6 +81,7 @@ def cut(
         if kind == "free":
             parts = [("fit", [state for state in spell if state.t_s - spell[0].t_s < REST_S])]
         elif kind == "closed-loop":
+            # A flight that is not listed ended before the cut: all of it is fitted.
             index = judge_from.get((spell[0].session, spell[0].tick), len(spell))
             parts = [("fit", spell[:index]), ("judge", spell[index:])]
         for use, part in parts:

@@ -84,6 +84,7 @@ def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[st
 
     subscriber = session.declare_subscriber(topics.key(site, board or "*", "status"), arrived)
     deadline = time.monotonic() + STATUS_WAIT_S
+    # A named board is known with its first status; without a name all are awaited, because two must be refused.
     while time.monotonic() < deadline and not (board and boards):
         time.sleep(0.05)
     subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
@@ -119,6 +120,7 @@ def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: flo
                 if entry.site != site:
                     continue
                 live.take(entry.topic, entry.data)
+                # While reading, not at the end: a log of a day must not be in memory for its last minutes.
                 if entry.topic == "state" and len(live.states) % 1000 == 0:
                     live.newest(span_s)
         whole_s = 1e-9 * (live.states[-1].host_time_ns - live.states[0].host_time_ns) if live.states else 0.0

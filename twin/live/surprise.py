@@ -68,6 +68,7 @@ def hand_over_and_compare(
         tick = answers[0].reply.tick
         before = surprise([answer for answer in list(messages) if answer.tick < tick])
         deadline, after = time.monotonic() + PATIENCE_S, surprise([])
+        # Until there are enough, not for a fixed time: how long the twin settles depends on the model.
         while after.samples < SAMPLES and time.monotonic() < deadline:
             time.sleep(0.1)
             after = surprise([answer for answer in list(messages) if answer.tick >= tick])

@@ -103,6 +103,7 @@ class Mirror:
         bridged = 0
         loss = self._enter_regime(now, last)
         consecutive = last is not None and same and now.tick == last.tick + 1 and not loss
+        # One test for all that is out of the ordinary: the other samples, 500 a second, take the short way.
         if not consecutive or not self._flying or last is None or last.mode != now.mode or math.isnan(now.drive):
             loss, bridged = self._out_of_the_ordinary(now, last, loss, alarms)
             consecutive = consecutive and not loss
@@ -207,6 +208,7 @@ class Mirror:
             return ""
         same = last is not None and last.session == now.session
         if parameters is not None:
+            # As the board states it; from the times of two samples it is known to 0.1 us only.
             sample_time_s = parameters.sample_time_s
         elif regime is not None and regime.parameters is None and same:
             return ""
@@ -254,6 +256,7 @@ class Mirror:
         regime = self._regime
         if regime is None or missing == 0:
             return 0
+        # Simulated, not set to the measurement, which would hide the slow divergence that the free twin is to show.
         for _ in range(missing):
             advance(regime.packed_plant, regime.packed_law, self._twin, last.closed_loop, last.x_ref, last.u)
         self.counters["bridges"] += 1
@@ -295,6 +298,7 @@ class Mirror:
             sync = IN_STEP
         self.sync = sync
         self.counters[_SAMPLES_IN[sync]] += 1
+        # In step, not when settling begins: a loop that loses step again and again would raise it each time.
         if sync == IN_STEP and self._alarm_active:
             self._alarm_active = False
             alarms.append(pb.Alarm(name=OUT_OF_STEP, active=False, value=self._losses(), text="in step again"))

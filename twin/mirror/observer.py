@@ -74,6 +74,7 @@ def observer_of(plant: PlantNumbers, noise: Noise, *, i_lsb_a: float = 0.0, x_ls
         x_lsb_m: one count of the position converter, m; 0 where unknown.
     """
     travel_m, T_s = Base(*plant.base).travel_m, plant.sample_time_s
+    # Ten standard deviations: noise alone must not put a ball on its rest into flight.
     margin_m = max(CONTACT_SHARE * travel_m, 10.0 * noise.sigma_x_m)
     levels = NoiseLevels(
         sigma_i_c_a=math.sqrt(noise.sigma_i_c_a**2 + i_lsb_a**2 / 12.0),
@@ -130,6 +131,7 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     if cut >= 0 or not 0.0 <= f.y[X] <= Base(*base_of(f)).travel_m:
         spread_over_cases(f, o.inputs, n, T_s, cut)
     take_readings(f, out, i, x, True, True)
+    # nu' inv(S) nu by elimination: i_c first, then x given i_c.
     left, spread = out[1] - out[3] / out[2] * out[0], out[4] - out[3] * out[3] / out[2]  # of x given i_c
     return float(out[0] * out[0] / out[2] + left * left / spread)
 
@@ -177,6 +179,7 @@ def observe(
         if not (math.isfinite(nis) and o.low_m <= f.y[X] <= o.high_m):  # the filter, not the ball, is at a stop
             _begin(o, i, x, u, not math.isfinite(nis))
         valid = o.ticks[0] > o.settle_ticks
+    # Behind a gap the past inputs are taken for the present one; until it has settled nothing is valid.
     for k in range(newest):
         inputs[k] = u if first else inputs[k + 1]
     inputs[newest] = u

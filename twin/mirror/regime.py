@@ -80,9 +80,8 @@ class Regime:
         self.plant = plant_numbers(model, sample_time_s)
         self.law = law_numbers(parameters) if parameters else None
         self.window = max(2, round(settings.window_s / sample_time_s))
-        self.hold = self.window + round(
-            SETTLE_MAX_S / sample_time_s
-        )  # an alarm without evidence: see `monitor/divergence.py`
+        # Of an alarm on errors without evidence (rule 4 of `monitor/divergence.py`).
+        self.hold = self.window + round(SETTLE_MAX_S / sample_time_s)
         self.i_lsb_a = parameters.i_lsb_a if parameters else 0.0
         self.x_lsb_m = parameters.x_lsb_m if parameters else 0.0
         probability = probability_per_window(settings.false_alarms_per_day, self.window * sample_time_s)
@@ -152,6 +151,7 @@ class Regime:
         if closed_loop:
             ticks = self._expected.settle_ticks(x_ref, share=SETTLING_SHARE) if self._expected else None
             seconds = 1.0 if ticks is None else ticks * self.sample_time_s
+        # At most SETTLE_MAX_S: a loop at the edge of stability would never count as settled.
         return round(min(max(seconds, SETTLE_MIN_S), SETTLE_MAX_S) / self.sample_time_s)
 
     def memory_at(self, now: Sample, before: Sample | None) -> tuple[float, float, float] | None:
@@ -168,5 +168,6 @@ class Regime:
             return 0.0, 0.0, math.nan  # as the board does: it enters closed loop with speed 0 and an empty integrator
         if self.law is None or before is None or not math.isfinite(before.x + now.u):
             return None
+        # The board computed u_c from the samples that it reports, so their noise cancels in the integral.
         s = integral_behind(self.law, i=now.i, x=now.x, x_prev=before.x, x_ref=now.x_ref, u=now.u)
         return None if s is None else (v, s, before.x)

@@ -80,6 +80,7 @@ def sample_time_between(last: Sample | None, now: Sample) -> float:
     """Return T_s by the clock of the board, s; NaN unless `now` is a later sample of the same session."""
     if last is None or last.session != now.session or now.tick <= last.tick:
         return math.nan
+    # To 0.1 us: differences of a clock in s have rounding errors, and T_s must not change with each sample.
     return round((now.t_s - last.t_s) / (now.tick - last.tick), 7)
 
 

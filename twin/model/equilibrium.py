@@ -27,7 +27,6 @@ from twin.model.extended import (
     V,
     X,
     acceleration,
-    advance,
     current_reading,
     drive,
     lasting_warmth,
@@ -36,6 +35,7 @@ from twin.model.extended import (
     settle_current,
 )
 from twin.model.extension import base, vector
+from twin.model.integration import advance
 from twin.model.parameters import Model
 
 # The upper limits are beyond any amplifier.
@@ -58,9 +58,8 @@ def holding_current(p: Base, c: Vector, x_m: float, *, as_reading: bool = False)
     if _lift(0.0, packed, c, x_m, as_reading) > 0.0:
         return math.nan
     low, high = 0.0, _MIN_A
-    while (
-        not _lift(high, packed, c, x_m, as_reading) > 0.0
-    ):  # far above the root, readings with crosstalk are meaningless
+    # Doubled from below, not bracketed by _MAX_A: far above the root, readings with crosstalk are meaningless.
+    while not _lift(high, packed, c, x_m, as_reading) > 0.0:
         low, high = high, 2.0 * high
         if high > _MAX_A:
             return math.nan
@@ -141,4 +140,5 @@ def _surplus(u: float, base: Packed, c: Vector, i: float, w: float) -> float:
 
 
 def _root(rising: Callable[..., float], low: float, high: float, *rest: object) -> float:
+    # A bracket, not Newton: a dead zone or a limit makes the slope 0.
     return float(brentq(rising, low, high, args=rest, xtol=_XTOL, rtol=_RTOL))

@@ -2,8 +2,8 @@
 
 The states are sensor readings, because these are what the board measures and feeds back.
 
-Rule 1: (14) is the matrix logarithm of differences of `extended.advance` over a short time, so there is no second set
-        of equations.
+Rule 1: (14) is the matrix logarithm of differences of `integration.advance` over a short time, so there is no second
+        set of equations.
 Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale.  The states
         that causes add follow (currents that lag behind the coil's, settled reading of `position-sensor-lag` and its
         rate).
@@ -45,11 +45,11 @@ from twin.model.extended import (
     Base,
     V,
     X,
-    advance,
     current_reading,
     position_reading,
 )
 from twin.model.extension import base, vector
+from twin.model.integration import advance
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
@@ -105,6 +105,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     block = np.eye(n + 1)
     for column, state in enumerate(places):
         delta = _DELTA[state]
+        # Central differences: in one-sided ones the curvature of the force would remain.
         block[:n, column] = (after(state, delta) - after(state, -delta)) / (2.0 * delta)
     block[:n, n] = (after(-1, _DELTA_U) - after(-1, -_DELTA_U)) / (2.0 * _DELTA_U)
     rates = _logarithm(block) / h
@@ -162,6 +163,7 @@ def c2d(
     n, inputs = B.shape
     block = np.zeros((n + inputs, n + inputs))
     block[:n, :n], block[:n, n:] = A, B
+    # One exponential of both (C. F. Van Loan, 1978): the formula with inv(A) fails where A is singular.
     whole = expm(block * sample_time_s)
     return np.asarray(whole[:n, :n]), np.asarray(whole[:n, n:])
 
@@ -184,6 +186,8 @@ def discretised(
     held, n = int(whole), len(A)
     if not np.isfinite(A).all():
         return np.full((n + held + 1, n + held + 1), np.nan), np.full((n + held + 1, 1), np.nan)
+    # The old input acts for part of a tick, the new one for the rest: exact, where a Pade approximation is not (K. J.
+    # Astrom, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 2).
     phi, new = c2d(A, B, sample_time_s - part_s)
     if delay_s == 0.0:
         return phi, new

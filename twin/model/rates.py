@@ -1,6 +1,6 @@
 """The model as a differential equation, (11)-(12) with causes, for tools that integrate by themselves.
 
-`extended.advance` integrates the same equation with the input held; tests/twin/model/test_rates.py compares the two.
+`integration.advance` integrates the same equation with the input held; tests/twin/model/test_rates.py compares the two.
 
 Rule 1: the state is [i_c, x, x'].  A cause with a state of its own, or that holds the ball, has no such equation:
         `without_equation` says which and why.
@@ -66,8 +66,10 @@ def rates(p: Base, c: Vector, i: float, x: float, v: float, u: float) -> tuple[f
     resisted = i
     if c[motional_emf.COUPLING] != 0.0 or c[position_dependent_inductance.VOLTAGE] != 0.0:
         resisted = i * induced_lead(p, c, v, gap)
+    # (1): T_A i_c' + i_c = target.
     rate = (target - resisted) / T_A
     fastest = c[slew_rate_limit.RATE]
+    # Limited last: a slew rate bounds the result, whatever the other causes make of it.
     return max(min(rate, fastest), -fastest), v, acceleration(p, c, i, x, v, 0.0, True)
 
 

@@ -1,4 +1,4 @@
-"""Simulation of the model by ticks with the input held: `extended.advance` and the delays around it.
+"""Simulation of the model by ticks with the input held: `integration.advance` and the delays around it.
 
 Rule 1: one call of `hold` advances the rig by one T_s.
 Rule 2: a model without causes uses the same kernel with the neutral vector, which is (1) and (6).
@@ -33,13 +33,13 @@ from twin.model.extended import (
     X,
     current_of_reading,
     current_reading,
-    over,
     position_of_reading,
     position_reading,
     reading_of_current,
     settle_current,
 )
 from twin.model.extension import base, vector
+from twin.model.integration import over
 from twin.model.parameters import Model
 
 I_READ, X_READ, INTEGRAL, X_BEFORE = range(STATES, STATES + 4)
@@ -59,7 +59,6 @@ class PlantNumbers(NamedTuple):
     sense_whole: int  # whole ticks of the sampling delay
     sense_part_s: float  # the rest of it
     in_whole: int  # whole ticks of their sum: from u_c to the readings
-    in_part_s: float  # the rest of it
     closed_form: bool  # whether the model is (1) and (6) without causes
 
 
@@ -74,7 +73,7 @@ def plant_numbers(model: Model, sample_time_s: float) -> PlantNumbers:
         sample_time_s,
         *delay_in_ticks(act, sample_time_s),
         *delay_in_ticks(sense, sample_time_s),
-        *delay_in_ticks(act + sense, sample_time_s),
+        delay_in_ticks(act + sense, sample_time_s)[0],
         not model.causes,
     )
 
@@ -159,10 +158,12 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
         memory[k], memory[k + 1] = memory[k - 2], memory[k - 1]
     change, look = p.act_part_s, T_s - p.sense_part_s  # within the tick: the input changes, the sensors are looked at
     at = 0.0
+    # The tick is cut where the input changes and where the sensors look, so nothing is interpolated.
     for end in (min(change, look), max(change, look), T_s):
         if end > at:
             over(p.base, p.c, memory, memory[last_u] if at < change else memory[last_u - 1], 0.0, end - at, True)
             at = end
+        # Exactly equal: `at` was set to one of the three ends.
         if at == look:
             memory[last_u + 1], memory[last_u + 2] = reading_of_current(p.c, memory), memory[SENSOR]
     memory[I_READ], memory[X_READ] = memory[last], memory[last + 1]

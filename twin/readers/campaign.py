@@ -355,6 +355,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
         of_board = f" of board {recording.board!r}" if recording.board else ""
         raise DataError(f"{path} holds no samples{of_board}", remedy="Give a log of a gateway that saw its board")
     table = np.array(samples.rows).reshape(-1, 5)
+    # Unknown, not one of the two inputs: both acted within that tick.
     table[np.array([at in switched for at in samples.ticks], np.bool_), 1] = math.nan
     notes = [f"{recording.file}: {samples.lost} samples were lost on the way"] if samples.lost else []
     if not reader.finished:

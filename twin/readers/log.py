@@ -35,6 +35,7 @@ def entries(log: LogReader, *, topics: Collection[str], board: str | None = None
     for record in log.raw(topics_=tuple(topics), boards=None if board is None else (board,)):
         last_ns = record.time_ns
         yield record
+    # After the intact messages: a twin over a log keeps what it has read.
     for key in log.foreign:
         parts = split(key)
         if parts is not None and parts[2] in topics and board in (None, parts[1]):
@@ -66,6 +67,7 @@ class TwinLog:
 
     def __init__(self, path: str | Path) -> None:
         try:
+            # The system refuses an existing file: a test before could be overtaken by another process.
             self._file = Path(path).open("xb")
         except OSError as error:
             raise DataError(f"{path}: cannot be written ({error.strerror})", remedy="Give a new file name") from error

@@ -68,6 +68,7 @@ def fit_percent(error: FloatArray, centred: FloatArray) -> float:
 
 def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
     """Compare the amplifier of `model` with the recordings; a string gives the reason if that is not possible."""
+    # Recordings of the amplifier alone come first: in flight the voltage that the moving ball induces may show in i_c.
     stepped = [s for s in sources if s.record.kind == "amplifier-step" or s.record.captures]
     usable = stepped or [s for s in sources if s.record.has("u_c", "i_c")]
     if not usable:
@@ -96,6 +97,7 @@ def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, 
 
     Sensor noise is added to the simulation, because noise increases overshoot and IAE.
     """
+    # A fixed seed: the same model and campaign give the same page.
     rng = np.random.default_rng(1)
     measured: list[list[float]] = []
     simulated: list[list[float]] = []
@@ -105,16 +107,19 @@ def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, 
         is_flat = np.concatenate(([True], np.abs(np.diff(trace.u_c_v)) <= FLAT_SHARE * max(np.ptp(trace.u_c_v), 1e-12)))
         levels = runs(np.asarray(is_flat), FEWEST)
         for before, after in pairwise(levels):
+            # A ramp between two levels is no step: its rise time would be that of the ramp.
             if after.start - before.stop > 1:
                 continue
             noisy = trace.simulated_a + noise_a * rng.standard_normal((REALISATIONS, len(trace.simulated_a)))
             several = []
             for i in (trace.measured_a, *noisy):
                 last = i[after.start : after.stop]
+                # Means, not single samples: the noise of one sample would shift overshoot and IAE of the whole step.
                 low, high = float(np.mean(i[before][-FEWEST:])), float(np.mean(last[-max(len(last) // 4, 4) :]))
                 step = Step(begin=before.stop, end=after.stop, from_m=low, to_m=high)
                 if abs(high - low) > SMALLEST_SIGMAS * noise_a:
                     several.append(measure(i, trace.u_c_v, np.full(len(i), high), step, T_s, noise_a, smooth_s=T_s))
+            # The rig and all realisations, or none: a mean over those that show the step would be biased.
             if len(several) > REALISATIONS:
                 bands.append(settling_band(step.to_m - step.from_m, noise_a))
                 measured.append(several[0])
@@ -147,6 +152,7 @@ def _traces(source: Source, model: Model) -> list[AmplifierTrace]:
     step, follows = intervals(record.t)
     known = np.isfinite(record.u_c) & np.isfinite(record.i_c)
     chain = known.copy()
+    # Behind an unknown sample a new piece begins anyway, so the gap in time before it does not matter.
     chain[1:] &= follows[1:] | ~known[:-1]
     for piece in runs(np.asarray(chain), 50):
         u, i, x = record.u_c[piece], record.i_c[piece], np.nan_to_num(record.x[piece])
@@ -168,6 +174,8 @@ def _trace(
     else:
         simulated = np.empty(len(u))
         simulated[0] = i = start
+        # (1) exactly, under a held u_c.  Euler's rule would diverge where T_A is below half of the step, as on a CE
+        # 152.
         decay = np.exp(-step / model.T_A)
         for k in range(1, len(u)):
             e = model.K_A * u[k - 1]

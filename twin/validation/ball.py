@@ -85,6 +85,7 @@ def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
             continue
         spread = np.sqrt(2.0 / effective)
         ratio = float(np.sqrt(mean2 / floor2))
+        # The roots of mean2 / (1 +- z spread) over the floor; few errors would make the lower term negative.
         low = ratio / np.sqrt(1.0 + Z_95 * spread)
         high = ratio / np.sqrt(max(1.0 - Z_95 * spread, 0.05))
         unmoved = float(np.sqrt(np.mean(np.concatenate(constants) ** 2)))
@@ -108,6 +109,8 @@ def _effective(error: FloatArray, count: int) -> float:
     """Return the effective number of independent errors: count over the sum of squared autocorrelations."""
     filled = np.where(np.isfinite(error), error, 0.0)
     power = float(filled @ filled)
+    # The variance of a mean square of a Gaussian series is 2 / n times the sum of squared autocorrelations (M. S.
+    # Bartlett, Supplement to the J. of the Royal Statistical Society 8, 1946).
     total = 1.0
     for lag in range(1, min(200, len(filled) - 1)):
         rho = float(filled[lag:] @ filled[:-lag]) / power
@@ -135,6 +138,8 @@ def windows(runs_: Sequence[Filtered], *, window_s: float = 0.8) -> Windows | No
         s = run.series
         simulated = np.full(len(s), np.nan)
         for piece in _chains(run):
+            # Windows, not the whole flight: the ball is unstable, so any model would be far off after a tenth of a
+            # second.
             for begin in range(piece.start + settle, piece.stop - length, length):
                 # The last sample stays NaN to separate the windows.
                 simulated[begin : begin + length - 1] = window(run.system, s.samples, run.state, begin, length - 1)
@@ -143,6 +148,7 @@ def windows(runs_: Sequence[Filtered], *, window_s: float = 0.8) -> Windows | No
             for start in range(piece.start + settle, max(piece.stop - (first.stop - first.start), first.start + 1), 50):
                 part = slice(start, start + first.stop - first.start)
                 motion = float(np.std(s.x[part])) if part.stop - part.start > length else 0.0
+                # The stretch with most motion, not the first: a ball at rest looks right under any model.
                 if best is None or motion > best[0]:
                     best = (motion, run, part, simulated)
         good = np.isfinite(simulated) & np.isfinite(run.source.record.x)

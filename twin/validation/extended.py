@@ -52,6 +52,7 @@ def current(
         model: with causes.
         captured: whether the readings are a capture.
     """
+    # T_s has no part in c: any will do.
     c, p = plant_numbers(model, 1e-3).c, tuple(base(model))
     see_delays(c, c, captured)
     y = np.zeros(STATES)
@@ -59,6 +60,7 @@ def current(
     readings = np.empty(len(u))
     readings[0] = start_a
     for k in range(1, len(u)):
+        # The recorded position, not the model's: an error of (6) must not count against (1).
         y[X], y[V] = x[k - 1], 0.0
         propagate(p, c, y, u, k, 0, 0.0, float(step[k]), False)
         readings[k] = reading_of_current(c, y)

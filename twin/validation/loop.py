@@ -67,6 +67,7 @@ def simulate_loop(
             acting = before[k] if k < delay else out[2, k - delay]
         hold(plant, memory, acting)
         memory[I_C] += noise[2, k]
+        # A ball at a stop gets none: noise alone would make it bounce.
         if 0.0 < memory[X] < travel:
             memory[V] += noise[3, k]
 
@@ -118,6 +119,7 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
                 "other gains, another filter or another operating point was in use"
             )
             continue
+        # Each flight of a recording has the same seed: its noise does not depend on which others are left out.
         simulated.append(_simulate(run, model, c, part, integral, seed=seed))
     return simulated, reason
 
@@ -223,6 +225,7 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
         scale = 0.0 if m == REALISATIONS else 1.0
         noise = scale * noise_levels[:, None] * rng.standard_normal((4, n))
         simulate_loop(tuple(plant), tuple(c), x_ref, noise, scale * lsb, begin, before, out[m])
+    # At the mean reference, and below the coil, where (14) is singular.
     loop = error_dynamics(model, c, float(np.clip(np.mean(x_ref), 0.0, 0.95 * model.plant.travel_m)))
     expected = float("nan")
     if np.max(np.abs(np.linalg.eigvals(loop[0]))) < STABLE:

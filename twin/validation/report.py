@@ -113,7 +113,7 @@ def drawn(result: Validation) -> dict[str, tuple[Figure, str]]:
         pictures["prediction"] = figures.ahead_figure(result.ahead), "error over the horizon"
     if not isinstance(result.channels, str):
         pictures["residuals"] = figures.residual_figure(result.channels), "residual correlations"
-    if not isinstance(result.loop, str) and result.loop.responses:
+    if not isinstance(result.loop, str) and result.loop.steps:
         pictures["steps"] = figures.step_figure(result.loop.responses), "mean step response of rig and simulation"
     return pictures
 

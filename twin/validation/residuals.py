@@ -39,7 +39,7 @@ class Channel:
     autocorrelation: FloatArray  # lags 1 .. LAGS
     cross_correlation: FloatArray  # with u_c, the same lags
     bound: float  # 99 % for one lag
-    p_white: float  # Ljung-Box
+    p_white: float  # of all autocorrelations together
     p_input: float
     white: bool
     independent: bool
@@ -66,6 +66,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
         if not good.any():
             continue
         e0 = np.where(good, e, 0.0)
+        # Without the mean of u_c, which would turn a constant error of e into a correlation with u_c.
         u0 = np.where(good, u - u[good].mean(), 0.0)
         power += float(e0 @ e0)
         total += float(e0.sum())
@@ -77,8 +78,11 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
             lag_products[lag - 1] += float(np.sum(e0[lag:] * e0[:-lag] * same))
             cross[lag - 1] += float(np.sum(e0[lag:] * u0[:-lag] * same))
             u_products[lag - 1] += float(np.sum(u0[lag:] * u0[:-lag] * same))
+    # Chi-square is the limit for many pairs: with fewer, the stated chance does not hold.
     if count < 10 * LAGS or pairs.min() < 50 or power == 0.0:
         return None
+    # Weighted by the pairs of each lag, because gaps take pairs away (G. E. P. Box, D. A. Pierce, J. of the American
+    # Statistical Association 65, 1970).
     rho = lag_products / pairs / (power / count)
     p_white = chi2_above(float(np.sum(pairs * rho**2)), LAGS)
     p_input, r = 1.0, np.zeros(LAGS)
@@ -87,6 +91,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
         # r of different lags is correlated: its covariance is the autocorrelation of u_c over n.
         of_u = np.concatenate(([1.0], u_products[:-1] / pairs[:-1] / (u_power / count)))
         values, vectors = np.linalg.eigh(toeplitz(of_u))
+        # Directions in which u_c hardly varies are left out: divided by nearly 0, their noise would decide.
         retained = values > 1e-3 * values.max()
         statistic = float(np.mean(pairs)) * float(np.sum((vectors.T @ r)[retained] ** 2 / values[retained]))
         p_input = chi2_above(statistic, int(retained.sum()))

@@ -144,6 +144,7 @@ def source_of(
         source = replace(source, law=_written(controller, record), without_law="")
     if record.kind in FLYING:
         total_delay = input_delay(record, model.plant)
+        # Never more than this recording shows: in those of the identification u_c may have been later.
         known = min(total_delay, _known_delay(model))
         # Its causes may have the rest.
         modelled = math.ceil(delay_s(system_of(model, record).c) / record.interval_s) if total_delay > known else 0
@@ -166,6 +167,7 @@ def filtered(source: Source, model: Model) -> Filtered | None:
     series, _ = prepare([record], plant)
     system = system_of(model, record)
     run = run_filter(system, series.samples, state=True)
+    # Filtered twice: an outlier is known by its innovation only, and it has moved the estimates after it.
     gated, dropped = gate(series, whitened(run.innovations), 1)
     if 0 < dropped[0] <= MAX_WILD * len(series):
         series = gated
@@ -199,6 +201,7 @@ def _known_delay(model: Model) -> int:
         for usage in _usages(model)
         if usage.get("kind") in FLYING and isinstance(delay := usage.get("input_delay"), int)
     ]
+    # The median: one recording whose delay was misjudged does not move it.
     return round(float(np.median(delays))) if delays else 0
 
 
@@ -222,6 +225,7 @@ def _written(controller: Controller, record: Record) -> LawNumbers | None:
     u = record.u_c[np.isfinite(record.u_c)]
     if len(u):
         top, bottom = float(u.max()), float(u.min())
+        # [controller] states no limits of u_c.  A flat top is one; a single largest sample may be chance.
         if top > bottom and runs(np.asarray(u >= top), LIMIT_SAMPLES):
             high = top
         if top > bottom and runs(np.asarray(u <= bottom), LIMIT_SAMPLES):

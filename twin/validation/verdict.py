@@ -79,6 +79,7 @@ class Validation:
                 f"its error {row.horizon_s * 1e3:.0f} ms ahead is {row.rmse_m * 1e6:.3g} µm, "
                 f"{row.ratio:.3g} times what noise alone leaves"
             )
+        # Only where no horizon beats a constant x: 40 ms ahead a right model of a noisy rig does not, either.
         if self.ahead and not any(row.beats_still for row in self.ahead):
             row = self.ahead[0]
             messages.append(
@@ -100,6 +101,7 @@ class Validation:
                     messages.append(f"the residuals of {channel.name} {' and '.join(faults)}")
         if not isinstance(self.loop, str):
             ratio = self.loop.rmse_m / self.loop.expected_m
+            # `not <=`, because a ratio that is not a number fails, too.
             if not ratio <= RMSE_TOLERANCE:
                 messages.append(
                     "its closed loop is unstable"
@@ -172,6 +174,7 @@ def _weight(row: Compared) -> float:
     """Return the relative difference: overshoot as a share of the step, others as a share of the larger value."""
     if row.name == "overshoot":
         return abs(row.difference)
+    # Of the larger value: as a share of one side it would depend on which side that is, and be infinite for 0.
     larger = max(abs(row.rig), abs(row.simulation))
     return abs(row.difference) / larger if larger > 0.0 else 0.0
 
@@ -193,6 +196,7 @@ def check_same_rig(campaign: Campaign, model: Model) -> None:
     """Raise DataError if the model is of another rig than the campaign."""
     for name in ("mass_kg", "travel_m", "x_max_m"):
         in_model, in_campaign = getattr(model.plant, name), getattr(campaign.plant, name)
+        # A thousandth: typed and computed numbers differ in the last digits, two rigs by more.
         if abs(in_model - in_campaign) > 1e-3 * abs(in_campaign):
             raise DataError(
                 f"The model has {name} = {in_model:g}, the campaign {in_campaign:g}: they describe different rigs",
@@ -271,6 +275,7 @@ def _closed_loop(runs: list[Filtered], model: Model, unflown: str) -> ClosedLoop
     measured, quiet = (np.concatenate(parts) for parts in ([r.x_m for r in loops], [r.quiet_x_m for r in loops]))
     known = np.isfinite(measured)
     error = (measured - quiet)[known]
+    # Weighted by samples, as the rmse is: the expected error differs between heights.
     expected = [r.expected_std_m**2 * len(r.x_m) for r in loops]
     sigma = float(runs[0].system.noise.sigma_x_m)
     return ClosedLoop(

@@ -72,6 +72,7 @@ def split(source: Source, model: Model) -> Flight:
         raise DataError(f"{source.record.name} shows no ball in flight", remedy="Give a recording in closed loop")
     flies = np.isfinite(run.state[:, 0])
     flies[: piece.start], flies[piece.stop :] = False, False
+    # The first corrections are those of an unknown start, not disturbances of the rig.
     settle = round(SETTLE_S / source.record.interval_s)
     flights = runs(np.asarray(flies), settle + round(SHORTEST_S / source.record.interval_s))
     if not flights:

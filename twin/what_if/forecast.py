@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from twin.control import LawNumbers
 from twin.estimation.record import FloatArray, Record
-from twin.estimation.step_figures import FIGURES, LoopRun, find_steps, measure
+from twin.estimation.step_figures import FIGURES, find_steps, measure
 from twin.model.assumed import assumption_warning
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import PARAMETERS, Model, Parameter
@@ -134,28 +134,27 @@ def forecast(
     recorded = flight.source.record.part(flight.part)
     other = x_ref_m is not None
     x_ref = np.ascontiguousarray(recorded.x_ref if x_ref_m is None else x_ref_m)
+    # The first draw has the parameters of the model itself, whose flight is split already.
     flown = [_draw(flight if n == 0 else split(source, drawn(model, rng)), law, x_ref, rng) for n in range(draws)]
     flights = [out for out, lost in flown if lost == NEVER]
-    T_s = law.sample_time_s
-    t = np.arange(0.0, len(x_ref)) * T_s
     shape = (3, len(x_ref))
     none = np.zeros(0)
-    rows = [figures_of(t, x_ref, out[1], out[2], law, model.noise.sigma_x_m) for out in flights]
-    own = [] if other else figures_of(t, x_ref, recorded.x, recorded.u_c, law, model.noise.sigma_x_m)
+    sigma_m = model.noise.sigma_x_m
+    rows = [figures_of(x_ref, out[1], out[2], law, sigma_m) for out in flights]
+    own = [] if other else figures_of(x_ref, recorded.x, recorded.u_c, law, sigma_m)
     followed = None if then is None else _followed(then, model)
-    after = [] if followed is None else _figures(followed, law, model)
-    run = _run(t, x_ref, x_ref, x_ref)
+    after = [] if followed is None else figures_of(followed.x_ref, followed.x, followed.u_c, law, sigma_m)
     return Forecast(
         recording=recorded.name,
         model=model.name,
-        t_s=t,
+        t_s=np.arange(0.0, len(x_ref)) * law.sample_time_s,
         x_ref_m=x_ref,
         recorded_x_m=none if other else recorded.x,
         recorded_u_v=none if other else recorded.u_c,
         x_m=np.quantile([out[1] for out in flights], CI, axis=0) if flights else np.full(shape, np.nan),
         u_v=np.quantile([out[2] for out in flights], CI, axis=0) if flights else np.full(shape, np.nan),
         figures=_expected(rows, own, after),
-        steps=len(find_steps(run, model.noise.sigma_x_m)),
+        steps=len(find_steps(x_ref, law.sample_time_s, sigma_m)),
         lost=draws - len(flights),
         draws=draws,
         notes=(*recorded.notes, *_cautions(source, model), *(_same_law(then, law) if then is not None else ())),
@@ -167,11 +166,6 @@ def forecast(
 def _followed(then: Source, model: Model) -> Record:
     flight = split(then, model)
     return flight.source.record.part(flight.part)
-
-
-def _figures(record: Record, law: LawNumbers, model: Model) -> list[float]:
-    t = np.arange(0.0, len(record.t)) * law.sample_time_s
-    return figures_of(t, record.x_ref, record.x, record.u_c, law, model.noise.sigma_x_m)
 
 
 def _beside(record: Record, values: FloatArray, x_ref: FloatArray) -> FloatArray:
@@ -190,6 +184,7 @@ def first_change(x_ref: FloatArray) -> int:
 
 def _same_law(then: Source, law: LawNumbers) -> list[str]:
     """Return a sentence where the flight that followed was flown under another law."""
+    # Operating point and gains: limits and T_s do not make another law.
     if then.law is None or np.allclose(then.law[:8], law[:8], rtol=ROUNDED, atol=0.0):
         return []
     return [f"{then.record.name} was flown under another law than that of the forecast"]
@@ -220,6 +215,7 @@ def drawn(model: Model, rng: np.random.Generator) -> Model:
 def _drawn(parameter: Parameter, low: float, high: float, rng: np.random.Generator) -> Parameter:
     if parameter.std is None:
         return parameter
+    # Clipped, not drawn again: so each draw takes as many random numbers, and a seed gives one flight.
     return replace(parameter, value=float(np.clip(rng.normal(parameter.value, parameter.std), low, high)))
 
 
@@ -234,40 +230,22 @@ def _blocks(available: int, wanted: int, length: int, rng: np.random.Generator) 
     """Return the disturbance of each sample: blocks drawn from a drawn sample of blocks, circularly."""
     pool = rng.integers(available, size=-(-available // length))
     begins = rng.choice(pool, size=-(-wanted // length))
+    # Circular: samples near the ends are drawn as often as others (D. N. Politis, J. P. Romano, 1992).
     order: NDArray[np.int64] = ((begins[:, None] + np.arange(length)) % available).ravel()[:wanted]
     return order
 
 
-def figures_of(
-    t_s: FloatArray, x_ref: FloatArray, x: FloatArray, u: FloatArray, law: LawNumbers, sigma_x_m: float
-) -> list[float]:
+def figures_of(x_ref: FloatArray, x: FloatArray, u: FloatArray, law: LawNumbers, sigma_x_m: float) -> list[float]:
     """Return the figures of a flight in the order of ALL_FIGURES; NaN where not every step has one."""
-    steps = find_steps(_run(t_s, x_ref, x, u), sigma_x_m)
+    steps = find_steps(x_ref, law.sample_time_s, sigma_x_m)
     table = [measure(x, u, x_ref, step, law.sample_time_s, sigma_x_m) for step in steps]
     means = np.mean(table, axis=0).tolist() if table else [math.nan] * len(FIGURES)
     # Before the first step the loop still settles from the state in which the recording began.
     part = slice(steps[0].begin if steps else 0, None)
+    # Near the limit counts as at it: rounding to the converter's counts keeps u_c from being exactly there.
     margin = 1e-3 * (law.u_high - law.u_low)
     limited = (u[part] <= law.u_low + margin) | (u[part] >= law.u_high - margin)
     return [*means, float(np.sqrt(np.nanmean((x_ref - x)[part] ** 2))), float(np.mean(limited))]
-
-
-def _run(t_s: FloatArray, x_ref: FloatArray, x: FloatArray, u: FloatArray) -> LoopRun:
-    """A flight without a simulation, for the search of its steps."""
-    none = np.zeros((0, len(t_s)))
-    return LoopRun(
-        name="",
-        t_s=t_s,
-        x_ref_m=x_ref,
-        x_m=x,
-        i_c_a=x,
-        u_c_v=u,
-        simulated_x_m=none,
-        simulated_i_c_a=none,
-        simulated_u_c_v=none,
-        quiet_x_m=x,
-        expected_std_m=math.nan,
-    )
 
 
 def _expected(

@@ -129,6 +129,7 @@ def replay(
             at = reference.order[k]
             i = reading_of_current(c, y) + disturbed.readings[at, 0]
             x_before, x = x, y[SENSOR] + disturbed.readings[at, 1]
+            # After the readings: the filter found d from them, so it acts from this sample on.
             for m in range(STATES):
                 y[m] += disturbed.state[at, m]
         u, s = law(numbers, i, x, x_before, s, reference.x_ref[k])

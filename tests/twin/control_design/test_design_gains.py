@@ -16,9 +16,9 @@ from twin.control import law, law_numbers, linearise
 from twin.control_design.board import Converters
 from twin.control_design.design import Design, Specification, design
 from twin.control_design.gains import Weights, in_order_of
-from twin.control_design.loop import backward, closed_loop
-from twin.control_design.margins import delayed_plant
+from twin.control_design.loop import Plant, backward, closed_loop
 from twin.control_design.robust import plant_at
+from twin.model.linear import discretised
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
 
@@ -144,8 +144,8 @@ def test_margins_are_where_the_loop_really_goes_unstable() -> None:
     assert spectral_radius(1.0, whole) < 1 < spectral_radius(1.0, whole + 1)
     # A part of a tick: the same response as the plant run on a grid twenty times finer.
     for delay_s in (0.7e-3, 3.1e-3):
-        late = delayed_plant(A, B, delay_s, T_S)
-        fine = delayed_plant(A, B, 0.0, T_S / 20)
+        late = Plant(*discretised(A, B, delay_s, T_S))
+        fine = Plant(*discretised(A, B, 0.0, T_S / 20))
         p, q = np.zeros(len(late.phi)), np.zeros(3)
         inputs = np.random.default_rng(3).normal(size=8)
         for k in range(8 * 20):

@@ -20,7 +20,8 @@ from twin.inference.likelihood import Criterion
 from twin.inference.theta import BASE, coordinates_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
 from twin.model.causes.cause import PLACES, Cause
-from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, Base, V, X, advance
+from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, Base, V, X
+from twin.model.integration import advance
 
 BALL = Ball()
 TICK_S = BALL.tick

@@ -18,7 +18,8 @@ from twin.inference.theta import BASE, Theta, coordinates_of, parameter_of
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.wander import MINUTE_S
 from twin.model.equilibrium import at_rest
-from twin.model.extended import I_C, V, X, advance, current_reading, position_reading
+from twin.model.extended import I_C, V, X, current_reading, position_reading
+from twin.model.integration import advance
 
 # The wander after a minute, large enough to show within half a minute.
 WANDERS = {

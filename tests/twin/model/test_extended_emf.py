@@ -10,7 +10,8 @@ from twin.estimation.record import FloatArray
 from twin.model.causes import current_sensor_lag, eddy_current_lag, position_sensor_lag
 from twin.model.causes.catalogue import neutral
 from twin.model.causes.motional_emf import COUPLING
-from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, V, X, advance
+from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, V, X
+from twin.model.integration import advance
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
 TICK_S = 2e-3

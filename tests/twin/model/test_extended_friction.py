@@ -12,7 +12,8 @@ from scipy.integrate import solve_ivp
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import neutral
 from twin.model.causes.coulomb_friction import FORCE
-from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, V, X, advance
+from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, V, X
+from twin.model.integration import advance
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
 TICK_S = 2e-3

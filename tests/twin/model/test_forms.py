@@ -41,10 +41,10 @@ from twin.model.extended import (
     Base,
     V,
     X,
-    advance,
     lasting_warmth,
     reading_of_current,
 )
+from twin.model.integration import advance
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
 MID_M = RIG.x_max_m - 0.5 * RIG.travel_m

@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 from twin.estimation.record import FloatArray
 from twin.model.causes import freewheel_diode
 from twin.model.causes.catalogue import BY_NAME, neutral
-from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, X, held_current, over
+from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, X, held_current
+from twin.model.integration import over
 
 HELD_M = 2e-3
 HELD = Base(K_A=0.3, T_A=4e-4, K_c=5.6e-6, b=0.02, mass_kg=1e12, gravity_m_s2=0.0, x_max_m=8.1e-3, travel_m=5.7e-3)

@@ -14,7 +14,8 @@ from scipy.integrate import solve_ivp
 from twin.estimation.record import FloatArray
 from twin.model.causes import magnetic_hysteresis as loop
 from twin.model.causes.catalogue import neutral
-from twin.model.extended import LOOP, STATES, Base, V, X, advance
+from twin.model.extended import LOOP, STATES, Base, V, X
+from twin.model.integration import advance
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
 WIDTH_A, TURN_A = 0.03, 0.1

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from twin.model.causes.catalogue import BY_NAME, neutral
-from twin.model.extended import STATES, Base, V, X, over
+from twin.model.extended import STATES, Base, V, X
+from twin.model.integration import over
 from twin.model.parameters import Model
 
 T_S = 2e-3

@@ -7,8 +7,9 @@ import pytest
 
 from tests.harness.twin.exported import with_causes
 from twin.model.causes.catalogue import CATALOGUE
-from twin.model.extended import FIELD, I_C, RATE, SENSOR, STATES, Base, V, X, advance
+from twin.model.extended import FIELD, I_C, RATE, SENSOR, STATES, Base, V, X
 from twin.model.extension import base, vector
+from twin.model.integration import advance
 from twin.model.rates import rates, readings, without_equation
 
 EQUATIONS = [cause.name for cause in CATALOGUE if not without_equation(with_causes(cause.name))]

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from twin.model.causes.catalogue import CATALOGUE, neutral
 from twin.model.causes.curve import CURVES
-from twin.model.extended import STATES, Base, V, X, _substeps, advance, settle_current
+from twin.model.extended import STATES, Base, V, X, settle_current
+from twin.model.integration import _substeps, advance
 
 RIG = tuple(Base(K_A=0.3, T_A=4e-4, K_c=5.6e-6, b=0.02, mass_kg=8.4e-3, gravity_m_s2=9.81, x_max_m=8e-3, travel_m=6e-3))
 U_V = 2.2

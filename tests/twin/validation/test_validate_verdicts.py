@@ -167,7 +167,7 @@ def test_nothing_settles_before_it_has_risen() -> None:
     assert not isinstance(result.loop, str)
     rows = []
     for run in result.loop.runs:
-        for step in find_steps(run, ball.sigma_x):
+        for step in find_steps(run.x_ref_m, ball.tick, ball.sigma_x):
             rows.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, ball.tick, run.expected_std_m))
     settled = [row for row in rows if np.isfinite(row[1])]
     assert 0 < len(settled) < len(rows)

@@ -134,7 +134,7 @@ def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
         expected = forecast(source(flight(FLOWN, 100 + n, effect, strength), model), model, law_of(gains))
         then = flight(gains, 500 + n, effect, strength)
         part = then.part(slice(len(then.t) - len(expected.t_s), None))
-        flown = figures_of(expected.t_s, part.x_ref, part.x, part.u_c, law_of(gains), model.noise.sigma_x_m)
+        flown = figures_of(part.x_ref, part.x, part.u_c, law_of(gains), model.noise.sigma_x_m)
         for figure, value in zip(expected.figures, flown, strict=True):
             if math.isfinite(value) and figure.draws and figure.name != "at_limit":
                 total += 1

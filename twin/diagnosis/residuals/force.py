@@ -41,7 +41,8 @@ from twin.estimation.record import FloatArray
 from twin.evidence.gather import Evidence
 from twin.inference.theta import Theta
 from twin.model.causes.catalogue import CATALOGUE
-from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_reading, sensor_lag_s
+from twin.model.extended import I_C, STATES, Base, V, X, position_of_reading, sensor_lag_s
+from twin.model.integration import advance
 
 WINDOW_S = 0.03
 MIN_READINGS = 7  # readings in a window

@@ -19,7 +19,8 @@ import math
 from twin.compiled import kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of
 from twin.estimation.propagate import copy, delay_s
-from twin.model.extended import I_COLOUR, Base, V, X, over
+from twin.model.extended import I_COLOUR, Base, V, X
+from twin.model.integration import over
 
 CASES = 8
 _MIXED = 3  # has no divisor in common with CASES: the order of the restitutions, independent of that of the instants

@@ -57,7 +57,8 @@ from twin.estimation.ekf.predict import (
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
 from twin.estimation.propagate import copy, delay_s, find_input, see_delays
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
-from twin.model.extended import I_C, SHORT_S, V, X, reading_of_current
+from twin.model.extended import I_C, V, X, reading_of_current
+from twin.model.integration import SHORT_S
 
 UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet, the same for all models
 

@@ -78,6 +78,7 @@ def without_best(slopes: FloatArray, information: FloatArray) -> tuple[FloatArra
     sums = [np.cumsum(values[::-1], axis=0)[::-1] for values in (slopes, information)]
     probes, best = np.arange(slopes.shape[1]), np.full(slopes.shape[1], len(slopes) - 1)
     for window in range(len(slopes) - 1, -1, -1):
+        # From the newest window backwards: one pass finds the best of the windows since each onset.
         best = np.where(own[window] > own[best, probes], window, best)
         for total, values in zip(sums, (slopes, information), strict=True):
             total[window] -= values[best, probes]
@@ -127,9 +128,11 @@ class Decision:
         known = information > MIN_INFORMATION
         gains = np.where(known, 0.5 * slopes**2 / np.where(known, information, 1.0), 0.0)
         one_sided = np.array([not two_sided(BY_NAME[one.cause]) for one in signatures], np.bool_)
+        # A friction below 0 is none: a strength without a sign counts in one direction only.
         gains[one_sided & (slopes < 0.0)] = 0.0
         if not gains.size or gains.max() <= min_gain(len(signatures)):
             return None
+        # One onset for all, that of the best: so causes are compared over the same windows.
         first = int(np.unravel_index(np.argmax(gains), gains.shape)[0])
         ranking = _ranking(signatures, gains[first])
         top = max(float(gains[first, probe]) for probe in ranking.values())
@@ -142,8 +145,10 @@ class Decision:
         probe = ranking[named]
         size = float(sizes[probe])
         since = slice(first, None)
+        # Log-likelihood of that size since each window, s g - s^2 F / 2 to second order.
         contradiction = size * slopes[since, probe] - 0.5 * size**2 * information[since, probe]
         if contradiction.min() < -GONE:
+            # Only the windows before the contradiction go: those after it may show what holds now.
             for _ in range(first + int(np.argmin(contradiction))):
                 self._windows.popleft()
             return None

@@ -20,7 +20,7 @@ from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.evidence.gather import Evidence
 from twin.inference.fisher_scoring import climb
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import BASE, Theta, coordinates_of
+from twin.inference.theta import BASE, FLOORS, Theta, coordinates_of
 from twin.live.naming.windows import Window
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.parameters import Model
@@ -75,6 +75,7 @@ def evidence_of(window: Window, model: Model, start: Theta | None = None) -> Win
 def _criterion(window: Window, model: Model) -> Criterion:
     u, i, x = (np.ascontiguousarray(column) for column in window.readings.T)
     flags = np.full(len(u), FOLLOWS | FLIES | USE_I | USE_X, np.uint16)
+    # The first sample follows none: the filter begins there with an unknown speed.
     flags[0] &= np.uint16(~FOLLOWS & 0xFFFF)
     step = np.full(len(u), window.sample_time_s)
     series = Series(step=step, u=u, i=i, x=x, flags=flags, recording=np.zeros(len(u), np.int32))
@@ -93,8 +94,8 @@ def _theta(window: Window, model: Model) -> Theta:
         b=model.b,
         sigma_i_c_a=math.hypot(noise.sigma_i_c_a, window.i_lsb_a / math.sqrt(12.0)),
         sigma_x_m=math.hypot(noise.sigma_x_m, window.x_lsb_m / math.sqrt(12.0)),
-        process_i_c_a=max(noise.process_i_c_a, 1e-6),
-        process_a_m_s2=max(noise.process_a_m_s2, 1e-3),
+        process_i_c_a=max(noise.process_i_c_a, FLOORS["process_i_c_a"]),
+        process_a_m_s2=max(noise.process_a_m_s2, FLOORS["process_a_m_s2"]),
         causes=tuple(
             (f"{cause.name}.{name}", parameter.value)
             for cause in model.causes
@@ -110,5 +111,6 @@ def _trials(series: Series, model: Model) -> list[Probe]:
         if cause.name in present or cause.not_testable or cause.detector != "score-test":
             continue
         probes = probes_of(cause, series)
+        # All probes of a limit: its effect begins at a size, and one probe may lie beyond what the window reached.
         trials += [(cause, probe, ()) for probe in (probes if math.isinf(cause.strength.neutral) else probes[:1])]
     return trials

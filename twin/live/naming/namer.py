@@ -114,6 +114,7 @@ class Namer:
         if self._work is not None:
             self.dropped += 1
             return
+        # No queue: evidence that has waited is older than the name that it makes.
         self._work = self._executor.submit(evidence_of, window, self._model, self._theta)
 
     def _add(self, work: Future[WindowEvidence]) -> None:
@@ -121,6 +122,7 @@ class Namer:
             evidence = work.result()
         except _NOT_EVALUATED as error:
             log.warning("a window was not evaluated: %s", error)
+            # The next fit begins from the model: the last one may be what failed.
             self._theta = None
             return
         self._theta = evidence.theta

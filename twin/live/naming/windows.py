@@ -54,6 +54,7 @@ class Windows:
         if len(self._rows) < min(round(WINDOW_S / sample_time_s), MAX_SAMPLES):
             return None
         readings, self._rows = np.array(self._rows), []
+        # From the first sample, not the last: fast and slow boards then have the same pace.
         self._due_s = self._from_s + WINDOW_S
         return Window(
             session=sample.session,

@@ -68,6 +68,7 @@ class Claim:
 
     def _meet(self, key: str) -> None:
         _, board, _, _, name = key.split("/")
+        # The name begins with the time of the start: so both sides agree which of them is the younger one.
         serves_the_same = topics.EVERY_BOARD in (board, self._board) or board == self._board
         if not serves_the_same or name == self._name or (self._declared and name > self._name):
             return

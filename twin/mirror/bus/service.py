@@ -282,6 +282,7 @@ class TwinService:
             replies = [(key_expr, belief)]
         else:
             replies = [(key, watched_board.use(belief)) for key, watched_board in addressed.items()]
+            # A model that one board refused is none for boards to come: nobody would read their refusal.
             if everybody and all(reply.accepted for _, reply in replies):
                 self._belief = belief
                 text = f"will run on {belief.title}; no board has been seen yet"

@@ -191,6 +191,7 @@ def discrete_lyapunov(F: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray
     semidefinite, so nothing cancels.
     """
     P, power = Q, F
+    # 2^60 terms; the slowest loop that counts as stable takes some 2^34.
     for _ in range(60):
         more = power @ P @ power.T
         P = P + more
@@ -236,8 +237,10 @@ def weighted_chi_square_quantile(weights: NDArray[np.float64], probability: floa
         density = math.exp(-0.5 * w * w) / math.sqrt(2.0 * math.pi)
         return float(ndtr(-w)) + density * (1.0 / v - 1.0 / w)
 
+    # The cumulants exist below 1 / (2 max weight), and at s = 0 the formula is infinity less infinity.
     low, high = 1e-3 / weights.max() * 0.5, (1.0 - 1e-9) / weights.max() * 0.5
     for _ in range(80):
+        # Bisection: the tail falls steadily with s, and its derivative is not at hand.
         middle = 0.5 * (low + high)
         low, high = (middle, high) if tail(middle) > probability else (low, middle)
     return float(np.sum(weights / (1.0 - 2.0 * low * weights)))

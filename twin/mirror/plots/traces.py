@@ -90,6 +90,7 @@ class Traces:
         steps = np.diff(table[:, 0])
         if len(steps) == 0:
             return table.T
+        # Five periods: single lost samples stay joined, and a pause becomes a gap.
         breaks = np.flatnonzero((steps > 5.0 * np.median(steps)) | (steps <= 0.0)) + 1
         return np.insert(table, breaks, np.nan, axis=0).T
 

@@ -31,5 +31,6 @@ def behind_corner(value: float, threshold: float, share: float) -> float:
     if share == 0.0 or value <= 0.0:
         return max(value - threshold, 0.0)
     corner = share * threshold
+    # Taken off so that no input gives no output: a hyperbola alone would leave a current.
     at_zero = math.sqrt(threshold * threshold + corner * corner) - threshold
     return 0.5 * (value - threshold + math.sqrt((value - threshold) ** 2 + corner * corner) - at_zero)

@@ -65,6 +65,7 @@ def brakes(c: Vector, mass_kg: float, v: float, free: float) -> float:
         free: its acceleration without dry friction, m/s^2.
     """
     friction = static_friction(c, mass_kg)
+    # Exactly 0, without a band of speeds that count as rest (D. Karnopp, 1985): `turned` finds the standstill.
     if v == 0.0 and abs(free) <= friction:
         return 0.0
     if c[EXTRA] != 0.0:
@@ -81,12 +82,14 @@ def let_go(friction: float, before: float, after: float, h: float) -> tuple[floa
     """
     direction = math.copysign(1.0, after if abs(before) <= friction else before)
     first, last = direction * before - friction, direction * after - friction
+    # Held until the free acceleration, a straight line, exceeds the friction.
     if first < 0.0:
         if last <= 0.0:
             return 0.0, 0.0
         h *= last / (last - first)
         first = 0.0
     last = max(last, 0.0)
+    # The integrals of an acceleration that goes straight from `first` to `last`.
     return 0.5 * direction * (first + last) * h, direction * (2.0 * first + last) * h * h / 6.0
 
 
@@ -105,6 +108,7 @@ def turned(
         after: at the end.
         h: s.
     """
+    # The standstill by a straight line between the two speeds.
     left = h * v_next / (v_next - v)
     at_rest = after + (before - after) * left / h
     speed, further = let_go(friction, at_rest, after, left)

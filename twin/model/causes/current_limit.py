@@ -71,5 +71,6 @@ def aimed_at(c: Vector, target: float) -> float:
     if c[SOFTNESS] < MIN_SOFTNESS:
         limited = min(target, c[LIMIT])
     else:
+        # C. Rapp, 1991, the limiter of an amplifier.
         limited = target / (1.0 + (target / c[LIMIT]) ** (1.0 / c[SOFTNESS])) ** c[SOFTNESS]
     return float(max(limited - c[FOLD] * (target - limited), 0.0))

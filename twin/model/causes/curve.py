@@ -127,6 +127,7 @@ def value(c: Vector, curve: int, at: float) -> float:
     first = math.floor(s)
     f = s - first
     r = 1.0 - f
+    # Six times the four cubic B-splines that are not 0 here (C. de Boor, A Practical Guide to Splines, 1978).
     weights = (r * r * r, (3.0 * f - 6.0) * f * f + 4.0, (3.0 * r - 6.0) * r * r + 4.0, f * f * f)
     total = 0.0
     for n in range(4):

@@ -98,6 +98,7 @@ def lagged(c: Vector, f: float, i: float, i_next: float, w: float, w_next: float
     before, begin, end, a, tau = f * w, i * w, i_next * w_next, c[ORDER], quick(c)
     if a != 1.0:
         before, begin, end = power(max(before, 0.0), a), power(max(begin, 0.0), a), power(max(end, 0.0), a)
+    # Exact for a quantity that goes straight; held over the step, it would lag by half of it.
     slope = (end - begin) / h
     after = end - slope * tau + (before - begin + slope * tau) * math.exp(-h / tau)
     return (after if a == 1.0 else power(max(after, 0.0), 1.0 / a)) / w_next

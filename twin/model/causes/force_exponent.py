@@ -64,4 +64,5 @@ def factor(c: Vector, gap: float, gap_mid: float) -> float:
     if n == 2.0 and q == 0.0 and p == 0.0:
         return 1.0
     r = gap / gap_mid
+    # The slope over ln gap, integrated from the middle of the travel on.
     return math.exp((2.0 - n + q - p) * math.log(r) + (2.0 * p - q) * (r - 1.0) - 0.5 * p * (r * r - 1.0))

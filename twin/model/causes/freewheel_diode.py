@@ -60,6 +60,7 @@ def piece(c: Vector, u: float, i: float, K_A: float, T_A: float, target: float) 
         return target, T_A, math.inf if target >= i else -math.inf
     rest, lost = K_A * u, K_A * (drop - u)
     whole, steeper = rest + _FADES * K_A * drop, 1.0 + (drop - u) / (_FADES * drop)
+    # A current on a border belongs to the range that it moves into.
     rises = target - K_A * lost_v(c, u, i, K_A) > i
     if i > whole or (rises and i == whole):
         return target - lost, T_A, math.inf if rises else whole

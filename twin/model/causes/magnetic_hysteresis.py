@@ -67,6 +67,7 @@ CAUSE = Cause(
 def _since_zero(z: float, n: float) -> float:
     """Return the way of the current since z = 0, in i_t, of 0 <= z < 1."""
     rise = z ** (1.0 / n)
+    # The first term of the series: 1 - rise has lost the digits of a small rise.
     return z if rise < _SMALL else (-math.log(1.0 - rise)) ** n
 
 

@@ -65,6 +65,7 @@ def lagged(c: Vector, s: float, rate: float, reading: float, reading_next: float
     drift, mean = rate - slope, -0.5 / (r * tau)
     square = mean * mean - 1.0 / (r * tau * tau)
     root = math.sqrt(abs(square))
+    # Both poles are one, nearly: sinh and sine over the root are h, where the others would divide 0 by 0.
     if root * h < 1e-6:
         even = math.exp(mean * h)
         uneven = h * even

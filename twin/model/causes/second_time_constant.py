@@ -68,4 +68,5 @@ def settled(c: Vector, second: float, target: float, h: float) -> float:
 @inlined
 def pull(c: Vector, second: float, target: float, T_A: float) -> float:
     """Return what i_2 adds to the target in T_A i_c' + i_c = target, A."""
+    # From the derivative of i_c, with tau i_2' = e - i_2 in it.
     return c[SHARE] * (1.0 - T_A / c[TAU]) * (second - target)

@@ -68,5 +68,6 @@ def line_parameters(column: int, *, unit: str, high: float, probe: float) -> tup
 def harmonics(c: Vector, column: int) -> list[tuple[float, float]]:
     """Return (frequency in Hz, amplitude) of each harmonic that i_c (column 0) or x reads."""
     first = FIRST[column]
+    # Harmonics are shares of the first: a line that is absent has none of them.
     amplitudes = [c[first], *(c[first] * c[first + k] for k in range(2, HARMONICS + 1))]
     return [(c[first + 1] * k, amplitude) for k, amplitude in enumerate(amplitudes, 1) if amplitude > 0.0]

@@ -45,6 +45,7 @@ def relaxed(c: Vector, i: float, target: float, T_A: float, h: float) -> float:
     away = target - i
     rate = c[RATE]
     fast = abs(away) - rate * T_A  # beyond this distance the exponential would be faster than the rate
+    # Ramp, then exponential: the distance to the target only falls, so the order is never the other one.
     if fast > 0.0:
         ramp = fast / rate
         if ramp >= h:
