@@ -187,19 +187,27 @@ def _opened(folder: Path, mode: str) -> Iterator[sqlite3.Connection]:
 
 def _prepare(database: sqlite3.Connection) -> None:
     """Make the tables; replace those of another version, as the logs hold everything."""
-    if database.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
-        kinds = {int: "INTEGER", int | None: "INTEGER", float: "REAL", float | None: "REAL", str: "TEXT"}
-        types = {"file": str, "bytes": int, **get_type_hints(Session), "problem": str, "archived": str}
-        columns = ", ".join(f"{name} {kinds[types[name]]}" for name in COLUMNS)
-        with database:
-            database.execute("DROP TABLE IF EXISTS seen")
-            database.execute("DROP TABLE IF EXISTS logs")
-            database.execute(
-                "CREATE TABLE seen (file TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER, archived TEXT)"
-            )
-            database.execute(f"CREATE TABLE logs ({columns})")
-            database.execute("CREATE INDEX by_file ON logs (file)")
-            database.execute(f"PRAGMA user_version = {_VERSION}")
+    if _has_tables(database):
+        return
+    kinds = {int: "INTEGER", int | None: "INTEGER", float: "REAL", float | None: "REAL", str: "TEXT"}
+    types = {"file": str, "bytes": int, **get_type_hints(Session), "problem": str, "archived": str}
+    columns = ", ".join(f"{name} {kinds[types[name]]}" for name in COLUMNS)
+    with database:
+        # Python begins no transaction for a CREATE TABLE, and another process may have made the tables meanwhile.
+        database.execute("BEGIN IMMEDIATE")
+        if _has_tables(database):
+            return
+        database.execute("DROP TABLE IF EXISTS seen")
+        database.execute("DROP TABLE IF EXISTS logs")
+        database.execute("CREATE TABLE seen (file TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER, archived TEXT)")
+        database.execute(f"CREATE TABLE logs ({columns})")
+        database.execute("CREATE INDEX by_file ON logs (file)")
+        database.execute(f"PRAGMA user_version = {_VERSION}")
+
+
+def _has_tables(database: sqlite3.Connection) -> bool:
+    version: int = database.execute("PRAGMA user_version").fetchone()[0]
+    return version == _VERSION
 
 
 def _forget(database: sqlite3.Connection, names: Sequence[str]) -> None:

@@ -8,12 +8,13 @@ import os
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import board51
 from gateway.record.catalogue.sessions import sessions_of
-from gateway.record.catalogue.store import COLUMNS, NAME, query, selection, update
+from gateway.record.catalogue.store import COLUMNS, NAME, Update, query, selection, update
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError, UsageError
@@ -76,6 +77,31 @@ def test_each_session_of_a_board_has_a_row(tmp_path: Path) -> None:
     assert first.divergence_x_m == pytest.approx(3e-6), "samples out of step do not count"
     assert first.nis == pytest.approx(2.0)
     assert (second.session, second.samples, second.flown_s, second.nis, second.alarms) == (2, 10, 0.0, None, "")
+
+
+def test_two_first_updates_at_once_make_one_catalogue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second one makes the tables between the look of the first one and its own tables."""
+    write(tmp_path / "a.mcap")
+    connect, others = sqlite3.connect, list[Update]()
+
+    def connect_late(*args: Any, **options: Any) -> sqlite3.Connection:
+        database: sqlite3.Connection = connect(*args, **options)
+
+        def meanwhile(statement: str) -> None:
+            if not statement.startswith("PRAGMA"):
+                database.set_trace_callback(None)
+                others.append(update(tmp_path))
+
+        database.set_trace_callback(meanwhile)
+        monkeypatch.setattr(sqlite3, "connect", connect)
+        return database
+
+    monkeypatch.setattr(sqlite3, "connect", connect_late)
+
+    late = update(tmp_path)
+
+    assert [late.read, *(other.read for other in others)] == [0, 1]
+    assert len(query(tmp_path, selection("")).rows) == 2
 
 
 def test_an_update_reads_what_is_new_or_changed_and_forgets_what_is_gone(tmp_path: Path) -> None:
