@@ -48,13 +48,11 @@ class CommandNotDeliveredError(ServiceError):
         self.reason, self.attempts = reply.reason, reply.attempts
         self.command = pb.Command()
         self.command.CopyFrom(command)
-        stop = command.WhichOneof("what") == "stop"
-        super().__init__(
-            f"{_what(command)} was not answered: {reply.reason}: {reply.text.rstrip('.')}",
-            remedy="THE COIL MAY BE ON: switch off its supply; else the board's host-loss policy decides"
-            if stop
-            else "Look at rig.status(); rig.send(error.command) repeats it; it is executed at most once",
-        )
+        remedy = "Look at rig.status(); rig.send(error.command) repeats it; it is executed at most once"
+        if command.WhichOneof("what") == "stop":
+            remedy = "THE COIL MAY BE ON: switch off its supply; else the board's host-loss policy decides"
+        text = f"{_what(command)} was not answered: {reply.reason}: {reply.text.rstrip('.')}"
+        super().__init__(text, remedy=remedy)
 
 
 class NoSamplesError(ServiceError):

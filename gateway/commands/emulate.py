@@ -138,9 +138,8 @@ def run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     if commitment is not None:
-        _print(
-            json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}"
-        )
+        text = f"effects sealed in {args.sealed}: {commitment}"
+        _print(json.dumps({"commitment": commitment}) if args.json else text)
 
     server.run(args.duration)
     for n, line in enumerate(lines):

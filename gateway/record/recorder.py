@@ -227,9 +227,8 @@ class Recorder:
         assert self._writer is not None
         batch, dropped = self._queue.take()
         if dropped > self._reported_dropped:
-            self._publish_event(
-                "log-dropping", "warning", f"{dropped - self._reported_dropped} messages did not fit the queue"
-            )
+            text = f"{dropped - self._reported_dropped} messages did not fit the queue"
+            self._publish_event("log-dropping", "warning", text)
             self._reported_dropped = dropped
         write = self._writer.write
         try:
@@ -316,9 +315,8 @@ class Recorder:
 
     def _give_up(self, writer: LogWriter, error: LogError) -> None:
         writer.abandon()
-        self._publish_event(
-            "log-failed", "fault", f"{error} Its end is missing: board51 recover {writer.path.name} restores the rest"
-        )
+        text = f"{error} Its end is missing: board51 recover {writer.path.name} restores the rest"
+        self._publish_event("log-failed", "fault", text)
 
     def _pause(self, error: Exception) -> None:
         """Close the part as far as the disk allows, and keep it to be completed later."""

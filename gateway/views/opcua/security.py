@@ -77,9 +77,8 @@ class Security:
             raise ServiceError(S.BadCertificateTimeInvalid)
         if self._is_signed(certificate) or certificate.fingerprint(_HASH) in self._trusted_prints():
             return
-        _logger.warning(
-            "refused a client with the certificate of %s: not trusted", certificate.subject.rfc4514_string()
-        )
+        subject = certificate.subject.rfc4514_string()
+        _logger.warning("refused a client with the certificate of %s: not trusted", subject)
         raise ServiceError(S.BadCertificateUntrusted)
 
     def _of_certificate(self, der: bytes) -> User | None:

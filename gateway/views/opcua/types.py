@@ -85,14 +85,9 @@ class Builder:
     ) -> ua.NodeId:
         """Add any node; `kind` is its type definition."""
         item = ua.AddNodesItem(
-            ParentNodeId=parent,
-            ReferenceTypeId=ua.NodeId(reference),
-            RequestedNewNodeId=self.id(path),
-            BrowseName=name,
-            NodeClass=node_class,
-            NodeAttributes=attributes,
-            TypeDefinition=kind,
-        )
+            ParentNodeId=parent, ReferenceTypeId=ua.NodeId(reference), RequestedNewNodeId=self.id(path),
+            BrowseName=name, NodeClass=node_class, NodeAttributes=attributes, TypeDefinition=kind,
+        )  # fmt: skip
         for result in self._server.node_mgt_service.add_nodes([item]):
             result.StatusCode.check()
         return item.RequestedNewNodeId
