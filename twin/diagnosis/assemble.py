@@ -39,7 +39,7 @@ from twin.diagnosis.report.sentences import (
     overlap_sentence,
     rival_sentence,
 )
-from twin.diagnosis.result import Diagnosis, Finding, SpectralLine
+from twin.diagnosis.result import Diagnosis, Finding, MinorEffect, SpectralLine
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stated_values import StatedValues, examine, with_members
 from twin.estimation.record import Record
@@ -123,10 +123,8 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
     findings = [_qualified(finding, search, names) for finding in findings]
     lines = lines_of(findings, search.criterion, selection.fit.theta)
     where = _where(search, names, outcome, verdict)
-    # Beside a large rest a small gain may be a part of that rest, so minor effects are listed only where noise is left.
     is_whole = search.is_adequate and search.change is None
-    minor_effects = tuple(minor_effects_of(search.criterion, selection)) if is_whole else ()
-    listed = {*_names(findings), *(effect.name for effect in minor_effects)}
+    minor_effects = minor_effects_of(search.criterion, selection) if is_whole else ()
     baseline, extended = _models(inputs, search, options, names, choice, remainder)
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -135,7 +133,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         causes=tuple(findings),
         not_testable=(*not_testable(selection, records), *map(absorbed_suspect, names.stated.absorbed)),
         minor_effects=minor_effects,
-        ruled_out=tuple(ruled_out(selection, listed)) if finished else (),
+        ruled_out=tuple(ruled_out(selection, _listed(findings, minor_effects))) if finished else (),
         account=account,
         unexplained_where=where,
         gains=choice.gains,
@@ -362,8 +360,7 @@ def _stated_values(search: SearchResult) -> StatedValues:
     return StatedValues(classes={}, absorbed=())
 
 
-def _names(findings: Sequence[Finding]) -> set[str]:
-    """Return the names of the causes and of the other members of their equivalence classes."""
-    return {finding.name for finding in findings} | {
-        member.name for finding in findings for member in finding.indistinguishable_from
-    }
+def _listed(findings: Sequence[Finding], minor_effects: Sequence[MinorEffect]) -> set[str]:
+    """Return the names of the causes, of the other members of their equivalence classes, and of minor effects."""
+    members = {member.name for finding in findings for member in finding.indistinguishable_from}
+    return {finding.name for finding in findings} | members | {effect.name for effect in minor_effects}

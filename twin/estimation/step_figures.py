@@ -290,6 +290,7 @@ def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence
     mean = float(difference.mean()) if n else float("nan")
     ci95, chance = None, float("nan")
     if n > 1:
+        # Student, Biometrika 6(1), 1908: of a few steps a normal interval would be too narrow.
         error = float(difference.std(ddof=1) / np.sqrt(n))
         half = student_quantile(0.975, n - 1) * error
         ci95 = (mean - half, mean + half)

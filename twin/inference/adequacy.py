@@ -34,6 +34,7 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
         return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, correct it there"
     # Both bars: 0.06 keeps out what rounding does in a long campaign, the standard errors what chance does in a short
     # one.
+    # 1 / sqrt(n) is the standard error in white noise (G. M. Ljung, G. E. P. Box, Biometrika 65(2), 1978).
     counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
     chance = settings.AUTOCORRELATION_ERRORS / math.sqrt(min(counts)) if counts else math.inf
     if colour.worst > max(settings.MAX_AUTOCORRELATION, chance):

@@ -122,6 +122,7 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
 
 def expected(out: FloatArray) -> tuple[tuple[float, float], tuple[int, int]]:
     """Return (log-likelihood of innovations as large as the filter says, number of readings), each of i_c and x."""
+    # (S 4): nu' inv(S) nu is replaced by its mean, the number of readings.
     logs = _log_variances(out)
     counts = np.isfinite(logs).sum(axis=0)
     i_c, x = (-0.5 * (np.nansum(logs, axis=0) + counts)).tolist()

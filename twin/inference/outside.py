@@ -60,4 +60,6 @@ class Outside:
         force = magnetic_force(p, c, i, x)
         # What the magnet has to carry: the weight less every other force on a ball at rest.
         load = force - p.mass_kg * acceleration(p, c, i, x, 0.0, 0.0)
+        # (8) with every force of the model.  The logarithm is linear in ln K_c, so that far from the balance a step
+        # still leads to it.
         return 0.5 * math.log(max(force, 1e-12) / max(load, 1e-12)) / sigma

@@ -212,6 +212,7 @@ def reinitialised(theta: Theta) -> Theta:
 
 def max_drag(plant: Plant) -> float:
     """Return the upper bound of b, N s/m: the drag that equals the unstable pole in the middle of the travel."""
+    # The pole of (14) in closed form, as (3) at rest has the slope 2 m g / gap.
     return plant.mass_kg * math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 

@@ -20,6 +20,8 @@ from twin.inference.optimiser import Fit, shortened
 from twin.inference.theta import PARAMETERS, moved
 from twin.settings import diagnosis as settings
 
+# By the quantile of chi-square with two degrees of freedom: both numbers may be off, so the ellipse is larger than
+# either interval.
 REGION = math.sqrt(-2.0 * math.log(settings.TRADE_OFF_LEVEL))  # standard deviations of two normal variables
 END_DROP = 0.5 * settings.TRADE_OFF_END**2  # of log-likelihood there, were it a parabola
 _POINTS = 73  # of the contour that is drawn: one for each five degrees

@@ -65,11 +65,14 @@ def ruled_out(selection: Selection, excluded: set[str]) -> list[Excluded]:
     ]
 
 
-def minor_effects_of(criterion: Criterion, selection: Selection) -> list[MinorEffect]:
-    """Return the causes that the last round refused although chance does not explain their gain, best first."""
+def minor_effects_of(criterion: Criterion, selection: Selection) -> tuple[MinorEffect, ...]:
+    """Return the causes that the last round refused although chance does not explain their gain, best first.
+
+    Only for a search that leaves noise alone: beside a large rest a small gain may be a part of that rest.
+    """
     last = selection.rounds[-1] if selection.rounds else None
     if last is None or last.selected:
-        return []
+        return ()
     classes = {trial.cause for members in selection.classes.values() for trial in members}
     entries = []
     for trial in last.trials:
@@ -81,4 +84,4 @@ def minor_effects_of(criterion: Criterion, selection: Selection) -> list[MinorEf
                 trial.fit, trial.cause, spreads(with_covariance(criterion, trial.fit), criterion.plant)
             )
             entries.append(MinorEffect(name=trial.cause, parameters=parameters, loglik_gain=trial.gain))
-    return entries[:_MAX_MINOR_EFFECTS]
+    return tuple(entries[:_MAX_MINOR_EFFECTS])
