@@ -112,7 +112,7 @@ def changes(x_ref_m: FloatArray, T_s: float) -> list[tuple[slice, slice]]:
     """Return the (level before, level after) of each change of a reference that lasts less than half a second."""
     is_constant = np.concatenate(([True], np.abs(np.diff(x_ref_m)) < 1e-9))
     levels = runs(np.asarray(is_constant), max(round(DWELL_S / T_s) - 1, 2))
-    # A longer way between two levels is a ramp, after which a time since the step says nothing.
+    # A longer way between two levels is a ramp and no step.
     return [(before, after) for before, after in pairwise(levels) if after.start - before.stop < 0.5 / T_s]
 
 
@@ -290,7 +290,7 @@ def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence
     mean = float(difference.mean()) if n else float("nan")
     ci95, chance = None, float("nan")
     if n > 1:
-        # Student, Biometrika 6(1), 1908: of a few steps a normal interval would be too narrow.
+        # Student, The probable error of a mean, 1908: of a few steps a normal interval would be too narrow.
         error = float(difference.std(ddof=1) / np.sqrt(n))
         half = student_quantile(0.975, n - 1) * error
         ci95 = (mean - half, mean + half)

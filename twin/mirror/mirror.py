@@ -65,7 +65,7 @@ class Mirror:
         self.counters: Counter[str] = Counter()
         self.sync = OUT_OF_STEP
         self._known = KnownParameters()
-        self._regime: Regime | None = None
+        self.regime: Regime | None = None  # of the last sample; None where T_s is not known or not supported
         self.comparison = Comparison()
         self._packed: Packed | None = None  # tuple(Twin)
         self._twin = np.zeros(0)  # memory of `advance`, made with the regime
@@ -73,11 +73,6 @@ class Mirror:
         self._last: Sample | None = None
         self._settling_ticks = 0
         self._alarm_active = False  # out-of-step
-
-    @property
-    def regime(self) -> Regime | None:
-        """Return the regime of the last sample; None where T_s is not known or not supported."""
-        return self._regime
 
     def parameters(self, parameters: pb.Parameters) -> None:
         """Take the parameters of the board; repetitions have no effect, and neither have numbers of no rig."""
@@ -110,7 +105,7 @@ class Mirror:
         sync = self._decide_sync(loss, bridged, alarms)
 
         answer = None
-        flying, regime, packed = self._flying, self._regime, self._packed
+        flying, regime, packed = self._flying, self.regime, self._packed
         if regime is not None and packed is not None:
             answer = step(
                 packed,
@@ -149,10 +144,10 @@ class Mirror:
         Raises:
             ValueError, ArithmeticError, numpy.linalg.LinAlgError: no twin can be made of these numbers.
         """
-        regime = self._regime
+        regime = self.regime
         if regime is not None:
             regime = Regime(model, self.settings, sample_time_s=regime.sample_time_s, parameters=regime.parameters)
-        self.model, self._regime = model, regime
+        self.model, self.regime = model, regime
         alarms = self.comparison.forget("another model is used from now on")
         if regime is not None:
             self._packed = self._hold(regime)
@@ -203,7 +198,7 @@ class Mirror:
     def _enter_regime(self, now: Sample, last: Sample | None) -> str:
         """Prepare the regime for this sample's T_s and parameters; returns why the twin loses step by that, or ''."""
         parameters = self._known.at(now.session, now.tick)
-        regime = self._regime
+        regime = self.regime
         if regime is not None and parameters is regime.parameters and parameters is not None:
             return ""
         same = last is not None and last.session == now.session
@@ -219,11 +214,11 @@ class Mirror:
         if regime is not None and known and parameters == regime.parameters and sample_time_s == regime.sample_time_s:
             regime.parameters = parameters  # the next session's, equal in all that matters
             return ""
-        self._regime = None
+        self.regime = None
         if not known:
             unknown = "" if regime is None else "parameters-changed"
             return "unsupported-sample-time" if math.isfinite(sample_time_s) else unknown
-        self._regime = regime = Regime(self.model, self.settings, sample_time_s=sample_time_s, parameters=parameters)
+        self.regime = regime = Regime(self.model, self.settings, sample_time_s=sample_time_s, parameters=parameters)
         self._packed = self._hold(regime)
         return "parameters-changed" if same else ""
 
@@ -253,7 +248,7 @@ class Mirror:
         self.comparison.interrupt()
 
     def _bridge_lost(self, last: Sample, missing: int) -> int:
-        regime = self._regime
+        regime = self.regime
         if regime is None or missing == 0:
             return 0
         # Simulated, not set to the measurement, which would hide the slow divergence that the free twin is to show.
@@ -265,7 +260,7 @@ class Mirror:
 
     def _start(self, now: Sample, before: Sample | None) -> None:
         """Start from the measurement if it is complete; `before` is the sample one tick earlier, if there is one."""
-        regime = self._regime
+        regime = self.regime
         if regime is None or regime.law is None or not math.isfinite(now.i + now.x) or math.isnan(now.drive):
             return
         memory = regime.memory_at(now, before)

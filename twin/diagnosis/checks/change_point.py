@@ -154,8 +154,8 @@ def share_clock(records: Sequence[Record]) -> bool:
     """Tell whether the recordings share a clock: none begins before another has ended."""
     if any(not len(record.t) or not np.isfinite(record.t).all() for record in records):
         return False
-    # The order in the campaign file may be any.  Times that do not overlap are taken for one clock, as separate clocks
-    # begin at 0.
+    # The order in the campaign file may be any.  Clocks that start anew with each recording overlap, so times that do
+    # not are of one clock.
     spans = sorted((float(record.t.min()), float(record.t.max())) for record in records)
     return all(a[1] < b[0] for a, b in itertools.pairwise(spans))
 

@@ -241,8 +241,8 @@ def left_out(points: Points, plant: Plant, whole: StaticFit) -> FloatArray:
     """Return i_c measured - predicted of each point by the model fitted to the others, A, shape (n,)."""
     errors = np.full(len(points), np.nan)
     for row in range(len(points)):
-        # Cross-validation (M. Stone, Journal of the Royal Statistical Society B 36(2), 1974): the points are too few
-        # to keep some apart.
+        # M. Stone, Cross-validatory choice and assessment of statistical predictions, 1974.  The points are too few to
+        # keep some apart.
         fit = refit(points.without(row), plant, whole)
         errors[row] = points.i_c_a[row] - holding_currents(fit.theta, plant, points.x_m[row : row + 1])[0]
     return errors

@@ -128,8 +128,8 @@ def run(
 
 
 def _without_step(sigma: float, lsb: float) -> float:
-    # Rounding is nearly uniform over a step, hence lsb^2 / 12 (B. Widrow, IRE Transactions on Circuit Theory 3(4),
-    # 1956).
+    # Rounding is nearly uniform over a step, hence lsb^2 / 12 (B. Widrow, A study of rough amplitude quantization by
+    # means of Nyquist sampling theory, 1956).
     return math.sqrt(max(sigma * sigma - lsb * lsb / 12.0, 0.0))
 
 

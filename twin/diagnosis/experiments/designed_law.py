@@ -58,8 +58,8 @@ def designed(theta: Theta, plant: Plant, tick_s: float) -> Controller:
         i_0 = float(current_reading(c, y[I_C]))
         phi, gamma = measured(p, c, x_0, tick_s)
         unstable = max(math.log(max(float(np.max(np.abs(np.linalg.eigvals(phi)))), 1.0)) / tick_s, 1.0)
-        # Weights by the largest deviations that are acceptable (A. E. Bryson, Y.-C.  Ho, Applied Optimal Control,
-        # 1975).  Poles would have to be chosen anew for each rig.
+        # Weights by the largest deviations that are acceptable (A. E. Bryson, Y. Ho, Applied Optimal Control, 1975).
+        # Poles would have to be chosen anew for each rig.
         time_s, x, u = TIME_CONSTANTS / unstable, LARGEST_X_SHARE * plant.travel_m, LARGEST_U_SHARE * u_0
         Q = np.diag([(theta.K_A * u) ** -2, x**-2, (x / time_s) ** -2, (x * time_s) ** -2])
         R = np.array([[u**-2]])

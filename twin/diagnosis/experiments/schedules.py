@@ -87,8 +87,8 @@ def _values(part: Signal, tick_s: float) -> FloatArray:
             chips = np.random.default_rng(1).integers(0, 2, int(turns[-1]) + 1) if n else np.empty(0, np.int64)
             wave = 2.0 * chips[turns.astype(int)] - 1.0
         case "multisine":
-            # Phases by M. R. Schroeder (IEEE Transactions on Information Theory 16(1), 1970).  With equal phases all
-            # harmonics would peak at once.
+            # Phases by M. R. Schroeder, Synthesis of low-peak-factor signals and binary sequences with low
+            # autocorrelation, 1970.  With equal phases all harmonics would peak at once.
             wave = sum((np.sin(2.0 * math.pi * (h * turns - h * (h - 1) / 16.0)) for h in _HARMONICS), np.zeros(n))
             wave /= np.max(np.abs(wave))
         case "chirp":

@@ -59,8 +59,8 @@ def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> 
 
 
 def _ridge(rows: FloatArray, targets: FloatArray, penalty: float) -> FloatArray:
-    # Ridge regression (A. E. Hoerl, R. W. Kennard, Technometrics 12(1), 1970).  Plain least squares would follow
-    # the noise with 600 features.
+    # A. E. Hoerl, R. W. Kennard, Ridge regression: biased estimation for nonorthogonal problems, 1970.  Plain least
+    # squares would follow the noise with 600 features.
     return np.asarray(np.linalg.solve(rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1]), rows.T @ targets))
 
 

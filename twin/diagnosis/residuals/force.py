@@ -236,8 +236,8 @@ def windows(step: FloatArray, flags: NDArray[np.uint16], flies: NDArray[np.bool_
 def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:
     """Return weights of the readings for both derivatives (1/s, 1/s^2) of their parabola, shape (2 half + 1,)."""
     k = np.arange(-half, half + 1, dtype=np.float64)
-    # A. Savitzky, M. J. E. Golay, Analytical Chemistry 36(8), 1964.  The second difference of three readings would have
-    # many times the noise.
+    # A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares procedures, 1964.
+    # The second difference of three readings would have a hundred times the noise.
     rows = np.linalg.pinv(np.vander(k, 3, increasing=True))
     return np.asarray(rows[1] / T_s), np.asarray(2.0 * rows[2] / T_s**2)
 

@@ -78,8 +78,8 @@ def blocks_of(recording: NDArray[np.int32], tick_s: float, seed: int) -> Blocks:
         seed: of the random generator.
     """
     n = len(recording)
-    # Blocks by H. R. Künsch, Annals of Statistics 17(3), 1989: drawn one by one, errors that overlap would count as
-    # independent.
+    # Blocks by H. R. Künsch, The jackknife and the bootstrap for general stationary observations, 1989.  Drawn one by
+    # one, errors that overlap would count as independent.
     length = max(round(settings.ERROR_BLOCK_S / tick_s), 1)
     new = np.ones(n, np.bool_)
     new[1:] = recording[1:] != recording[:-1]

@@ -47,8 +47,8 @@ def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | 
     rows = np.array(starts)[:, None] + np.arange(length)
     densities = []
     for errors in errors_m:
-        # P. D. Welch, IEEE Transactions on Audio and Electroacoustics 15(2), 1967.  One periodogram of the whole
-        # would scatter by its own size however long it is.
+        # P. D. Welch, The use of fast Fourier transform for the estimation of power spectra, 1967.  One periodogram of
+        # the whole would scatter by its own size however long it is.
         power = np.abs(np.fft.rfft(errors[rows] * window, axis=1)) ** 2
         densities.append(np.sqrt(2.0 * tick_s / float(window @ window) * power.mean(axis=0)))
     # 11 half-overlapping Hann segments have the variance of 9 independent ones [Welch 1967].

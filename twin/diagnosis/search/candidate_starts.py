@@ -41,7 +41,7 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
             gains.add(robust)
         quick = shortest_time_constant(criterion.evidence.records)
         if quick is not None:
-            # Only a shorter T_A is another start: what a model lacks makes its T_A longer.
+            # Only a shorter T_A is another start: what a model lacks mostly makes its T_A longer.
             times.add(min(quick, theta.T_A))
         values = [(name, value) for name, value in score.other_values if name.startswith(f"{cause.name}.")]
         for K_A in sorted(gains):
