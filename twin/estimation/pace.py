@@ -16,9 +16,7 @@ from twin.estimation.ekf.memory import active_states
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.estimation.propagate import delay_s
 from twin.estimation.rollout_periodic import PHASES, has_phase
-from twin.model.causes import (
-    coulomb_friction,
-)
+from twin.model.causes import coulomb_friction
 from twin.model.extended import CORE, FIELD, I_SENSOR, SECOND, Base, has_first_order_current
 from twin.model.integration import PARTS, SHORT_S, short
 
