@@ -47,6 +47,7 @@ def open_regular(path: Path, *, remedy: str, what: str = "", error: Refusal = Da
     try:
         problem = _not_regular(path.stat().st_mode)
         if not problem:
+            # Not blocking: a pipe that took the place of the file since would wait for a writer.
             descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
             file = os.fdopen(descriptor, "rb")
             status = os.fstat(descriptor)

@@ -114,6 +114,7 @@ def _numbers(name: str, shape: tuple[int, ...], kind: int, content: memoryview, 
     if kind not in _CODES:
         raise BrokenMatError(f"{name} holds numbers of type {kind}")
     values = array(_CODES[kind])
+    # Before the array is filled: a damaged shape must not decide how much is read.
     if len(content) != math.prod(shape) * values.itemsize:
         raise BrokenMatError(f"{name} has {len(content)} bytes for a shape of {shape}")
     values.frombytes(content)

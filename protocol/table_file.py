@@ -173,6 +173,7 @@ def _within_bounds(path: Path, file: BinaryIO | gzip.GzipFile, largest: int) -> 
         total += len(piece)
         if total > largest:
             raise _too_large(path, largest)
+        # No text has a NUL: a picture or an archive is refused with its first piece.
         if not pieces and b"\0" in piece:
             raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat")
         first = piece.find(b"\n")

@@ -69,7 +69,7 @@ def check(
     problems = [_continuity(samples, events, rig)]
     # In this order: a gap or a fault would fail the later checks for a reason that is not theirs.
     if not any(problems):
-        problems = [*_converters(experiment, samples, rig), _captures(experiment, captures)]
+        problems = [*_converters(experiment, samples), _captures(experiment, captures)]
     if not any(problems):
         match experiment.expects:
             case "rests" | "is-clamped":
@@ -96,11 +96,8 @@ def departures_v(samples: Samples, rig: CheckedRig) -> list[float]:
     """
     away = samples.x_m - rig.rest_m > STOP_SHARE * rig.travel_m
     rest_samples = round(0.1 / rig.sample_time_s)
-    departures = []
-    for k in np.flatnonzero(away[1:] & ~away[:-1]) + 1:
-        if k >= rest_samples and not away[k - rest_samples : k].any():
-            departures.append(float(samples.u_c_v[k]))
-    return departures
+    leaves = np.flatnonzero(away[1:] & ~away[:-1]) + 1
+    return [float(samples.u_c_v[k]) for k in leaves if k >= rest_samples and not away[k - rest_samples : k].any()]
 
 
 def lift_off_v(samples: Samples, rig: CheckedRig) -> float | None:
@@ -123,6 +120,7 @@ def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> Prob
     lost = int(np.sum(steps - 1))
     gap_s = float(np.max(steps) - 1) * rig.sample_time_s
     share = lost / (len(s) + lost)
+    # The share alone would let one long gap pass, in which the ball may have been anywhere.
     if share > MAX_LOST_SHARE or gap_s > LONGEST_GAP_S:
         return Problem(
             "samples-lost",
@@ -132,7 +130,7 @@ def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> Prob
     return None
 
 
-def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> list[Problem]:
+def _converters(experiment: Experiment, s: Samples) -> list[Problem]:
     problems = []
     current = float(np.mean((s.flags & Flag.CURRENT_RANGE) != 0))
     if current > CLIPPED_SHARE:
@@ -169,6 +167,7 @@ def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> P
         i = np.array(capture.i_c_a)
         if not 0 < capture.step_index < len(i) - 20:
             return Problem("capture-short", f"a capture has {len(i)} samples")
+        # The last quarter: T_A is not known yet, and before it the current may still settle.
         before, after = i[: capture.step_index], i[-len(i) // 4 :]
         noise = max(float(np.std(before)), float(np.std(after)), 1e-9)
         clear += abs(float(np.mean(after) - np.mean(before))) > 3.0 * noise

@@ -215,6 +215,7 @@ class RigControl:
         """Perform one action of a plan."""
         match action:
             case Send():
+                # From the tick of the reply: the time that the line takes is no part of the hold.
                 tick = self.command(action.command)
                 self.hold(action.hold_s, from_tick=tick)
             case GoTo():
@@ -291,6 +292,7 @@ class RigControl:
     def measure_rest(self) -> None:
         """Measure the reading of x at rest, with the coil off."""
         with self._subscriber.changed:
+            # Only states from now on: older ones may show a ball that still bounces.
             self._subscriber.recent.clear()
         self.wait(lambda: len(self._subscriber.recent) >= 50)
         self.rest_m = rest_level_m([state.x_m for state in self._subscriber.recent if state.HasField("x_m")])

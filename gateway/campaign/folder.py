@@ -112,6 +112,7 @@ class Folder:
         self.retained = {name: retained for name, retained in known.recordings.items() if name in EXPERIMENT_OF_NAME}
         self.left, self.quick = known.left, known.quick
         if (self.path / "campaign.toml").exists():
+            # By the TOML, which a person may have corrected since (rule 4).
             self._identity["plant"] = asdict(load_plant(self.path))
 
     @property
@@ -189,6 +190,7 @@ class Folder:
         with LogWriter(part, metadata={"campaign": description}, compression="zstd") as writer:
             for message in recorded.messages:
                 writer.write(*message)
+        # The size is kept, so that a file that was cut or exchanged is recorded again.
         retained.bytes = part.stat().st_size
         part.replace(file)
         self.retained[experiment.name] = retained

@@ -136,6 +136,7 @@ def guessed_lift_off_v(parameters: pb.Parameters, plant: Plant, limits: CommandL
     """
     u_0, gap = parameters.u_0_v, plant.x_max_m - parameters.x_0_m
     guess = u_0 * plant.x_max_m / gap if u_0 > 0 and gap > 0.05 * plant.x_max_m else math.inf
+    # The sawtooth of the menu goes up to 1.1 times this, which must be within the limit.
     return min(guess, limits.u_max_v / 1.1)
 
 

@@ -82,6 +82,7 @@ class Runner:
             )
         outcomes = [Outcome(experiment=experiment) for experiment in self._with_lift_off(w.experiments)]
         summary = Summary(outcomes=outcomes, lift_off_v=self._folder.lift_off_v)
+        # Before anything moves: what the limits forbid is reported at once.
         self._look_ahead(summary)
         self._folder.begin([o.experiment.name for o in outcomes if o.standing == "not-reached"], quick=w.quick)
         self._folder.save(controller_of(self._parameters))  # without the recordings that will be made again
@@ -109,11 +110,11 @@ class Runner:
 
     def _with_lift_off(self, experiments: Sequence[Experiment]) -> list[Experiment]:
         """The experiments, with lift-off first if its result is needed and unknown."""
-        if any(map(needs_lift_off, experiments)) and self._folder.lift_off_v is None:
-            if not any(e.name == LIFT_OFF for e in experiments):
-                self._write_line("the lift-off input is not known yet: lift-off is recorded first")
-                return [self._wishes.lift_off, *experiments]
-        return list(experiments)
+        known = self._folder.lift_off_v is not None or any(e.name == LIFT_OFF for e in experiments)
+        if known or not any(map(needs_lift_off, experiments)):
+            return list(experiments)
+        self._write_line("the lift-off input is not known yet: lift-off is recorded first")
+        return [self._wishes.lift_off, *experiments]
 
     def _look_ahead(self, summary: Summary) -> None:
         """Mark the experiments that are already recorded or not possible within the limits."""
@@ -171,6 +172,7 @@ class Runner:
             self._write_line(
                 f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)"
             )
+            # Until it ends otherwise: an exception leaves this standing.
             outcome.standing = "interrupted"
             self._repeat(outcome)
             summary.lift_off_v = self._folder.lift_off_v
@@ -219,6 +221,7 @@ class Runner:
         try:
             if e.closed_loop:
                 self._rig.lift(next(action.x_ref_m for action in plan if isinstance(action, GoTo)))
+            # From here on: lifting the ball is no part of the signal.
             self._subscriber.begin()
             for action in plan:
                 if not e.closed_loop and not _is_idle(action):
@@ -231,22 +234,20 @@ class Runner:
             self._rig.land()  # raises if another client sent STOP
         if cut:
             return cut, recorded
+        # A foreign command makes it another experiment, however good the samples look.
         if intruder := _intruder(recorded):
             return (intruder,), recorded
         samples = Samples.of(map(Sample.of, recorded.states))
-        known = self._known()
-        problems = checks.check(e, samples, recorded.captures, recorded.events, known)
-        if not problems and e.name == LIFT_OFF:
-            self._folder.lift_off_v = checks.lift_off_v(samples, known)
-        return problems, recorded
-
-    def _known(self) -> checks.CheckedRig:
-        return checks.CheckedRig(
+        known = checks.CheckedRig(
             limits=self._limits,
             travel_m=self._wishes.plant.travel_m,
             rest_m=self._rig.rest_m,
             sample_time_s=self._parameters.sample_time_s,
         )
+        problems = checks.check(e, samples, recorded.captures, recorded.events, known)
+        if not problems and e.name == LIFT_OFF:
+            self._folder.lift_off_v = checks.lift_off_v(samples, known)
+        return problems, recorded
 
     def _keep(self, outcome: Outcome, recorded: Recorded) -> None:
         e, first, last = outcome.experiment, recorded.states[0], recorded.states[-1]

@@ -94,6 +94,7 @@ class BoardSubscriber:
         if message is None:
             return
         with self.changed:
+            # By the time in the message: that of arrival here depends on this machine.
             logged = (key, data, stamp_ns(message) or time.time_ns())
             if address[2] in _STANDING:
                 self._standing[address[2]] = logged

@@ -97,6 +97,7 @@ class CaptureReader:
         packed = block.bytes("samples")
         pairs = (unpack_pair(packed[3 * n : 3 * n + 3]) for n in range(CAPTURE_BLOCK_SAMPLES // 2))
         counts = [count for pair in pairs for count in pair]
+        # The last block is filled up with zeros, which are no samples.
         self._counts += counts[: total - len(self._counts)]
         if len(self._counts) < total:
             self._read(now_s)

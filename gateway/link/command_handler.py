@@ -94,12 +94,7 @@ class CommandHandler:
     """
 
     def __init__(
-        self,
-        limits: LimitsConfig,
-        session: Session,
-        known: Known,
-        sink: Sink,
-        accepted: Callable[[WireCommand], None],
+        self, limits: LimitsConfig, session: Session, known: Known, sink: Sink, accepted: Callable[[WireCommand], None]
     ) -> None:
         self.accepted_count = self.refused_count = self.timed_out_count = 0
         self.annotations, self.plant_card = Annotations(sink), CardKeeper(sink)
@@ -116,15 +111,7 @@ class CommandHandler:
         self._stale: OrderedDict[str, float] = OrderedDict()  # id -> first arrival of a command that was not fresh
 
     def take(
-        self,
-        payload: bytes,
-        reply: Reply,
-        now_s: float,
-        host_ns: int,
-        *,
-        link: str,
-        reason: str,
-        sender: Sender,
+        self, payload: bytes, reply: Reply, now_s: float, host_ns: int, *, link: str, reason: str, sender: Sender
     ) -> None:
         """Handle one query.  `link` and `reason` describe the state of the link, for a refusal if it is down."""
         command, bad_form = read_command(payload)

@@ -40,7 +40,7 @@ from protocol.log.chunk import (
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
-_STATISTICS, _METADATA, _DATA_END = 0x0B, 0x0C, 0x0F
+_STATISTICS, _METADATA = 0x0B, 0x0C
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
 _CUT = "the file ends within"
 _MESSAGE_HEAD = struct.Struct("<HIQQ")

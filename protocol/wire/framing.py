@@ -36,6 +36,7 @@ def cobs_decode(encoded: bytes) -> bytes | None:
     data = bytearray(encoded)
     while end < size:
         code = data[end]
+        # In place: each code tells where the next zero was.
         data[end] = 0
         end += code
         if code == 0:

@@ -203,13 +203,7 @@ class Session(CommandExchange):
         self._restart(events, "tick", board_reset=jump.board_reset, now_s=now_s, doubtful=jump.doubtful)
 
     def _restart(
-        self,
-        events: list[Event],
-        why: str,
-        *,
-        board_reset: bool,
-        now_s: float,
-        doubtful: tuple[int, int] | None = None,
+        self, events: list[Event], why: str, *, board_reset: bool, now_s: float, doubtful: tuple[int, int] | None = None
     ) -> None:
         """Cancel all commands, discard the identity and repeat the handshake, after a loss of continuity."""
         if not self.is_open:

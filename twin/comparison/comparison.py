@@ -39,6 +39,7 @@ class Comparison:
         """Return at most two sentences: the largest significant difference, and what follows."""
         if self.kind == "time":
             return _changed(self.parameters, len(self.names))
+        # The whole travel alone: the regions are parts of it, and the answer has room for one number.
         whole = [change for change in self.changes if change.region == WHOLE and math.isfinite(change.chance)]
         if not whole:
             return "The flights are too short, or the predictions too equal, for a comparison."

@@ -28,6 +28,7 @@ def changes(
         return ()
     plain = dataclasses.replace(model, causes=())
     i, u = equilibrium(plain, point.x_m)
+    # Designed anew, because the question is what a model without the causes would have given.
     without = design_gains(
         plain, OperatingPoint(i_a=i, x_m=point.x_m, u_v=u), weights, sample_time_s=sample_time_s, law=law
     )

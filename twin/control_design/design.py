@@ -17,16 +17,7 @@ from twin.control_design.board import Converters, QuantisedGain, from_order_of, 
 from twin.control_design.cautions import changes, thin, unsure
 from twin.control_design.controller_file import ControllerFile
 from twin.control_design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
-from twin.control_design.loop import (
-    Controller,
-    Noise,
-    backward,
-    closed_loop,
-    ideal,
-    kalman_gain,
-    noise_rms,
-    observer,
-)
+from twin.control_design.loop import Controller, Noise, backward, closed_loop, ideal, kalman_gain, noise_rms, observer
 from twin.control_design.margins import Margins, margins
 from twin.control_design.robust import Robustness, over_intervals, plant_at, stable_range_m
 from twin.model.linear import delay_s
@@ -137,6 +128,7 @@ def design(model: Model, wanted: Specification | None = None) -> Design:
     K = design_gains(model, point, weights, sample_time_s=sample_time_s, law=law)
     gains = in_order_of(law, K)
     quantised = quantise(gains, law, converters, sample_time_s)
+    # What follows is of the gains that the board stores, not of those that were designed.
     K_board = from_order_of(law, tuple(gain.value for gain in quantised))
     plant = plant_at(model, point.x_m, sample_time_s)
     noise = _noise(model, sample_time_s, (converters.i_lsb_a, converters.x_lsb_m, converters.u_lsb_v))
@@ -215,10 +207,12 @@ def _judge(
     poles = np.linalg.eigvals(closed_loop(plant, controller)).astype(np.complex128)
     model_delay_s = delay_s(model) if model.causes else 0.0
     x, u = noise_rms(plant, controller, noise)
+    # Without rounding as well: the difference is what the converters cost.
     x_analog, u_analog = noise_rms(plant, controller, _noise(model, sample_time_s, (0.0, 0.0, 0.0)))
     return LoopAnalysis(
         name=name,
         poles=poles[np.argsort(-np.abs(poles), kind="stable")],
+        # From the continuous plant, because a delay margin is seldom a whole number of ticks.
         margins=margins(*linearise(model, point.x_m), controller, sample_time_s, model_delay_s=model_delay_s),
         x_rms_m=x,
         u_rms_v=u,

@@ -106,6 +106,7 @@ def bryson(model: Model, point: OperatingPoint, *, settling_time_s: float | None
     # A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975.
     x = LARGEST_X_SHARE * model.plant.travel_m
     u = LARGEST_U_SHARE * point.u_v
+    # (1) at rest.
     i = model.K_A * u
     return Weights(Q=(i**-2, x**-2, (x / time_s) ** -2, (x * time_s) ** -2), R=u**-2)
 
@@ -138,6 +139,7 @@ def design_gains(
     """
     import control  # here because the import takes 2 s
 
+    # Not of the complete model: `dlqr` gives a gain for each state, and the board does not have these.
     prompt = without_lags(model)
     phi, gamma = c2d(*linearise(prompt, point.x_m), sample_time_s)
     first = 1 if law == "pid" else 0

@@ -94,6 +94,7 @@ def observer(K: Gains, plant: Plant, filter_gain: NDArray[np.float64], sample_ti
     phi, gamma = plant
     n = len(phi)
     K_p = np.zeros((1, n))
+    # The gains act on the states that they are for; further states improve the prediction alone.
     K_p[0, :3] = K[:3]
     gain = np.zeros((n, n))  # of y = p: only i_c and x are measured
     gain[:, :2] = filter_gain

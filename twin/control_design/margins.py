@@ -53,6 +53,7 @@ def margins(
         return None
 
     def with_gain(factor: float) -> bool:
+        # At the plant's input: the factor is on all of u_c, the integral's part too.
         scaled = controller._replace(C=controller.C * factor, D=controller.D * factor)
         return radius(plant, scaled) < 1.0
 

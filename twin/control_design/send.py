@@ -106,6 +106,7 @@ def _command(design: Design, who: str) -> pb.Command:
     return pb.Command(
         id=uuid.uuid4().hex,
         who=who,
+        # Dated and valid for a short time: gains that were held up must not change a later flight.
         issued_ns=time.time_ns(),
         valid_s=REPLY_WAIT_S,
         set_gains=pb.SetGains(

@@ -52,6 +52,7 @@ def constants(model: Model) -> Mapping[int, float]:
 def plant(model: Model, sample_time_s: float) -> Record:
     """PlantNumbers of the model, as values."""
     c = Cells(parameter("c").node, constants(model))
+    # A delay that the model does not have is known to be 0, and its branches vanish.
     delays: dict[str, Value] = {
         f"{where}_{what}": Known(0) if what == "whole" else Known(0.0)
         for where in ("act", "sense", "in")
@@ -97,6 +98,7 @@ def rig(model: Model, sample_time_s: float) -> Rig:
     delays = ACT not in known or SENSE not in known
     if delays:
         program.add(delay_in_ticks, [*variables_of("delay_s"), Known(sample_time_s)])
+    # Room for the longest delay of the catalogue: in the exported rig it remains a parameter.
     longest = {
         cause.strength.index: math.ceil(cause.strength.high / sample_time_s) + 1 for cause, _ in simulated(model)
     }

@@ -98,6 +98,7 @@ def linear_responses(model: Model, setting: Setting, f_hz: FloatArray) -> dict[N
     # Solved at each frequency: the polynomials of a transfer function of many states would lose digits.
     states = np.linalg.solve(z * np.eye(len(phi)) - phi, gamma[None] * z**-setting.delay)[:, :, 0]
     item = np.ones(len(f_hz), dtype=complex)
+    # The same ratios as of the measured signals, for u_c = 1: so the two have one definition.
     return {a: top / bottom for a, (top, bottom) in _pairs(item, states[:, 0], states[:, 1], setting.law, f_hz).items()}
 
 

@@ -73,6 +73,7 @@ def cut(
             remedy="Fly steps of the reference for a while, or perform an experiment with "
             "`board51 campaign run FOLDER --experiment wide-steps`, then run it again",
         )
+    # A share of all flight, not of each spell, which would be torn for a second of judging.
     judge_from = _judges(flights, flown_s)
     pieces: list[Piece] = []
     for spell in spells:

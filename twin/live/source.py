@@ -50,6 +50,7 @@ class LiveData:
             case pb.CaptureRecord() as capture:
                 self.captures.append(capture)
             case pb.Parameters() as parameters:
+                # The gateway repeats them every 5 s: only another law is a new entry.
                 if not self.parameters or in_force(parameters) != in_force(self.parameters[-1]):
                     self.parameters.append(parameters)
             case pb.PlantCard() as card:
@@ -145,6 +146,7 @@ def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, progr
     subscriber = session.declare_subscriber(f"{site}/{board}/**", arrived)
     began = reported_s = time.monotonic()
     progress(f"the gateway's log is not on this machine: listening for {span_s:.0f} s")
+    # zenoh's thread only queues: parsing there would hold up the next message.
     while (now := time.monotonic()) - began < span_s:
         time.sleep(0.05)
         while queue:

@@ -60,6 +60,7 @@ def hand_over_and_compare(
 
     subscriber = session.declare_subscriber(topics.key(site, board, "twin/divergence"), arrived)
     try:
+        # Innovations of the present model come first: without them there is nothing to compare with.
         time.sleep(SPAN_S)
         answers = hand_over(belief, site=site, board=board, endpoints=endpoints, identity=identity)
         lines = [f"{site}/{answer}" for answer in answers]

@@ -76,6 +76,7 @@ class Mirror:
 
     def parameters(self, parameters: pb.Parameters) -> None:
         """Take the parameters of the board; repetitions have no effect, and neither have numbers of no rig."""
+        # A law with numbers of no rig would call every sample wrong.
         if not is_plausible(parameters):
             self.counters["implausible_parameters"] += 1
             return
@@ -267,6 +268,7 @@ class Mirror:
         if memory is None:
             return
         v, s, x_prev = memory
+        # The input so far is that of the sample before: u_c of a sample acts from its tick on.
         u = before.u if before is not None and math.isfinite(before.u) else now.u
         warmth = float(self._twin[WARMTH])  # a coil stays as warm as it was; one that nobody saw is warm from this i_c
         self._twin[:] = rig_at(

@@ -76,6 +76,7 @@ def observer_of(plant: PlantNumbers, noise: Noise, *, i_lsb_a: float = 0.0, x_ls
     travel_m, T_s = Base(*plant.base).travel_m, plant.sample_time_s
     # Ten standard deviations: noise alone must not put a ball on its rest into flight.
     margin_m = max(CONTACT_SHARE * travel_m, 10.0 * noise.sigma_x_m)
+    # One count adds lsb^2 / 12, the variance of a rounding error (B. Widrow, 1956).
     levels = NoiseLevels(
         sigma_i_c_a=math.sqrt(noise.sigma_i_c_a**2 + i_lsb_a**2 / 12.0),
         sigma_x_m=math.sqrt(noise.sigma_x_m**2 + x_lsb_m**2 / 12.0),
@@ -108,6 +109,7 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
     else:
         before = f.y[I_C]
         measure_current(f, i)
+        # States that no sensor shows are carried on, driven by the measured current.
         f.y[SECOND] = second_time_constant.settled(f.c[:], f.y[SECOND], f.y[I_C], o.sample_time_s)
         f.y[CORE] = eddy_current_lag.slow(f.c[:], f.y[CORE], before, f.y[I_C], o.sample_time_s)
         f.y[LOOP] = magnetic_hysteresis.turned(f.c[:], f.y[LOOP], f.y[FIELD], f.y[I_C])
@@ -161,6 +163,7 @@ def observe(
         inputs[newest] = math.nan
     if not usable:
         return math.nan, math.nan, math.nan, False
+    # A stop is where the ball is, not where a sensor with an offset or crosstalk reads it.
     position = position_of_reading(Base(*base_of(f)), f.c[:], x, current_of_reading(f.c[:], i))
     first = math.isnan(inputs[newest])
     o.since_cut[0] = math.inf if first else 0.0 if switched_off else o.since_cut[0] + 1.0

@@ -69,6 +69,7 @@ def interruption(now: Sample, last: Sample, bridge_ticks_max: int) -> str:
     if missing < 0:
         return "time-backwards"
     held = now.drive == (last.x_ref if now.closed_loop else last.u)
+    # Bridged only where both sides agree: what happened in between is known then.
     if missing > bridge_ticks_max or (missing > 0 and not (held and now.mode == last.mode)):
         return "lost-samples"
     if math.isnan(now.drive):

@@ -84,6 +84,7 @@ def step(twin: Packed, yardstick: Packed, tick: Packed) -> Answer:
         of_x = figures(w, X, now.x, flight[1], scale.std_x, now.in_step)
         of_i = figures(w, I_C, now.i, flight[0], scale.std_i, now.in_step)
         of_u = figures(w, U_C, now.u, flight[3], scale.std_u, now.in_step)
+    # In closed loop only: in open loop no model predicts an unstable ball for long.
     is_evidence = now.flying and now.closed_loop and now.in_step
     change_x = judge_error(w, 1, of_x[1], scale.on_x, scale.off_x, is_evidence)
     change_i = judge_error(w, 2, of_i[1], scale.on_i, scale.off_i, is_evidence)

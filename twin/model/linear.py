@@ -82,6 +82,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     lags = {FIELD: eddy, SENSOR: lag, SECOND: c[second_time_constant.TAU] * (c[second_time_constant.SHARE] != 0.0)}
     lags[I_SENSOR] = float(c[current_sensor_lag.TAU])
     lags[CORE] = eddy * c[eddy_current_lag.TIMES] * (c[eddy_current_lag.SLOW] > 0.0)
+    # A state without a lag follows at once: it would be an eigenvalue of 0, which has no logarithm.
     places = [I_C, X, V, *(state for state, tau in lags.items() if tau > 0.0)]
     if lag > 0.0 and c[position_sensor_lag.SECOND] > 0.0:
         places.append(RATE)
@@ -144,6 +145,7 @@ def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int])
     readings[0, 0] = (current_reading(c, i + 1e-4) - current_reading(c, i - 1e-4)) / 2e-4
     position_row = np.zeros(len(places))
     position_row[0], position_row[1] = slope_i, slope_x
+    # In the scale of the sensor, as the board's difference of two readings has it.
     readings[2, 2] = slope_x
     if SENSOR in places:
         row = places.index(SENSOR)
@@ -193,6 +195,7 @@ def discretised(
         return phi, new
     before, old = c2d(A, B, part_s)
     phi, old = phi @ before, phi @ old
+    # Whole ticks are past inputs as states; the tick that is cut has two of them.
     taps = [new if age == held else old if age == held + 1 else np.zeros((n, 1)) for age in range(held + 2)]
     size = n + held + 1
     F, G = np.zeros((size, size)), np.zeros((size, 1))

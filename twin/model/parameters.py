@@ -105,6 +105,7 @@ def _all_fit(
         if not low <= parameter.value <= high:
             problem = f".value = {parameter.value:g} is not in {low:g} .. {high:g}"
             raise RuleError(problem, remedy="Check the unit and the power of ten", key=name)
+    # In one order: equal models have equal text, however their files were laid out.
     return {name: supplied[name] for name in known}
 
 

@@ -9,12 +9,7 @@ Rule 2: stops are left to the caller.
 
 from __future__ import annotations
 
-from twin.model.causes import (
-    air_gap_offset,
-    motional_emf,
-    position_dependent_inductance,
-    slew_rate_limit,
-)
+from twin.model.causes import air_gap_offset, motional_emf, position_dependent_inductance, slew_rate_limit
 from twin.model.causes import freewheel_diode as diode
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Trait, Vector

@@ -126,6 +126,7 @@ def begin(
     """
     p, c = Base(*plant.base), plant.c
     current = current_of_reading(c, i)
+    # Within the travel: the noise of a reading must not put the ball beyond a stop.
     position = min(max(position_of_reading(p, c, x, current), 0.0), p.travel_m)
     settle_current(c, memory, current)
     memory[X], memory[V] = position, v
@@ -145,6 +146,7 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
     """Advance the rig by one tick under u_c = u, V; `memory` (see the top of the file) is updated in place."""
     p = PlantNumbers(*plant)
     T_s = p.sample_time_s
+    # Most models have no delay: nothing has to be moved then.
     if p.act_whole == 0 and p.act_part_s == 0.0 and p.sense_whole == 0 and p.sense_part_s == 0.0:
         over(p.base, p.c, memory, u, 0.0, T_s, True)
         memory[I_READ], memory[X_READ] = reading_of_current(p.c, memory), memory[SENSOR]

@@ -182,6 +182,7 @@ def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> 
 
 def _flown(run: Filtered, c: LawNumbers) -> list[slice]:
     record = run.source.record
+    # The simulation runs one tick for each sample, so the steps must be ticks.
     steady = np.abs(run.series.step - c.sample_time_s) < 0.05 * c.sample_time_s
     free = steady & np.isfinite(run.state[:, 0]) & np.isfinite(record.x_ref) & np.isfinite(record.u_c)
     return runs(np.asarray(free), round((SHORTEST_S + SETTLE_S) / c.sample_time_s))
@@ -219,6 +220,7 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
     begin[INTEGRAL], begin[X_BEFORE] = integral, r.x[part.start - 1]
     delay = run.source.delay
     before = np.asarray(r.u_c[part.start - delay : part.start], dtype=float)
+    # Contiguous: for a strided array the kernel would be compiled once more.
     x_ref = np.ascontiguousarray(r.x_ref[part])
     out = np.empty((REALISATIONS + 1, 3, n))
     for m in range(REALISATIONS + 1):

@@ -51,6 +51,7 @@ def longest_flight(source: Source) -> slice:
     if not r.has("x_ref"):
         raise DataError(f"{r.name}: no reference was recorded", remedy="Give a log of a gateway, or a column for x_ref")
     step = np.diff(r.t, prepend=r.t[0] - r.interval_s)
+    # Steady steps: the law runs once for each sample.
     known = np.isfinite(r.u_c) & np.isfinite(r.x_ref) & (np.abs(step - r.interval_s) < 0.05 * r.interval_s)
     stretches = runs(np.asarray(known), round(SHORTEST_S / r.interval_s))
     if not stretches:

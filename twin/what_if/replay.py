@@ -74,6 +74,7 @@ def _split(
 ) -> None:
     y = np.empty(STATES)
     for k in range(1, len(u)):
+        # From the corrected state each time: d is what one step missed, not what has added up.
         copy(y, state[k - 1])
         propagate(base, c, y, u, k, 0, 0.0, step[k], True)
         predicted = (reading_of_current(c, y), y[SENSOR])

@@ -52,6 +52,7 @@ def fmu(model: Model, law: LawNumbers, *, fmi: str = "2.0", compiler: str | None
     T_s = law.sample_time_s
     program, listed = rig(model, T_s), variables(model, law)
     absent = tuple(left_out(model))
+    # Of the content: a random one would make equal exports differ.
     token = str(UUID(bytes=sha256(repr((model_text(model), law, fmi, _tool())).encode()).digest()[:16]))
     description = Description(
         identifier=identifier(model.plant.name),
@@ -118,6 +119,7 @@ def _zipped(content: dict[str, bytes]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in sorted(content.items()):
+            # A fixed day and mode, so that the bytes are the same (rule 1).
             entry = zipfile.ZipInfo(name, _FIRST_DAY)
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, data)

@@ -103,6 +103,7 @@ class Expressions:
         if isinstance(value, Known) and isinstance(value.value, tuple) and isinstance(node, ast.Name):
             if isinstance(index, Known):
                 return Known(value.value[index.value])
+            # The index is not known now, so the tuple becomes a table of the program.
             self.program.tables[node.id] = value.value
             return Code(ast.Subscript(name(node.id), node_of(index), ast.Load()), "float")
         raise unsupported(f"`{ast.unparse(node)}[..]`", self.where)

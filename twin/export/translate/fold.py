@@ -45,6 +45,7 @@ def arithmetic(op: ast.operator, left: Value, right: Value) -> Value:
     if kind == "float" or type(op) in (ast.Div, ast.Pow):
         kind = "float"
         short = _shortened(op, left, right)
+        # A short form of another kind would change the type of a variable.
         if short is not None and kind_of(short) == kind:
             return short
     return Code(ast.BinOp(node_of(left), op, node_of(right)), kind)
@@ -96,6 +97,7 @@ def logic(op: ast.boolop, values: list[Value]) -> Value:
         if not isinstance(value, Known):
             left.append(value)
         elif bool(value.value) == decides:
+            # Not the value alone: what stands before it may call a function.
             return Known(decides) if not left else Code(ast.BoolOp(op, [*map(node_of, left), node_of(value)]), "bool")
     if not left:
         return Known(not decides)
@@ -115,6 +117,7 @@ def function(known: Callable[..., Any], values: list[Value]) -> Value:
     if all(isinstance(value, Known) for value in values):
         return Known(known(*(value.value for value in values if isinstance(value, Known))))
     if known in (min, max):
+        # An infinite bound is none: so the limits of absent causes vanish.
         no_bound = math.inf if known is min else -math.inf
         values = [value for value in values if not is_number(value, no_bound)]
         if len(values) == 1:

@@ -112,8 +112,10 @@ class Program:
         )
 
     def _specialised(self, function: Callable[..., Any], arguments: Sequence[Value]) -> tuple[Function, Value | None]:
+        # A compiled kernel keeps its Python source.
         function = getattr(function, "py_func", function)
         signature = (function.__module__, function.__qualname__, *map(_signature, arguments))
+        # Calls with the same known arguments share one function.
         if signature not in self._known:
             self._known[signature] = self._translated(function, arguments)
         written, simple = self._known[signature]
@@ -136,6 +138,7 @@ class Program:
         body = Body(self, function.__globals__, local, where=function.__qualname__)
         body.run(definition.body)
         statements = body.finished()
+        # What only absent causes used is no argument any more.
         parameters = [(key, kind) for key, kind in parameters if _is_used(key, statements)]
         written = Function(
             name=self._free_name(f"{function.__module__.rpartition('.')[2]}_{function.__name__.strip('_')}"),
@@ -203,6 +206,7 @@ def _simple(statements: Sequence[ast.stmt], results: tuple[Kind, ...], parameter
         case _:
             return None
     used = [n.id for node in nodes for n in ast.walk(node) if isinstance(n, ast.Name)]
+    # A long expression remains a function: its name says what it computes.
     too_long = sum(len(ast.unparse(node)) for node in nodes) > LONGEST_INLINED
     if too_long or any(isinstance(node, ast.IfExp) for node in nodes) or any(used.count(key) > 1 for key in parameters):
         return None
@@ -227,5 +231,6 @@ def _put_in(value: Value, nodes: Mapping[str, ast.expr]) -> Value:
         return Several(tuple(_put_in(item, nodes) for item in value.items))
     if isinstance(value, Known):
         return value
+    # A copy, because the expression is put in at each call.
     copied = copy.deepcopy(node_of(value))
     return Code(_Exchange(nodes).visit(copied), kind_of(value))

@@ -110,6 +110,7 @@ class Body(Expressions):
             raise unsupported(f"`{ast.unparse(target)} = ..`", self.where)
         items = list(value.items)
         for n, item in enumerate(items):
+            # Python evaluates the whole right side first: what an earlier target overwrites is kept.
             if isinstance(item, Code) and any(self._overwrites(t, item.node) for t in target.elts[:n]):
                 before = f"before_{len(self.variables)}"
                 self._write(before, item)
@@ -182,6 +183,7 @@ class Body(Expressions):
     def _merge(self, ends: list[dict[str, Value]]) -> None:
         for key in {key for end in ends for key in end}:
             values = [end[key] for end in ends if key in end]
+            # Known behind a branch only if all ways to here agree.
             equal = all(value == values[0] for value in values) and len(values) == len(ends)
             self.local[key] = values[0] if equal else Code(name(key), self.variables[key])
 
@@ -194,6 +196,7 @@ class Body(Expressions):
 
     def _for(self, statement: ast.For) -> None:
         steps = self._steps(statement.iter)
+        # Short loops are written out: their indices are known then, so parts of absent causes vanish.
         if isinstance(steps, list):
             for step in steps:
                 self._assign(statement.target, step)
@@ -203,6 +206,7 @@ class Body(Expressions):
         self._write_down(_assigned(statement))
         self.variables[statement.target.id] = "int"
         self.local[statement.target.id] = Code(name(statement.target.id), "int")
+        # Within a loop what was known before it holds in the first turn only.
         for variable in _assigned(statement) - {statement.target.id}:
             if variable in self.local:
                 self.local[variable] = Code(name(variable), self.variables[variable])

@@ -17,6 +17,7 @@ def tidied(statements: Sequence[ast.stmt], arrays: set[str]) -> list[ast.stmt]:
     """Return the statements that are left; `arrays`: names of arrays that calls may change."""
     before: list[str] = []
     left = list(statements)
+    # Until nothing changes: what one pass leaves out may have been all that read another.
     while (now := [ast.dump(statement) for statement in left]) != before:
         before = now
         left = _merged(_without_unread(left, _read(left), arrays), _loads(left), arrays)
@@ -107,6 +108,7 @@ def _both(first: ast.stmt, second: ast.stmt, loads: Counter[str], arrays: set[st
             pass
         case _:
             return None
+    # Read once, right after: else it would be computed twice, or after an array has changed.
     if loads[key] != 1 or key not in names(second) or _changes(second, arrays) or key in names_of_targets(second):
         return None
     merged = _Substitution(key, value).visit(copy.deepcopy(second))

@@ -66,6 +66,7 @@ def evidence_of(window: Window, model: Model, start: Theta | None = None) -> Win
         criterion.close()
     signatures = []
     for (cause, probe, _), projection in zip(trials, found, strict=True):
+        # What the parameters take up wholly has no size: little divided by little would be any.
         seen = projection is not None and projection.visible >= VISIBLE
         slope, information = (projection.slope, projection.information) if projection and seen else (0.0, 0.0)
         signatures.append(Signature(cause=cause.name, probe=probe, slope=slope, information=information))
@@ -73,6 +74,7 @@ def evidence_of(window: Window, model: Model, start: Theta | None = None) -> Win
 
 
 def _criterion(window: Window, model: Model) -> Criterion:
+    # Contiguous: for columns of a table the kernels would be compiled once more.
     u, i, x = (np.ascontiguousarray(column) for column in window.readings.T)
     flags = np.full(len(u), FOLLOWS | FLIES | USE_I | USE_X, np.uint16)
     # The first sample follows none: the filter begins there with an unknown speed.

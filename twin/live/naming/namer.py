@@ -54,6 +54,7 @@ def namers(model: Model) -> Callable[[Model], Namer]:
     )
     with contextlib.suppress(*_NOT_EVALUATED):
         evidence_of(window, model)
+    # One thread for all boards: naming takes one core at most.
     work = ThreadPoolExecutor(max_workers=1, thread_name_prefix="naming", initializer=_yield_to_samples)
     return partial(Namer, executor=work)
 

@@ -57,6 +57,7 @@ class Belief:
 def believe(model: Model, *, who: str = "", command_id: str = "") -> Belief:
     """Write `model` down.  Raises DataError where it cannot be written as JSON that everybody reads."""
     try:
+        # Written anew, not taken from its file: so equal models have equal text.
         text = model_text(model)
         digest = hashlib.sha256(text.encode()).hexdigest()
     except (ValueError, RecursionError) as error:
@@ -77,6 +78,7 @@ def refusal(reason: str, text: str, *, command_id: str = "") -> pb.CommandReply:
 
 def read_command(payload: bytes) -> pb.TwinCommand | pb.CommandReply:
     """The command in a query, or the refusal; its form, not yet its model."""
+    # Before it is parsed: the work must not grow with what a stranger sends.
     if len(payload) > MAX_PAYLOAD:
         return refusal("oversize", f"The payload has {len(payload)} bytes; at most {MAX_PAYLOAD}.")
     command = parse(pb.TwinCommand, payload)
@@ -136,6 +138,7 @@ class Answered:
         """Remember what was answered."""
         self._retained[key, command.id] = _Retained(_content(command), replies)
         if len(self._retained) > RETAINED_IDS:
+            # The oldest: a sender repeats within its time-out.
             self._retained.popitem(last=False)
 
 

@@ -225,6 +225,7 @@ class TwinService:
                 self._sampled_s[board] = now
             return
         self.renewed += 1
+        # All boards are given time again: the new session takes some to join.
         self._sampled_s.clear()
         log.warning(
             "board %s: its gateway sends %.0f samples/s and none came for %g s: opening a new session",

@@ -76,14 +76,7 @@ def rolling_mean(
 
 
 @kernel
-def figures(
-    w: Windows,
-    row: int,
-    measured: float,
-    twin: float,
-    std: float,
-    in_step: bool,
-) -> Figures:
+def figures(w: Windows, row: int, measured: float, twin: float, std: float, in_step: bool) -> Figures:
     """Take one sample of one signal, if in step, and return its figures; NaN restarts the signal's window."""
     ring, sums, counts, totals, _ = w
     n = ring.shape[1]
@@ -125,14 +118,7 @@ def unseen(alarm: NDArray[np.float64], counts: NDArray[np.int64], row: int, limi
 
 
 @kernel
-def judge_error(
-    w: Windows,
-    row: int,
-    normalised: float,
-    on: float,
-    off: float,
-    is_evidence: bool,
-) -> int:
+def judge_error(w: Windows, row: int, normalised: float, on: float, off: float, is_evidence: bool) -> int:
     """Return what this error does to its alarm, row `row` of ALARMS.
 
     `is_evidence`: whether the sample is in step and in closed loop.
@@ -146,18 +132,13 @@ def judge_error(
 
 @kernel
 def judge_innovation(
-    w: Windows,
-    n_i: float,
-    n_x: float,
-    nis: float,
-    valid: bool,
-    on: float,
-    off: float,
+    w: Windows, n_i: float, n_x: float, nis: float, valid: bool, on: float, off: float
 ) -> tuple[float, int]:
     """Return (mean NIS over the window, what this innovation does to its alarm)."""
     ring, sums, counts, totals, alarms = w
     alarm, window = alarms[0], ring.shape[1]
     if not valid:
+        # The window holds consecutive ticks: their innovations are independent only if the filter went on.
         sums[NIS] = 0.0
         counts[NIS] = 0
         clear_window(alarm)

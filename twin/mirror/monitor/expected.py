@@ -65,6 +65,7 @@ class ExpectedError:
                 noise.sigma_x_m**2 + x_lsb_m**2 / 12.0,
                 u_lsb_v**2 / 12.0,
                 noise.process_i_c_a**2,
+                # An acceleration that is constant over a tick changes the speed by a T_s.
                 (noise.process_a_m_s2 * law.sample_time_s) ** 2,
             ]
         )

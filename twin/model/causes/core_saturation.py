@@ -53,4 +53,5 @@ def field(c: Vector, i: float) -> float:
     if c[KNEE] == 2.0:
         return i / math.sqrt(1.0 + share * share)
     n = c[KNEE]
+    # 2^(n/2) - 1 puts half of the force at i_s, whatever n is.
     return float(i / (1.0 + (2.0 ** (0.5 * n) - 1.0) * max(share, 0.0) ** n) ** (1.0 / n))

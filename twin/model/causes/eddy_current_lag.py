@@ -87,6 +87,7 @@ def weight(c: Vector, gap: float, gap_mid: float) -> float:
 @inlined
 def quick(c: Vector) -> float:
     """Return the shorter time constant, s."""
+    # From the mean of both: tau = (1 - s) q + s n q.
     return c[TAU] if c[SLOW] == 0.0 else c[TAU] / (1.0 + c[SLOW] * (c[TIMES] - 1.0))
 
 

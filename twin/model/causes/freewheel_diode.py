@@ -65,5 +65,6 @@ def piece(c: Vector, u: float, i: float, K_A: float, T_A: float, target: float) 
     if i > whole or (rises and i == whole):
         return target - lost, T_A, math.inf if rises else whole
     if i > rest or (rises and i == rest):
+        # T_A i' + i = target - (steeper - 1) (i - rest): a loss that fades acts as a resistance.
         return (target + (steeper - 1.0) * rest) / steeper, T_A / steeper, whole if rises else rest
     return target, T_A, rest if rises else -math.inf

@@ -84,6 +84,7 @@ def turned(c: Vector, z: float, f: float, f_next: float) -> float:
     if c[HALF_WIDTH] <= 0.0 or f_next == f:
         return z
     branch = 1.0 if f_next > f else -1.0
+    # Below 1: on the branch itself the way since z = 0 would be infinite.
     way, level = abs(f_next - f) / c[TURN], min(branch * z, _ON_THE_BRANCH)
     if level < 0.0:
         # d(1 - level) / d(way) = -(1 - level)^m, which is a power of a straight line, or an exponential.

@@ -48,6 +48,7 @@ def per_speed(c: Vector, gap: float, gap_mid: float) -> float:
     if c[COUPLING] == 0.0:
         return 0.0
     a = c[REACH] * gap_mid
+    # dL/dx = 2 K_c / gap^2, by energy from (3).
     ratio = (gap_mid + a) / max(gap + a, MIN_GAP_SHARE * gap_mid)
     return c[COUPLING] * ratio * ratio
 
@@ -69,5 +70,6 @@ def steady_lead(lead: float, change: float) -> float:
     T_A i' + lead i = target with i = target / m gives m = lead - T_A m' / m.  The result has two terms of its series
     in `change`, by how much the lead changes in T_A.
     """
+    # Bounded where the terms of the series would no longer fall.
     part = min(max(change / (lead * lead), -MAX_CHANGE), MAX_CHANGE)
     return lead * (1.0 - part - 2.0 * part * part)

@@ -53,6 +53,7 @@ def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid:
     a = c[REACH] * gap_mid
     bottom = 1.0 / (gap_bottom + a)
     inverse_gap = 1.0 / max(gap + a, MIN_GAP_SHARE * gap_mid)
+    # T_A = L / R with L = L_0 + 2 K_c / gap.  Growth is that from the bottom to the middle of the travel.
     return T_A * (1.0 + c[GROWTH] * (inverse_gap - bottom) / (1.0 / (gap_mid + a) - bottom))
 
 
