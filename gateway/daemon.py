@@ -44,7 +44,7 @@ from gateway.record.writer import LogError
 from protocol.bus import topics
 from protocol.bus.encoding import batch, is_replayed, parse, parts
 from protocol.bus.endpoint import Mode, zenoh_config
-from protocol.bus.identity import Identity, load_identity
+from protocol.bus.identity import SETTINGS, Identity, load_identity
 from protocol.ending import on_end_signal
 from protocol.errors import ConfigError, ServiceError
 
@@ -250,7 +250,7 @@ def gateway_identity(config: GatewayConfig) -> Identity:
         ConfigError: the identity is not usable.
     """
     path = Path(config.security.directory)
-    has_identity = (path / "identity.toml").exists()
+    has_identity = (path / SETTINGS).exists()
     identity = load_identity(path) if has_identity else SecurityFolder(path).identity("gateway")
     identity.check_valid(datetime.now(UTC))
     return identity

@@ -264,8 +264,7 @@ class Mirror:
         regime = self.regime
         if regime is None or regime.law is None or not math.isfinite(now.i + now.x) or math.isnan(now.drive):
             return
-        memory = regime.memory_at(now, before)
-        if memory is None:
+        if (memory := regime.memory_at(now, before)) is None:
             return
         v, s, x_prev = memory
         # The input so far is that of the sample before: u_c of a sample acts from its tick on.
