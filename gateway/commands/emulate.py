@@ -107,7 +107,7 @@ def _add_deviations(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="effect that the model does not have; repeatable",
+        help="effect that the twin's model does not have; repeatable",
     )
     parser.add_argument("--secret", type=int, metavar="SEED", help="draw hidden effects from SEED")
     parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: file for the sealed effects")

@@ -67,7 +67,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--rig",
         type=Path,
         metavar="FILE",
-        help="file of another emulated rig, as of `board51 emulate`; states its plant",
+        help="file of another emulated rig, as for `board51 emulate`; states its plant, too",
     )
     parser.add_argument(
         "--plant",

@@ -29,7 +29,7 @@ def health(bench: Bench) -> Iterator[Verdict]:
             "bytes",
             good=(_SPARE_BYTES, math.inf),
             possible=(_CANARY_BYTES, math.inf),
-            remedy="the firmware needs more stack than it has: report what the board was doing",
+            remedy="the firmware needs more stack than there is: report what the board was doing",
         )
     if u_power_on == NOT_KNOWN:
         yield skipped("input-at-power-on", "u_c at power-on", "the converter has no memory, or it does not answer")

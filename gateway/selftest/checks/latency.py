@@ -38,7 +38,7 @@ def latency(bench: Bench) -> Iterator[Verdict]:
             "ms",
             good=(0.02, 1e3 * good),
             possible=(-0.05, 1e3 * possible),
-            remedy="the coil, its free-wheeling diode or the driver is another one, or its slew rate is limited",
+            remedy="coil, free-wheeling diode or driver are not those of this rig, or the slew rate is limited",
         )
     edges = _edges(bench, u_v)
     bench.idle()
@@ -121,5 +121,5 @@ def _delay(bench: Bench, edges: Sequence[Sequence[float]], time_constant_s: floa
         "ms",
         good=(0.0, 0.5e3 * tick_s),
         possible=(0.0, 0.9e3 * tick_s),
-        remedy="the law or the input converter takes long: the twin has to know it (actuation-delay)",
+        remedy="the law or the input converter takes long: the twin's model needs this delay (actuation-delay)",
     )
