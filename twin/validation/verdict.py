@@ -217,7 +217,7 @@ def validate_sources(
     ]
     judges, fitted = chosen([s for s in sources if s.record.kind in FLYING])
     if fitted and judges:
-        notes.append("no flight is for judging: the model may be fitted to these recordings and then looks too good")
+        notes.append("no flight is for judging: the model may have been fitted to these, and then looks too good")
     for delay in sorted({source.delay for source in judges} - {0}):
         count = sum(source.delay == delay for source in judges)
         notes.append(
