@@ -97,10 +97,10 @@ class BoardConfig(Keys):
         str,
         key(
             "pyserial URL: /dev/ttyUSB0, socket://host:port, rfc2217://...; "
-            "a glob such as /dev/serial/by-id/*Board51* takes whichever name the adapter comes back under"
+            "a pattern such as /dev/serial/by-id/*Board51* finds the adapter under any name"
         ),
     ]
-    baud: Annotated[Whole, key("of the UART; sockets and ptys ignore it [bit/s]", 300, 4_000_000)] = 115200
+    baud: Annotated[Whole, key("speed of the UART; sockets and ptys ignore it [bit/s]", 300, 4_000_000)] = 115200
     board_id: Annotated[Whole, key("refuse any board with another serial number; 0 accepts any", 0, 0xFFFFFFFF)] = 0
     stream_divider: Annotated[Whole, key("ask the board for every n-th tick", 1, 1000)] = 1
     host_loss: Annotated[
@@ -112,7 +112,7 @@ class BoardConfig(Keys):
     command_timeout_s: Annotated[Number, key("wait for an answer before repeating [s]", 0.02, 10.0)] = 0.1
     command_retries: Annotated[Whole, key("repetitions before giving up", 0, 20)] = 4
     stale_s: Annotated[Number, key("no valid frame for this long: the link is silent [s]", 0.1, 60.0)] = 1.0
-    reconnect_s: Annotated[Number, key("between attempts to open the port [s]", 0.05, 60.0)] = 0.5
+    reconnect_s: Annotated[Number, key("time between attempts to open the port [s]", 0.05, 60.0)] = 0.5
     plant: Annotated[
         str,
         key(
@@ -143,13 +143,14 @@ class LogConfig(Keys):
     """The MCAP log: `[log]`."""
 
     enabled: Annotated[Flag, key("write a log")] = True
-    directory: Annotated[str, key("where; made if absent")] = "logs"
+    directory: Annotated[str, key("folder of the logs; made if absent")] = "logs"
     prefix: Annotated[str, key("start of the file names")] = "board51"
     rotate_bytes: Annotated[Whole, key("begin a new part at this size [B]", 100_000, 10**12)] = 256_000_000
-    rotate_s: Annotated[Number, key("and after this time [s]", 1.0, 1e6)] = 3600.0
-    flush_s: Annotated[Number, key("hand everything to the operating system; what kill -9 may cost [s]", 0.01, 0.2)] = (
-        0.1
-    )
+    rotate_s: Annotated[Number, key("begin a new part after this time [s]", 1.0, 1e6)] = 3600.0
+    flush_s: Annotated[
+        Number,
+        key("longest time until data is handed to the operating system; kill -9 may lose as much [s]", 0.01, 0.2),
+    ] = 0.1
     queue: Annotated[
         Whole, key("messages that may wait for the disk; the oldest is dropped and counted", 64, 10**7)
     ] = 50_000
@@ -160,9 +161,9 @@ class LogConfig(Keys):
         Number, key("delete own logs that are older, when a part begins; 0: keep all [days]", 0.0, 1e5)
     ] = 0.0
     keep_gb: Annotated[
-        Number, key("delete the oldest own logs when all have more, when a part begins; 0: keep all [GB]", 0.0, 1e6)
+        Number, key("delete the oldest own logs beyond this total size, when a part begins; 0: keep all [GB]", 0.0, 1e6)
     ] = 0.0
-    keep_unarchived: Annotated[Flag, key("but keep those that `board51 logs archive` has not copied yet")] = False
+    keep_unarchived: Annotated[Flag, key("do not delete logs that `board51 logs archive` has not copied yet")] = False
     compression: Annotated[Literal["lz4", "zstd", "none"], key("of the chunks")] = "lz4"
     raw: Annotated[Flag, key("log the bytes of the UART too; `replay --bytes` needs them")] = True
 

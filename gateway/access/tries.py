@@ -72,7 +72,9 @@ class Tries:
             for bucket in lanes:
                 bucket.take(1.0, now_s)
             if free and lane.wait_s(1.0, now_s) > 0.0:  # once for each flood
-                _logger.warning("many password attempts from %s: from now on one attempt per %g s", source, PACE_S)
+                _logger.warning(
+                    "many password attempts from %s: from now on it has one attempt per %g s", source, PACE_S
+                )
         return Turn(granted=granted, wait_s=wait_s, now_s=now_s, lanes=lanes)
 
     def right(self, turn: Turn, name: str, host: str) -> None:

@@ -183,7 +183,7 @@ def _at_rest(experiment: Experiment, s: Samples, rig: CheckedRig) -> Problem | N
         if far > MAX_CLAMPED_SHARE:
             return Problem("ball-moves", f"the ball moves by {100 * far:.0f} % of its travel", "none")
     elif far > LIFTED_SHARE:
-        return Problem("ball-moves", "the ball left its rest, where it should lie still", "lower")
+        return Problem("ball-moves", "the ball left its rest, but it should lie still", "lower")
     return None
 
 

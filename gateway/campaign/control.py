@@ -71,12 +71,12 @@ def _check_state(state: pb.State, session: int) -> None:
     if state.flags & Flag.FAULT:
         raise Cut("fault", "the board reports a fault")
     if state.flags & Flag.HOST_LOST:
-        raise Cut("host-lost", "the board missed its host and has acted on its own")
+        raise Cut("host-lost", "the board did not hear its host and has acted on its own")
 
 
 def _lost(what: str, address: str) -> ServiceError:
     return ServiceError(
-        f"{what} from {address} for {SILENCE_S:g} s: gateway, link or board is gone",
+        f"{what} from {address} for {SILENCE_S:g} s: gateway, link or board has failed",
         remedy="Look at `board51 watch --topic status`. When it is back, repeat the command: it continues",
     )
 

@@ -243,7 +243,7 @@ class Folder:
         except OSError as error:
             raise ServiceError(
                 f"{self.path / name} cannot be written: {error.strerror}",
-                remedy="Make room or give write permission; the same command goes on",
+                remedy="Make room or give write permission; the same command continues",
             ) from None
 
 

@@ -31,7 +31,11 @@ def add_rig_arguments(parser: argparse.ArgumentParser, *, who: str) -> None:
     ):
         parser.add_argument(option, type=_not_negative, metavar=unit, help=f"{what} (default: the board's limit)")
     parser.add_argument(
-        "--issued", type=int, default=0, metavar="NS", help="when it was ordered, Unix time: a STOP since then ends it"
+        "--issued",
+        type=int,
+        default=0,
+        metavar="NS",
+        help="when the campaign was ordered, Unix time; a later STOP ends it",
     )
     parser.add_argument("--who", default=who, help=f"who sends the commands, for the log (default {who})")
 

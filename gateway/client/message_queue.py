@@ -138,7 +138,7 @@ class SampleStream(AbstractContextManager["SampleStream"], Iterator[Sample]):
             if arrival is None:
                 raise NoSamplesError(
                     f"No samples from {self._board} for {self._timeout_s:g} s",
-                    remedy="Look at rig.status(): gateway, link or board is gone, or its stream is off",
+                    remedy="Look at rig.status(): gateway, link or board has failed, or its stream is off",
                 )
             state = arrival.message
         sample, last = Sample.of(state), self._last

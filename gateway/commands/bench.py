@@ -1,4 +1,4 @@
-"""Benchmarks, each against a baseline measured in the same run.  They live in tests/bench of a source checkout."""
+"""Run benchmarks, each against a baseline measured in the same run.  They are in tests/bench of a source checkout."""
 
 from __future__ import annotations
 

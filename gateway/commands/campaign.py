@@ -1,7 +1,7 @@
-"""The paper's experiments on a live board: a folder of recordings that `identify`, `validate` and `diagnose` read.
+"""Record the paper's experiments on a live board, in a folder that `identify`, `validate` and `diagnose` read.
 
-Drives the board through its gateway, within the board's limits, and writes one MCAP per experiment and campaign.toml.
-Ctrl-C parks the ball and keeps what was recorded; the same command goes on where it ended.
+It drives the board through its gateway, within its limits, and writes one MCAP per experiment and campaign.toml.
+Ctrl-C parks the ball and keeps the recordings; the same command continues where it stopped.
 """
 
 from __future__ import annotations
@@ -36,7 +36,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = example
     what = parser.add_subparsers(dest="what", required=True, metavar="run")
     run_ = what.add_parser("run", help="perform the experiments", description=__doc__, epilog=example)
-    run_.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="made if absent, continued if begun")
+    run_.add_argument(
+        "folder",
+        type=Path,
+        nargs="?",
+        metavar="FOLDER",
+        help="folder of the campaign; made if absent, continued if begun",
+    )
     run_.add_argument("--board", default="", help="name of the board")
     add_rig_arguments(run_, who="campaign")
     run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
@@ -45,8 +51,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="record only this experiment and add it to FOLDER; repeatable",
     )  # fmt: skip
     run_.add_argument("--list", action="store_true", help="print the menu of experiments and end")
-    run_.add_argument("--park", action="store_true", help="where the ball flies, land it first instead of giving up")
-    run_.add_argument("--yes", action="store_true", help="the preparation by hand (blocked-ball) is done")
+    run_.add_argument("--park", action="store_true", help="if the ball flies, land it first instead of giving up")
+    run_.add_argument("--yes", action="store_true", help="you have done the preparation by hand (blocked-ball)")
     run_.add_argument("--json", action="store_true", help="print the summary as JSON")
 
 

@@ -1,6 +1,6 @@
 """Print a script that completes commands, options and their choices in bash or zsh; other words complete as files.
 
-The script is made from what this installation has: make it again after an update.
+The script contains the commands of this installation: make it again after an update.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The whole line on an emulated board: fly, measure, identify, diagnose, and fly on with a model that has the cause.
+"""Fly an emulated board, measure, identify, diagnose, and fly again with a model that includes the cause.
 
-Starts emulator, gateway and twin as a user would, each in its own process; flies a staircase with the nominal model in
-the twin; measures a campaign, identifies a model from it, hands it to the running twin and flies the staircase again;
-validates it and diagnoses the campaign: which physical cause is left over?  Hands the extended model over and flies a
-third time.  Leaves an MCAP log, a campaign, models, reports and a picture; stops everything again.  Nothing is
-installed and no port stays open.
+It starts emulator, gateway and twin as a user would, each in its own process.  The ball flies a staircase with the
+nominal model in the twin.  Then the demo records a campaign, identifies a model, hands it to the running twin and flies
+the staircase again.  It validates the model, diagnoses the physical cause of the rest, hands over the extended model
+and flies a third time.  It leaves an MCAP log, a campaign, models, reports and a picture, and stops everything again.
+Nothing is installed and no port stays open.
 """
 
 from __future__ import annotations
@@ -96,11 +96,11 @@ def _demo(out: Path, effects: list[str]) -> int:
         _hand_over(out, model, endpoint)
         flights.append(_fly(rig, bus, "identified"))
 
-        _step(began, "6/8 validate: what the model leaves unexplained")
+        _step(began, "6/8 validate: which errors the model leaves")
         _, answer = call(out, "validate", str(campaign), "--model", str(model), "--out", str(report), good=NOT_ALL)
         _wrap(answer[0])
 
-        _step(began, "7/8 diagnose: which physical cause is it? the extended model to the twin, a third flight")
+        _step(began, "7/8 diagnose the physical cause; hand the extended model to the twin; a third flight")
         finish(diagnose, out, "diagnose", good=NOT_ALL, limit_s=DIAGNOSIS_LIMIT_S)
         diagnosed = load_diagnosis(diagnosis / "diagnosis.json")
         _wrap(diagnosed.headline)
@@ -109,7 +109,7 @@ def _demo(out: Path, effects: list[str]) -> int:
             flights.append(_fly(rig, bus, "extended"))
         else:
             _wrap(
-                "no model of the diagnosis surely predicts better: the twin keeps the identified one, and flies no more"
+                "no model of the diagnosis surely predicts better: the twin keeps the identified one; no third flight"
             )
         time.sleep(0.3)  # for the last samples in the log
         processes.close()

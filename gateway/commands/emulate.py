@@ -97,7 +97,7 @@ def _add_deviations(parser: argparse.ArgumentParser) -> None:
     """Add what makes board, line and plant differ from the nominal ones."""
     parser.add_argument(
         "--effect", action="append", default=[], metavar="NAME=VALUE",
-        help="effect that the model does not have; repeatable",
+        help="effect that the twin's model does not have; repeatable",
     )  # fmt: skip
     parser.add_argument("--secret", type=int, metavar="SEED", help="draw hidden effects from SEED")
     parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: file for the sealed effects")

@@ -1,4 +1,4 @@
-"""The gateway daemon: boards on one side, zenoh and an MCAP log on the other.
+"""Run the gateway daemon: boards on one side, zenoh and an MCAP log on the other.
 
 It reads every board, publishes each sample in SI units under <site>/<board>/state, answers commands on
 <site>/<board>/command, and logs everything.  It sends no STOP when it ends: each board follows its host-loss policy

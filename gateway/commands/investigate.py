@@ -1,10 +1,10 @@
-"""Campaign and diagnosis in turns on a live board, until one name is left.
+"""Run campaign and diagnosis in turns on a live board, until one name is left.
 
-It records a few experiments and diagnoses them.  Then it chooses an experiment from the menu of `board51 campaign run`:
-the one that tells most, for its time, about the open question.  It records that experiment, diagnoses all recordings
-again, and says at each step why.  It ends when one name is left, when only noise is left, or when the budget is spent.
-While it chooses, diagnoses are --quick; the answer is a thorough one.  Ctrl-C parks the ball.  The same command
-continues where it ended, also in a folder that `campaign run` made.
+It records a few experiments and diagnoses them.  Then it chooses the experiment of `board51 campaign run` that tells
+most, for its time, about the open question.  It records that experiment, diagnoses all recordings again, and gives the
+reason of each step.  It ends when one name is left, when only noise is left, or when the budget is spent.  Diagnoses
+that choose an experiment are --quick; the last one is thorough.  Ctrl-C parks the ball.  The same command continues
+where it stopped, also in a folder that `campaign run` made.
 """
 
 from __future__ import annotations

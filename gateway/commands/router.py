@@ -1,7 +1,7 @@
-"""A standalone zenoh router for the bus, where gateway, twin and clients run apart.
+"""Run a standalone zenoh router for the bus, if gateway, twin and clients run separately.
 
-The configuration file is zenoh's own: a stock `zenohd -c FILE` takes the same one.  Plug-ins (REST, storage)
-need zenohd: this process loads none.
+The configuration file is zenoh's own, and a plain `zenohd -c FILE` takes the same file.  This process loads no plug-ins
+(REST, storage): they need zenohd.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--security", type=Path, metavar="DIR", help="guard it with the folder that `board51 security init DIR` made"
     )
     parser.add_argument("--insecure", action="store_true", help="listen on the network without protection")
-    parser.add_argument("--listen", action="append", metavar="ENDPOINT", help="instead of the file's; repeat for more")
+    parser.add_argument(
+        "--listen", action="append", metavar="ENDPOINT", help="endpoint, instead of those of the file; repeat for more"
+    )
     parser.add_argument("--print-config", action="store_true", help="print the shipped file and exit")
 
 

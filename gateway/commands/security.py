@@ -1,10 +1,10 @@
-"""Keys, certificates, users and the rules of a guarded bus, in one folder.
+"""Make keys, certificates, users and the rules of a guarded bus, in one folder.
 
 `init` makes the folder; give it to the gateway (`--security DIR`), to the router, to OPC UA and the web page.  Each
 person gets a login for OPC UA and the web page, and an identity folder for `board51 send`, `watch`, ... (`--identity`).
 Roles: a viewer reads, an operator moves the ball within the limits, an engineer also changes gains and models.
 
-A program logs in at the web page's API with a token; users.toml keeps its digest alone.
+A program logs in at the web page's API with a token; users.toml keeps only its digest.
 
 Changed users count at once for OPC UA and the web page.  On the bus they count when its router starts again, or the
 gateway, if that is the router.
@@ -59,9 +59,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     remove = _step(steps, "remove-user", "remove the login and the identity of a person")
     remove.add_argument("name")
     token = _step(steps, "add-token", "make a token by which a program logs in at /api/v1, and print it once")
-    token.add_argument("name", help="of the token, such as matlab")
-    token.add_argument("--user", required=True, metavar="NAME", help="for whom the program acts: the log has this name")
-    token.add_argument("--role", choices=ROLE_WORDS, help="at most that of the user (default: that)")
+    token.add_argument("name", help="name of the token, such as matlab")
+    token.add_argument(
+        "--user", required=True, metavar="NAME", help="user for whom the program acts: the log has this name"
+    )
+    token.add_argument("--role", choices=ROLE_WORDS, help="role, at most that of the user (default: that of the user)")
     withdrawn = _step(steps, "remove-token", "remove a token")
     withdrawn.add_argument("name")
     _step(steps, "renew", "make new certificates; names, roles and passwords stay")
@@ -98,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
             print("On the bus this counts when its router starts again.")
         case "remove-user":
             folder.remove_user(args.name)
-            print(f"{args.name} is gone; on the bus this counts when its router starts again.")
+            print(f"{args.name} is removed; on the bus this counts when its router starts again.")
         case "add-token":
             role = Role[args.role.upper()] if args.role else folder.people().get(args.user, Role.VIEWER)
             token = set_token(folder.users, args.name, User(name=args.user, role=role))
@@ -106,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
             print(token)
         case "remove-token":
             remove_token(folder.users, args.name)
-            print(f"{args.name} is gone; it counts at once.")
+            print(f"{args.name} is removed; this counts at once.")
         case "renew":
             folder.renew()
             print(f"{folder.path}: new certificates; copy the identity folders to their machines again")

@@ -47,7 +47,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--skip", action="append", choices=_NAMES, metavar="CHECK", help="not this; repeatable")
     parser.add_argument("--list", action="store_true", help="list the checks and end")
     parser.add_argument(
-        "--calibrate", action="store_true", help="correct x in the board, so that the stops read 0 and the travel"
+        "--calibrate",
+        action="store_true",
+        help="correct x in the board: it then reads 0 at the bottom stop and the travel at the top stop",
     )
     parser.add_argument("--quick", action="store_true", help="fewer repetitions: 15 s instead of 70 s")
     parser.add_argument("--yes", action="store_true", help="do not ask before current flows")

@@ -62,7 +62,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--rig", type=Path, metavar="FILE",
-        help="file of another emulated rig, as of `board51 emulate`; states its plant",
+        help="file of another emulated rig, as for `board51 emulate`; states its plant, too",
     )  # fmt: skip
     parser.add_argument(
         "--plant", action="append", default=[], metavar="[NAME=]FILE",

@@ -25,7 +25,7 @@ RATES = {
     "insert": "a random byte arrives before it",
 }
 SPANS = {
-    "stall": "no byte passes; they come in a burst afterwards",
+    "stall": "no byte passes; all of them come in a burst afterwards",
     "disconnect": "the port is closed and opened again; option :renamed opens a pty under PATH-renamed",
     "baud": "wrong baud rate: every byte arrives as garbage",
 }
@@ -35,7 +35,7 @@ OUTPUTS = {  # the first counts where both are active
 }
 WIRING = {  # between plant and board; an option in brackets has a value
     "coil-open": "no wire to the coil: no current flows",
-    "coil-reversed": "the coil's wires are swapped: it pushes a magnet down (a ball it pulls all the same)",
+    "coil-reversed": "the coil's wires are swapped: it pushes a magnet down (but still pulls a steel ball)",
     "i-unplugged": "the pin of i_c is at the bottom of its converter",
     "x-unplugged": "the pin of x is at the bottom of its converter",
     "x-frozen": "the pin of x keeps its value",
@@ -64,7 +64,7 @@ HELP = "\n".join(
         *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in OUTPUTS.items()),
         *(f"  {name + '=N':<14} {description}" for name, description in (CODES | CLOCK).items()),
         *(f"  {name:<14} {description}" for name, description in (WIRING | EVENTS).items()),
-        "  @START         begins then (default 0); @START+LENGTH ends what has no duration of its own after LENGTH s",
+        "  @START         begins then (default 0); @START+LENGTH ends a fault that has no duration after LENGTH s",
         "  /EVERY         comes again every EVERY s after START",
         "  :tx :rx        only bytes from the board, only bytes to it (default both ways)",
         "  e.g. flip=1e-4   lost=0.01@5+2   stall=0.5@10/30   disconnect=2@20:renamed   reset@60   insert=1e-3:tx",
@@ -126,7 +126,7 @@ def parse(text: str) -> Fault:
     if (match["value"] is None) != (name in bare):
         raise _error(text, "takes no value" if name in bare else "needs a value")
     if match["length"] is not None and name not in LASTING:
-        raise _error(text, "+LENGTH is not for this one; how long it lasts is its value")
+        raise _error(text, "+LENGTH is not for this fault; its value is its duration")
     options = ("renamed",) if name == "disconnect" else ("tx", "rx") if name in RATES | SPANS else ()
     if option and option not in options:
         raise _error(text, f"has no option {option}")

@@ -203,7 +203,9 @@ def _finish(known: Known, answer: Diagnosis, menu: Mapping[str, Offer]) -> Finis
     if answer.verdict == "model-adequate":
         return Finish(stands=True, why="all experiments were made, and only noise is left")
     if answer.verdict == "partly-explained":
-        return Finish(stands=True, why="the named causes hold, more than noise is left, and all experiments were made")
+        return Finish(
+            stands=True, why="the named causes hold and all experiments were made, but more than noise is left"
+        )
     names = " and ".join(suspect.name for suspect in answer.suspects)
-    measure = f". What only a measurement shows: {'; '.join(outside)}" if outside else ""
+    measure = f". Only these measurements would show more: {'; '.join(outside)}" if outside else ""
     return Finish(stands=True, why=f"one cause is left for each effect: {names}{measure}")

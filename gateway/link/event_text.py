@@ -11,7 +11,7 @@ _WARNINGS = frozenset(
 ) | (RESETS - FAULT_EVENTS)
 _RESET = "The board restarted; resets since power-on: {detail}."
 _TEXT = {
-    EventCode.HOST_LOST: "No frame from the host in time; the policy has acted: {policy}.",
+    EventCode.HOST_LOST: "No frame from the host came in time. The host-loss policy has acted: {policy}.",
     EventCode.HOST_BACK: "The host is back.",
     EventCode.OVER_CURRENT: "The current converter stayed at its maximum, {detail} counts: coil off.",
     EventCode.SENSOR_FAULT: "The position converter stayed at an end of its range, {detail} counts: coil off.",
@@ -27,8 +27,8 @@ _TEXT = {
         " The gains and limits of its program are in force: check them before you fly, and store the settings again."
     ),
     EventCode.STACK_FAULT: (
-        "The end of the board's stack was overwritten: coil off. Its memory is not to be trusted: reset the board,"
-        " and report it with what it was doing."
+        "The end of the board's stack was overwritten: coil off. Its memory may be wrong: reset the board,"
+        " and report what it was doing."
     ),
     EventCode.OVERLOAD: "Commands come faster than the board can answer; without an answer since its reset: {detail}.",
 }

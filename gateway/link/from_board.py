@@ -101,7 +101,7 @@ class FromBoard:
         if self._counters.valid_frames > self._valid_at_open:
             if now_s - self._valid_s < DIAGNOSE_S:
                 return "hello-unanswered", "Frames arrive but HELLO is not answered: is the line to the board intact?"
-            return "no-answer", "The board has fallen silent before the handshake."
+            return "no-answer", "The board fell silent before the handshake."
         if received:
             return (
                 "not-a-board",

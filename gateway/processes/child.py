@@ -53,7 +53,7 @@ def _nicer() -> int:
         return int(stated)
     if stated:
         print(  # noqa: T201  # the command is not known yet
-            f"{NICE_VARIABLE}: {stated!r} is not a whole number from 0 to {MAX_NICE}; {NICER} is taken",
+            f"{NICE_VARIABLE}: {stated!r} is not a whole number from 0 to {MAX_NICE}; {NICER} is used",
             file=sys.stderr, flush=True,
         )  # fmt: skip
     return NICER

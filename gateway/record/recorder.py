@@ -265,7 +265,7 @@ class Recorder:
         else:
             lost.close()
             text = f"{lost.path.name} was moved or replaced while it was written; it was completed at its new path"
-        self._publish_event("log-removed", "fault", f"{text}. Logging goes on in a new part.")
+        self._publish_event("log-removed", "fault", f"{text}. Logging continues in a new part.")
         self._open_part()
 
     def _open_part(self) -> None:

@@ -43,7 +43,7 @@ class Report:
             return f"No fault: {counted}."
         first = cause_of(faults)
         unsafe = next((verdict for verdict in faults if _CUT in verdict.remedy), None)
-        count = "One fault" if len(faults) == 1 else f"{len(faults)} faults; mend first"
+        count = "One fault" if len(faults) == 1 else f"{len(faults)} faults; repair first"
         remedy = (unsafe or first).remedy
         return f"{count} ({first.check}): {first.what} {first.value}. {remedy[:1].upper()}{remedy[1:]}."
 

@@ -208,13 +208,13 @@ class Filler:
             if answer is not None:
                 yield answer
             elif self._stop.wait(LOOK_S):
-                raise ServerLostError("The fill was ended", remedy="The next one goes on where it was")
+                raise ServerLostError("The fill was ended", remedy="The next fill continues where this one stopped")
 
     def _request_first(self, key: str, request: pb.LogRequest) -> pb.LogReply:
         for _, reply in self._request(key, request):
             return reply
         raise ServerLostError(
-            f"The log server {key} does not answer any more", remedy="The next fill goes on where this one was"
+            f"The log server {key} does not answer any more", remedy="The next fill continues where this one stopped"
         )
 
 

@@ -64,7 +64,7 @@ def test_the_environment_overrides_the_file(tmp_path: Path) -> None:
         ('[[board]]\nname = "a"', ": board 1 (a).port is missing (pyserial URL"),
         (
             '[[board]]\nname = "a"\nport = "p"\nbaud = 1',
-            ": board 1 (a).baud = 1 is not in 300 .. 4000000. Give 300 .. 4000000: of the UART",
+            ": board 1 (a).baud = 1 is not in 300 .. 4000000. Give 300 .. 4000000: speed of the UART",
         ),
         ('[[board]]\nname = "a"\nport = "p"\nbaud = true', ".baud = True is not a whole number"),
         (

@@ -1,8 +1,8 @@
 """Compile the numerical kernels now, so that no later command waits for it.
 
 The first identify, validate, what-if, diagnose or twin after an installation or an update compiles what it needs, which
-takes up to a minute.  This command does it at once: it simulates a short campaign of the nominal CE 152 and lets
-each of them run on it.  `make setup` calls it.  Done again it takes a few seconds.
+takes up to a minute.  This command compiles everything at once: it simulates a short campaign of the nominal CE 152 and
+runs each of them on it.  `make setup` calls it.  A second run takes a few seconds.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     # A compiler runs on one core: the twin's is another process.  What both need, both compile.
     other = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
     with tempfile.TemporaryDirectory() as folder, other:
-        print_progress("the twin, and beside it a short campaign, simulated")
+        print_progress("the twin, and at the same time a simulated short campaign")
         twin = other.submit(compile_kernels, model)
         campaign = _campaign(Path(folder), model)
         print_progress("identify, validate, predict")

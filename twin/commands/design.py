@@ -63,13 +63,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--x-lsb", type=quantity("x"), metavar="M", help="one count of x (5 V / 4096 / 855 V/m)")
     parser.add_argument("--u-lsb", type=quantity("u_c"), metavar="V", help="one count of u_c (5 V / 4096)")
     parser.add_argument(
-        "--seed", type=int, default=1, help="of the parameters drawn from their intervals (%(default)s)"
+        "--seed", type=int, default=1, help="seed of the parameters drawn from their intervals (%(default)s)"
     )
     parser.add_argument(
-        "--before", type=Path, metavar="CONTROLLER.json", help="gains to be replaced: their margins beside the new ones"
+        "--before",
+        type=Path,
+        metavar="CONTROLLER.json",
+        help="gains to be replaced; their margins are shown beside those of the new gains",
     )
     parser.add_argument("--out", type=Path, metavar="CONTROLLER.json", help="write law, gains and operating point")
-    parser.add_argument("--analysis", type=Path, metavar="FILE.json", help="write what --json prints")
+    parser.add_argument("--analysis", type=Path, metavar="FILE.json", help="write the output of --json to a file")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     add_show(parser)
     _add_board_options(parser)

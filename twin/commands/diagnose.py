@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="MODEL.json", help="the simulation to judge (default: the paper's, fitted)")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     _add_search_options(parser)
-    parser.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (0)")
     parser.add_argument("--workers", type=int, default=2, help="threads (2); the result does not depend on it")
     parser.add_argument(
         "--figures", choices=("png", "pdf", "svg"), help="also write each figure of the report into --out"
@@ -49,10 +49,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--all", action="store_true", help="CAMPAIGN is a folder: diagnose each campaign below it, into --out"
     )
     parser.add_argument(
-        "--processes", type=whole_number, default=2, metavar="N", help="with --all: how many at a time (2)"
+        "--processes", type=whole_number, default=2, metavar="N", help="with --all: number of campaigns at a time (2)"
     )
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="with --all: of a Dask cluster whose workers see the same folders"
+        "--scheduler",
+        metavar="ADDRESS",
+        help="with --all: address of a Dask cluster whose workers see the same folders",
     )
     parser.add_argument("--json", action="store_true", help="print diagnosis.json instead of a summary")
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")

@@ -1,7 +1,7 @@
 """Export an identified model, with the causes that a diagnosis added, for other tools.
 
 An FMU simulates the rig as the twin does, in closed loop under x_ref or in open loop under u_c, without Python.
-docs/howto/export.md shows what each format has and what it cannot have.
+docs/howto/export.md describes the content and the limits of each format.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--operating-point",
         type=quantity("x"),
         metavar="X_M",
-        help="of the design, m, up from the bottom stop (mid-travel)",
+        help="operating point of the design, m, up from the bottom stop (mid-travel)",
     )
     parser.add_argument("--law", choices=("lqi", "pid"), default="lqi", help="of the design (%(default)s)")
     parser.add_argument(

@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 twin                                  every board behind the gateway on this machine\n"
         "  board51 twin --board rig1 --model model.json  one board, parameters as identified\n"
-        "  board51 twin --hand-over model.json           the running twins change to this model, without a restart\n"
+        "  board51 twin --hand-over model.json           the running twins use this model, without a restart\n"
         "  board51 twin --log run.mcap --out twin.mcap   over a log; twin topics into a new one\n"
         "\nexit code 0: done; 1: with --hand-over, a twin refused or none answered; with --fail-on-alarm, an alarm on\n"
         "divergence or innovation was raised; 2: bad input"
@@ -93,7 +93,7 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=Settings().false_alarms_per_day,
         metavar="RATE",
-        help="of each alarm under a right model (%(default)s)",
+        help="rate of false alarms of each kind under a right model (%(default)s)",
     )
 
 

@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--u-max", type=quantity("u_c"), default=5.0, metavar="V", help="largest u_c (of the log, or %(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the draws (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the draws (%(default)s)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="gets what_if.html, what_if.json and what_if.csv")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 

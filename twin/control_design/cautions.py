@@ -71,10 +71,10 @@ def thin(m: Margins) -> list[str]:
     """Return the sentences on margins of a stable loop below the usual ones."""
     messages = []
     if m.phase_deg < THIN_PHASE_DEG:
-        messages.append(f"thin phase margin: {m.phase_deg:.0f} deg, usual are {THIN_PHASE_DEG:g} deg or more")
+        messages.append(f"small phase margin: {m.phase_deg:.0f} deg, usual are {THIN_PHASE_DEG:g} deg or more")
     if m.gain_high < THIN_GAIN or m.gain_low > 1.0 / THIN_GAIN:
         messages.append(
-            f"thin gain margin: stable for {m.gain_low:.2f} to {m.gain_high:.2f} times the gain, "
+            f"small gain margin: stable for {m.gain_low:.2f} to {m.gain_high:.2f} times the gain, "
             f"usual are {1.0 / THIN_GAIN:g} to {THIN_GAIN:g} or more"
         )
     return messages

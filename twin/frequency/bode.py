@@ -98,7 +98,7 @@ def bode_of(sources: Sequence[Source], model: Model, *, messages: Sequence[str] 
     flown = [part for source in sources for part in _flown(source, model, notes)]
     used = {part.name for part in flown}
     if fitted := [s.record.name for s in sources if s.record.use == "fit" and s.record.name in used]:
-        notes.append(f"used to fit a model, which flatters it if this is the one: {', '.join(fitted)}")
+        notes.append(f"used to fit a model, which then looks too good if this is the model: {', '.join(fitted)}")
     heights = tuple(_height(group, model) for group in _grouped(flown, SAME_HEIGHT * model.plant.travel_m))
     runs = [run for s in sources if s.record.name in used and (run := filtered(s, model)) is not None]
     verdict = judge([(h.x_m, h.deviations, {n: m.certain for n, m in h.measured.items()}) for h in heights])

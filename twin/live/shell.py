@@ -27,14 +27,19 @@ def configure_live(parser: argparse.ArgumentParser) -> None:
     live.add_argument(
         "--live", type=float, metavar="MINUTES", help="the newest minutes of a board, from the gateway's log or the bus"
     )
-    live.add_argument("--board", help="which (default: the only one)")
+    live.add_argument("--board", help="name of the board (default: the only one)")
     live.add_argument("--site", default=DEFAULT_SITE, help="first chunk of the keys (%(default)s)")
     live.add_argument(
         "--connect", action="append", metavar="ENDPOINT", help=f"where the gateway listens (default {DEFAULT_ENDPOINT})"
     )
     live.add_argument("--identity", metavar="FOLDER", help=HELP)
     live.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="the gateway's log folder (logs)")
-    live.add_argument("--plant", type=Path, metavar="FILE", help="file with a [plant] (default: as the live twin has)")
+    live.add_argument(
+        "--plant",
+        type=Path,
+        metavar="FILE",
+        help="file with a [plant] (default: the rig's plant card, else that of the live twin)",
+    )
     live.add_argument("--hand-over", action="store_true", help="give the extended model to the running twin")
 
 

@@ -154,7 +154,7 @@ class Validation:
             text = f"In the one step {'; '.join(intervals)} (no interval)."
         else:
             intervals = [_difference(row) for row in rows if row.ci95 is not None and row.name in _PACE]
-            text = f"The steps of rig and simulation do not differ measurably, over {count} steps"
+            text = f"The {count} steps of rig and simulation do not differ measurably"
             text += f": {'; '.join(intervals)}." if intervals else "."
         settling = next(row for row in rows if row.name == "settling_s")
         tried = settling.steps - settling.too_small
@@ -221,7 +221,7 @@ def validate_sources(
     ]
     judges, fitted = chosen([s for s in sources if s.record.kind in FLYING])
     if fitted and judges:
-        notes.append("no flight is marked for judging: these recordings may have been fitted, which flatters the model")
+        notes.append("no flight is for judging: the model may have been fitted to these, and then looks too good")
     for delay in sorted({source.delay for source in judges} - {0}):
         count = sum(source.delay == delay for source in judges)
         notes.append(

@@ -37,20 +37,22 @@ def configure(work: argparse._SubParsersAction[Any]) -> None:
         parser: argparse.ArgumentParser = work.add_parser(
             name, help=purpose, description=text, epilog=f"example:\n  {example}"
         )
-        parser.add_argument("--endpoint", metavar="URL", help="of the server (AWS_ENDPOINT_URL, or Amazon's own)")
+        parser.add_argument(
+            "--endpoint", metavar="URL", help="endpoint of the server (AWS_ENDPOINT_URL, or Amazon's own)"
+        )
         return parser
 
     server = "--endpoint https://storage.plant:9000"
     example = f"board51 logs archive logs --to s3://plant/hall-3 {server} --every 300"
-    archiving = add("archive", "logs into object storage", _ARCHIVE, example)
+    archiving = add("archive", "copy logs to object storage", _ARCHIVE, example)
     archiving.set_defaults(run=_archive)
-    archiving.add_argument("folder", type=Path, metavar="FOLDER", help="of the logs, with its sub-folders")
+    archiving.add_argument("folder", type=Path, metavar="FOLDER", help="folder of the logs, with its sub-folders")
     archiving.add_argument("--to", required=True, metavar="ADDRESS", help="s3://BUCKET/PREFIX, one for each FOLDER")
     archiving.add_argument("--every", type=interval, metavar="S", help="repeat every S seconds")
     example = f"board51 logs fetch s3://plant/hall-3/board51-20260501T120000Z-000.mcap {server}"
-    fetching = add("fetch", "logs back from there", _FETCH, example)
+    fetching = add("fetch", "copy logs back from there", _FETCH, example)
     fetching.set_defaults(run=_fetch)
-    fetching.add_argument("addresses", nargs="+", metavar="ADDRESS", help="of a log: s3://BUCKET/PREFIX/NAME")
+    fetching.add_argument("addresses", nargs="+", metavar="ADDRESS", help="address of a log: s3://BUCKET/PREFIX/NAME")
     fetching.add_argument("-o", "--out", type=Path, default=Path("fetched"), help="folder, made if absent (fetched)")
 
 

@@ -1,4 +1,4 @@
-"""A topic of a log into CSV, MATLAB or Parquet, for MATLAB and pandas; one file per board.
+"""Convert a topic of a log to CSV, MATLAB or Parquet, for MATLAB and pandas; one file per board.
 
 Columns are the fields of the message with their units (protocol/README.md), t_s first.  An existing file is never
 overwritten; a damaged log is refused (board51 recover first).

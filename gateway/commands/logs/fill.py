@@ -1,8 +1,8 @@
 """Fill the gaps of the recording in FOLDER from the log servers of its site (`board51 serve-log`).
 
-Records that were missed while a line between two sites was cut are written as further parts fill-*.mcap.  You may stop,
-kill and start it again at any time.  Exit code 0: nothing is missing that a server has; 1: no server answers, or one
-has records that are younger than --settle.
+It writes the records that were missed while a line between two sites was cut, as further parts fill-*.mcap.  You may
+stop, kill and start it again at any time.  Exit code 0: the recording has all records of the servers; 1: no server
+answers, or one has records that are younger than --settle.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ _DAYS = argument(number, lambda days: 0.0 < days < math.inf, "is no number of da
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of the recording: the --out of `board51 record`")
+    parser.add_argument(
+        "folder", type=Path, metavar="FOLDER", help="folder of the recording: the --out of `board51 record`"
+    )
     add_bus_arguments(parser)
     parser.add_argument("--board", help="only this board")
     parser.add_argument("--every", type=interval, metavar="S", help="repeat every S seconds")

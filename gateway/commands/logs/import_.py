@@ -1,7 +1,7 @@
-"""CSV (also .gz) or MATLAB recordings into logs, one MCAP file each.
+"""Convert CSV (also .gz) or MATLAB recordings to logs, one MCAP file each.
 
-Either a table and where its channels are (--map), or a campaign file that says so for many.  Channels: t [s], u_c [V],
-i_c [A], x [m, up from the sensor], x_ref [m]; value = offset + scale * table(raw).
+Name one table and its columns (--map), or a campaign file that describes many.  Channels are t [s], u_c [V], i_c [A],
+x [m, up from the sensor] and x_ref [m].  A value is offset + scale * table(raw).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Questions about many logs at once: which flights of which rig, when, on which model.  Their archive on an S3 server.
+"""Search many logs at once: which flights of which rig, when, on which model.  Archive them on an S3 server.
 
 The catalogue (catalogue.sqlite, beside the logs) has a row for each session of a board in a log.  It is brought up to
 date first: only logs that are new or have changed are read.
@@ -29,16 +29,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = f"columns: {', '.join(COLUMNS)}\n{_EXAMPLES}"
     work = parser.add_subparsers(dest="work", required=True, metavar="WORK")
     parser_of_query = work.add_parser(
-        "query", help="the sessions that satisfy a condition", description=__doc__, epilog=parser.epilog
+        "query", help="list the sessions that satisfy a condition", description=__doc__, epilog=parser.epilog
     )
     parser_of_query.add_argument("condition", nargs="?", default="", metavar="CONDITION", help="in SQL; default: all")
     parser_of_query.add_argument(
-        "--folder", type=Path, default=Path("logs"), help="of the logs, with its sub-folders (logs)"
+        "--folder", type=Path, default=Path("logs"), help="folder of the logs, with its sub-folders (logs)"
     )
     parser_of_query.add_argument(
         "--sql", metavar="SELECT", help="a whole SELECT over the table logs instead of a CONDITION"
     )
-    parser_of_query.add_argument("--no-update", action="store_true", help="ask the catalogue as it is")
+    parser_of_query.add_argument("--no-update", action="store_true", help="do not bring the catalogue up to date first")
     parser_of_query.add_argument("--quiet", action="store_true", help="no progress on stderr")
     form = parser_of_query.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print all columns as JSON, one row a line")

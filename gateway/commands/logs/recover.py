@@ -1,7 +1,7 @@
 """Save the readable part of a broken log in a clean file, and report what was lost.
 
-A log is broken when its writer was killed (it lacks its end), the disk was full, or the medium damaged it.  The broken
-file is not changed.  Exit code 0: everything intact is in the new file, also where that is not everything.
+A log is broken if its writer was killed (it lacks its end), the disk was full, or the medium damaged it.  The broken
+file is not changed.  Exit code 0: all intact messages are in the new file, even if others are lost.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Replay a log onto the bus at any speed, or its raw bytes to a pty or TCP port for a gateway to read.
 
 The bus gets everything that the gateway published, under the old keys (--as renames the board).  twin/* is left out
-unless --topic asks for it, because a live twin computes it again.  With --bytes a gateway gets the board's bytes as
-they were, noise included.  HELLO, GET_PARAMETERS and PING are answered from the log, every other command is refused
-with NOT_AVAILABLE: a recording cannot be influenced.
+unless --topic asks for it, because a live twin computes it again.  With --bytes a gateway gets the bytes of the
+board as they were, with their noise.  HELLO, GET_PARAMETERS and PING are answered from the log.  Every other command is
+refused with NOT_AVAILABLE, because a command cannot change a recording.
 """
 
 from __future__ import annotations
@@ -48,11 +48,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     bus = parser.add_argument_group("onto the bus")
     bus.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router (default {DEFAULT_ENDPOINT})")
     bus.add_argument("--listen", action="append", metavar="ENDPOINT", help="be a router instead of joining one")
-    bus.add_argument("--identity", metavar="FOLDER", help=f"{HELP}; only the gateway's may publish its topics")
+    bus.add_argument(
+        "--identity", metavar="FOLDER", help=f"{HELP}; only the identity of the gateway may publish its topics"
+    )
     bus.add_argument("--insecure", action="store_true", help="--listen on the network without protection")
     bus.add_argument("--topic", action="append", choices=names, metavar="TOPIC", help=f"of: {', '.join(names)}")
     bus.add_argument("--as", dest="rename", metavar="NAME", help="publish the board under this name")
-    bus.add_argument("--as-site", metavar="SITE", help="publish under this site, so that a replay cannot pass for live")
+    bus.add_argument(
+        "--as-site", metavar="SITE", help="publish under this site, so that nobody mistakes the replay for a live rig"
+    )
     bus.add_argument("--loop", action="store_true", help="repeat without end; each pass has its own session numbers")
     bus.add_argument(
         "--control",
@@ -62,7 +66,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     bus.add_argument("--wait", type=float, default=2.0, metavar="S", help="longest wait for a subscriber (default 2)")
     raw = parser.add_argument_group("as a board")
     raw.add_argument("--bytes", action="store_true", help="the raw bytes of the UART")
-    raw.add_argument("--pty", type=Path, metavar="PATH", help="make a new pty, and this link to it")
+    raw.add_argument("--pty", type=Path, metavar="PATH", help="make a new pty, with this link to it")
     raw.add_argument("--tcp", metavar="HOST:PORT", help="port to open; the gateway's URL is socket://HOST:PORT")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.epilog = (

@@ -24,7 +24,7 @@ _NICE = 5  # a gateway on the same machine comes first
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of the gateway's log: its --log-dir")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of the gateway's log: its --log-dir")
     add_bus_arguments(parser)
     parser.epilog = "example:\n  board51 serve-log logs --connect tcp/127.0.0.1:7447"
 

@@ -1,8 +1,8 @@
-"""The rigs live in Foxglove: a WebSocket server with the topics and schemas of the logs, and ready-made layouts.
+"""Show the rigs live in Foxglove: a WebSocket server with the topics and schemas of the logs, and ready-made layouts.
 
 In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; then Layouts, Import from file.  The same layout
-opens the MCAP logs.  Events, alarms and refused commands are in its Log panel, the rig is in its 3D panel; with LOG -o
-a log becomes one that has both, too.  It shows and never commands.
+opens the MCAP logs.  The Log panel shows events, alarms and refused commands, the 3D panel the rig.  LOG -o makes
+a copy of a log for these two panels.  Foxglove cannot send commands.
 """
 
 from __future__ import annotations

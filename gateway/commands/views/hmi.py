@@ -1,9 +1,9 @@
-"""The control room in a browser: every rig of the bus, live; commands, alarms, recordings, logs.
+"""Serve the control room for a browser: every rig of the bus, live; commands, alarms, recordings, logs.
 
-It is a client of the bus: it ends, hangs or dies without touching gateway or board.  Without --security or --users
-everybody who reaches the page may do what `board51 send` may: that is for this machine alone.
+It is a client of the bus: if it ends or hangs, gateway and board are not affected.  Without --security or --users
+everybody who reaches the page may do what `board51 send` may, so only this machine reaches it.
 
-Programs without zenoh have an HTTP API at /api/v1/, which lists it, and Prometheus has /metrics.
+Programs without zenoh use the HTTP API; /api/v1/ lists its requests.  Prometheus reads /metrics.
 """
 
 from __future__ import annotations

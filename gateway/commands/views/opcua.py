@@ -1,4 +1,4 @@
-"""The rigs as an OPC UA server, for SCADA systems: reads, subscriptions, history, alarms; setpoints and methods.
+"""Serve the rigs over OPC UA, for SCADA systems: reads, subscriptions, history, alarms; setpoints and methods.
 
 It joins the bus like any other client: nothing that an OPC UA client does can hold up the gateway.  Without --security
 it serves this machine only, and everybody on it may command; with it, sessions are encrypted and people have roles.
@@ -39,8 +39,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--anonymous",
         choices=("off", "viewer", "operator", "engineer"),
-        help="role of a client without a name (default: off with --security; viewer if others reach the server or the "
-        "bus has roles; else engineer)",
+        help="role of a client without a name (default: off with --security; viewer if other machines reach the "
+        "server or the bus has roles; else engineer)",
     )
     parser.add_argument(
         "--export-nodeset", metavar="FILE", type=Path, help="write the types as a NodeSet2 file and end"

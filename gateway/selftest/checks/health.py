@@ -25,7 +25,7 @@ def health(bench: Bench) -> Iterator[Verdict]:
         yield judge(
             "stack", "stack that was never used", free, "bytes",
             good=(_SPARE_BYTES, math.inf), possible=(_CANARY_BYTES, math.inf),
-            remedy="the firmware needs more stack than it has: report what the board was doing",
+            remedy="the firmware needs more stack than there is: report what the board was doing",
         )  # fmt: skip
     if u_power_on == NOT_KNOWN:
         yield skipped("input-at-power-on", "u_c at power-on", "the converter has no memory, or it does not answer")

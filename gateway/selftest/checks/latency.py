@@ -34,7 +34,7 @@ def latency(bench: Bench) -> Iterator[Verdict]:
         yield judge(
             "time-constant", f"T_A after a delay of {1e3 * lag_s:.2f} ms,", 1e3 * time_constant_s, "ms",
             good=(0.02, 1e3 * good), possible=(-0.05, 1e3 * possible),
-            remedy="the coil, its free-wheeling diode or the driver is another one, or its slew rate is limited",
+            remedy="coil, free-wheeling diode or driver are not those of this rig, or the slew rate is limited",
         )  # fmt: skip
     edges = _edges(bench, u_v)
     bench.idle()
@@ -110,5 +110,5 @@ def _delay(bench: Bench, edges: Sequence[Sequence[float]], time_constant_s: floa
     return judge(
         "delay", "delay of the loop", 1e3 * max(tick_s + time_constant_s * math.log(missing), 0.0), "ms",
         good=(0.0, 0.5e3 * tick_s), possible=(0.0, 0.9e3 * tick_s),
-        remedy="the law or the input converter takes long: the twin has to know it (actuation-delay)",
+        remedy="the law or the input converter takes long: the twin's model needs this delay (actuation-delay)",
     )  # fmt: skip

@@ -34,7 +34,7 @@ def load(bench: Bench) -> Iterator[Verdict]:
     line.open()
     after = line.order("PING")
     if flood.restarts:
-        remedy = "the board does not bear the load: look at its supply and its watchdog"
+        remedy = "the board fails under the load: look at its supply and its watchdog"
         yield fault("unexpected-reset", "restarts in a full line", str(flood.restarts), bound="0", remedy=remedy)
         return
     counted = after.int("bad_frames") - before.int("bad_frames")

@@ -46,7 +46,7 @@ def polarity(bench: Bench) -> Iterator[Verdict]:
         yield fault(
             "current-sensor", "i_c while the coil lifts the ball", f"{current_a:.3g} A",
             bound=f"above {_FLOWS * due_a:.2g} A",
-            remedy="the current sensor is unplugged, inverted or its amplifier dead",
+            remedy="the current sensor is unplugged or inverted, or its amplifier is dead",
         )  # fmt: skip
 
 

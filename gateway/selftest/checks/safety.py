@@ -99,7 +99,7 @@ def _host_loss(bench: Bench) -> Iterator[Verdict]:
     yield judge(
         "host-loss", f"no host for {_LOSS_MS} ms: coil off after", 1e3 * (off.arrived_s - called_s), "ms",
         good=(_LOSS_MS - 1e4 * scaling.sample_time_s, _LOSS_MS + 60.0), possible=(0.0, 3.0 * _LOSS_MS),
-        remedy="the time-out counts something else than ticks (rule 10), or the line is slow",
+        remedy="the time-out does not count ticks (rule 10), or the line is slow",
     )  # fmt: skip
     if flagged and EventCode.HOST_BACK in codes:
         yield passed("host-back", "flag HOST_LOST and event HOST_BACK", "seen")

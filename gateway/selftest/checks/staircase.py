@@ -50,7 +50,7 @@ def staircase(bench: Bench) -> Iterator[Verdict]:
     yield judge(
         "input-gain", "K_A", 1e3 * fitted.slope, "mA/V",
         good=(0.93e3 * rig.K_A, 1.07e3 * rig.K_A), possible=(0.88e3 * rig.K_A, 1.12e3 * rig.K_A),
-        remedy=f"{_AMPLIFIER}: i_c or u_c has a wrong scaling, or the coil another resistance",
+        remedy=f"{_AMPLIFIER}: i_c or u_c has a wrong scaling, or the coil has another resistance",
     )  # fmt: skip
     yield from _shape(bench, fitted, low, high)
 
@@ -115,5 +115,5 @@ def _shape(bench: Bench, fitted: Line, low: _Levels, high: _Levels) -> Iterator[
     yield judge(
         "saturation", f"i_c up to {high.u_v[-1]:.3g} V, of the line", share, "%",
         good=(96.0, 104.0), possible=(90.0, 110.0),
-        remedy="the coil's supply is weak or its current limited, or i_c is clipped",
+        remedy="the coil's supply is weak, its current is limited, or i_c is clipped",
     )  # fmt: skip

@@ -158,7 +158,7 @@ def test_without_its_gateway_a_campaign_ends_and_says_that_the_coil_may_be_on(tm
             wait_for(lambda: bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight")
         _, err = process.communicate(timeout=HANG_S)
         assert process.returncode == 1
-        assert "gateway, link or board is gone" in err
+        assert "gateway, link or board has failed" in err
         assert "THE COIL MAY BE ON" in err
         assert "Traceback" not in err
 

@@ -15,7 +15,7 @@ from protocol.wire.messages import EventCode
         (EventCode.LIMIT_HIT, 0, "The input u_c has reached its limit."),
         (EventCode.LIMIT_HIT, 1, "The reference has reached its limit."),
         (EventCode.LIMIT_HIT, 7, "The 7 has reached its limit."),
-        (EventCode.HOST_LOST, 1, "No frame from the host in time; the policy has acted: coil off."),
+        (EventCode.HOST_LOST, 1, "No frame from the host came in time. The host-loss policy has acted: coil off."),
         (EventCode.MODE_CHANGED, 2, "Mode closed loop."),
     ],
 )

@@ -180,7 +180,7 @@ def test_the_answer_leads_with_the_cause_and_with_what_is_unsafe(tmp_path: Path)
     report = Report(verdicts=verdicts[:2], rig="CE 152", port="/dev/x", started_s=0.0, duration_s=1.0)
     unsafe = Report(verdicts=verdicts, rig="CE 152", port="/dev/x", started_s=0.0, duration_s=1.0)
 
-    assert report.answer == "2 faults; mend first (): i_c 0 A. <plug> it in."
+    assert report.answer == "2 faults; repair first (): i_c 0 A. <plug> it in."
     assert unsafe.answer.endswith("CUT THE SUPPLY OF THE COIL.")
     page = next(path for path in write_report(report, tmp_path) if path.suffix == ".html").read_text()
     assert "&lt;plug&gt; it in" in page

@@ -117,7 +117,7 @@ def test_a_priority_that_cannot_be_is_named_and_the_usual_one_taken(
         view.kill()
         said = view.communicate()[1]
 
-    assert f"BOARD51_CHILD_NICE: '{stated}' is not a whole number from 0 to 19; 5 is taken" in said
+    assert f"BOARD51_CHILD_NICE: '{stated}' is not a whole number from 0 to 19; 5 is used" in said
     assert nice == min(os.getpriority(os.PRIO_PROCESS, 0) + NICER, 19)
 
 

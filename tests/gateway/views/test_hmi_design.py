@@ -55,7 +55,7 @@ def test_margins_before_and_after_are_seen_by_all_and_loaded_by_an_engineer(tmp_
 
     assert "<td>phase margin, deg</td><td>unstable</td><td>24.5</td>" in seen
     assert "<td>gain margin, factors</td><td>unstable</td><td>0.36 to no limit</td>" in seen
-    assert "\u25b2 thin phase margin: 24 deg" in seen
+    assert "\u25b2 small phase margin: 24 deg" in seen
     assert ">K_A 0.297</div><table" in seen
     assert ">without them: i_c = 0.4 A<" in seen
     assert "The ball is lost in 3 of 100 draws." in seen

@@ -163,7 +163,7 @@ def test_a_reader_sees_position_current_and_residual() -> None:
     [
         (slice(3000, 3050), True, {"x", "e", "i"}, "1 % of the samples of x were lost and are interpolated."),
         (slice(3000, 3600), True, set(), "Too many samples of x were lost (12 %), so it has no spectrum."),
-        (slice(0), False, {"x", "i"}, "No twin flies along"),
+        (slice(0), False, {"x", "i"}, "No twin runs"),
     ],
     ids=["a few lost", "many lost", "no twin"],
 )

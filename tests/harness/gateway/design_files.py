@@ -17,7 +17,7 @@ LOOP = {"stable": True, "gain_margin": [0.36, None], "phase_margin_deg": 24.5, "
         "x_rms_m": 4.7e-6, "u_rms_v": 0.161}  # fmt: skip
 ANALYSIS = CONTROLLER | {
     "on_board": [{"value": gain} for gain in GAINS],
-    "loops": [LOOP] * 3, "before": LOOP | {"stable": False}, "warnings": ["thin phase margin: 24 deg"],
+    "loops": [LOOP] * 3, "before": LOOP | {"stable": False}, "warnings": ["small phase margin: 24 deg"],
     "causes": ["without them: i_c = 0.4 A"],
 }  # fmt: skip
 FORECAST = {

@@ -54,8 +54,8 @@ def test_the_gains_to_be_replaced_stand_beside_the_new_ones_and_thin_margins_are
     assert code == 0
     assert found["before"]["phase_margin_deg"] == pytest.approx(40.9, abs=0.1)
     assert found["before"]["gain_margin"][1] > 2.0 > found["loops"][2]["gain_margin"][1]
-    assert "thin phase margin: 26 deg" in said
-    assert "thin gain margin: stable for 0.30 to 1.59 times the gain" in said
+    assert "small phase margin: 26 deg" in said
+    assert "small gain margin: stable for 0.30 to 1.59 times the gain" in said
     assert board51.main(["design", "ce152", "--sample-time", "0.001", "--before", str(before)]) == 2
     assert "are for T_s = 0.002 s, not 0.001 s" in capsys.readouterr().err
     assert board51.main(["design", "ce152", "--out", str(before)]) == 0

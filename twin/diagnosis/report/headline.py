@@ -41,7 +41,7 @@ def _answer(diagnosis: Diagnosis) -> tuple[str, ...]:
             f"The nearest candidate, {first.name}, may only imitate an unknown cause.",
         )
     where = diagnosis.unexplained_where
-    rest = (f"What is left is largest {where.removeprefix('most ')}.",) if where.startswith("most ") else ()
+    rest = (f"The remaining error is largest {where.removeprefix('most ')}.",) if where.startswith("most ") else ()
     return "The model is wrong, and none of the known causes explains it.", *rest
 
 
@@ -61,12 +61,12 @@ def _action(first: Finding, *, alone: bool) -> str:
     members, proposal = first.indistinguishable_from, first.next_experiment
     if not members:
         cure = BY_NAME[first.name].cure
-        return f"{'What helps' if alone else f'Begin with {first.name}'}: {cure}." if cure else "No cure is known."
+        return f"{'Remedy' if alone else f'Begin with {first.name}'}: {cure}." if cure else "No cure is known."
     confirm = BY_NAME[members[0].name].confirm
     if all(member.stated for member in members):
         return f"Or {members[0].sentence}: {confirm}."
     names = " or ".join(member.name for member in members if not member.stated)
     doubt = f"{'It' if alone else capital(first.name)} may be {names} instead"
     if proposal is not None and proposal.command and proposal.experiments:
-        return f"{doubt}: the experiment {proposal.experiments[0][0]} will tell."
+        return f"{doubt}: the experiment {proposal.experiments[0][0]} decides."
     return f"{doubt}: {confirm}."

@@ -202,7 +202,9 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
             largest = f", most {where.removeprefix('most ')}" if where else ""
             left = percent(diagnosis.account.unexplained)
             rest = f" But not everything is explained: {left} of {LACKED} is left{largest}."
-        small = " Smaller than what is left, and perhaps only due to another form of an equation: " if unsure else ""
+        small = (
+            " These are smaller than the rest, and perhaps only due to another form of an equation: " if unsure else ""
+        )
         return (
             _causes_sentence(sure, whole=not unsure)
             + _classes_sentence(sure)
@@ -213,7 +215,7 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
             + _rivals_sentence(unsure)
         )
     where = diagnosis.unexplained_where.removeprefix("most ")
-    rest = f" What is left is largest {where}." if where else ""
+    rest = f" The remaining error is largest {where}." if where else ""
     if not diagnosis.causes:
         if diagnosis.unexplained_where.startswith(ON_JUDGES):
             rest = f" It explains the recordings for fitting, but not all {diagnosis.unexplained_where}."
@@ -297,7 +299,7 @@ def overlap_sentence(account: Account) -> str:
     """Say how much the names explain jointly, where that is most of it; else ""."""
     if not account.overlaps:
         return ""
-    return f"they explain {percent(account.jointly)} of {LACKED} only jointly, as imitations of one effect do"
+    return f"they explain {percent(account.jointly)} of {LACKED} only jointly, as imitations of one effect would"
 
 
 def rival_sentence(rival: Rival) -> str:

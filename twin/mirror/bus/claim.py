@@ -82,7 +82,7 @@ class Claim:
         self._refuse(
             ServiceError(
                 f"A twin already serves {what} of site {self._site}: {who}",
-                remedy="End it, hand your model over to it (board51 twin --hand-over), or give another --board. If it "
-                f"is gone because its machine or network failed, start again in {LEASE_S:g} s",
+                remedy="End it, hand your model over to it (board51 twin --hand-over), or give another --board. If "
+                f"its machine or network failed, start again in {LEASE_S:g} s",
             )
         )

@@ -46,7 +46,9 @@ class EventsQuery(Form):
 class CaptureQuery(Form):
     """The query of the newest capture."""
 
-    from_tick: Annotated[Whole, key("tick of the command's answer: no capture of before it; 0: any", 0, 2**63 - 1)] = 0
+    from_tick: Annotated[
+        Whole, key("tick of the command's answer, which leaves out earlier captures; 0: any capture", 0, 2**63 - 1)
+    ] = 0
     format: Annotated[Literal["json", "csv"], key("of the answer")] = "json"
 
 
@@ -61,7 +63,7 @@ class StartCampaign(Form):
 
     quick: Annotated[Flag, key("the short campaign, 35 s instead of 2 min")] = False
     investigate: Annotated[Flag, key("campaign and diagnosis in turns, until the cause is certain")] = False
-    resume: Annotated[str, key("name of an interrupted campaign to continue; the others count for nothing then")] = ""
+    resume: Annotated[str, key("name of an interrupted campaign to continue; the other keys are then ignored")] = ""
 
 
 class Identify(Form):
@@ -80,7 +82,7 @@ class StreamQuery(Form):
     """The query of a stream."""
 
     rate_hz: Annotated[
-        Number, Field(ge=0.1, le=MAX_RATE_HZ, description="samples a second; at most those that the board sends")
+        Number, Field(ge=0.1, le=MAX_RATE_HZ, description="samples a second; at most as many as the board sends")
     ] = 50.0
     format: Annotated[Literal["json", "csv"], key("of the messages")] = "json"
 
@@ -98,7 +100,7 @@ class Diagnose(Form):
     job: Literal["diagnose"]
     campaign: CampaignName = ""
     quick: Annotated[Flag, key("fewer draws")] = False
-    live: Annotated[Flag, key("of the last 2 min of flight; campaign and quick count for nothing then")] = False
+    live: Annotated[Flag, key("diagnose the last 2 min of flight; campaign and quick are then ignored")] = False
 
 
 class Compare(Form):

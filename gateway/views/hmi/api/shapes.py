@@ -106,7 +106,9 @@ class Notice(TypedDict):
     """A message of the stream of events: either of the two."""
 
     event: EventEntry | None
-    alarm: Annotated[AlarmEntry | None, key("as it is now; neither active nor to be acknowledged: it is over")]
+    alarm: Annotated[
+        AlarmEntry | None, key("the alarm as it is now; it is over if it is neither active nor to be acknowledged")
+    ]
 
 
 class CaptureSamples(TypedDict):
@@ -127,8 +129,8 @@ class Divergence(TypedDict):
     error_x_m: Annotated[Real, key("measured minus modelled position, m")]
     error_x_sigma: Annotated[Real, key("the same over its standard deviation by the model's noise")]
     error_i_c_a: Annotated[Real, key("measured minus modelled current, A")]
-    nis_mean: Annotated[Real, key("mean normalised innovation squared: 2 where noise alone makes it")]
-    nis_on: Annotated[Real, key("what nis_mean must exceed for the alarm")]
+    nis_mean: Annotated[Real, key("mean normalised innovation squared: 2 if noise alone causes it")]
+    nis_on: Annotated[Real, key("value that nis_mean must exceed for the alarm")]
 
 
 class TwinModel(TypedDict):

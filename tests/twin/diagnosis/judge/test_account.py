@@ -215,7 +215,7 @@ def test_the_page_says_of_which_quantity_each_share_is() -> None:
         assert "over 99 % of the log-likelihood that the model lacks on the recordings for fitting" in text
         assert "On the judge recordings extending the model cuts the 20 ms prediction error" in text
         assert "confidence in the name" in text
-    assert "Nothing that can be measured: what is left is white" in whole
+    assert "Nothing measurable is left: the rest is white" in whole
     assert "Nothing measurable is left of the recordings for fitting" in part
     assert "but not everything is explained on the judge recordings" in part
 

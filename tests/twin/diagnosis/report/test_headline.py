@@ -38,14 +38,14 @@ def with_class(member: str, experiment: str = "") -> Diagnosis:
 def test_one_cause_is_a_size_and_a_cure() -> None:
     assert headline(FOUND) == (
         "The coil sits 0.500 mm higher than in the model. "
-        "What helps: x_max + d in place of x_max, in the model and in the design."
+        "Remedy: x_max + d in place of x_max, in the model and in the design."
     )
 
 
 def test_a_class_asks_for_the_experiment_that_splits_it() -> None:
     text = headline(with_class("force-exponent", "steps-low"))
 
-    assert text.endswith("It may be force-exponent instead: the experiment steps-low will tell.")
+    assert text.endswith("It may be force-exponent instead: the experiment steps-low decides.")
 
 
 def test_a_class_that_no_experiment_splits_asks_for_a_measurement() -> None:
@@ -79,7 +79,7 @@ def test_nothing_known_says_where() -> None:
     text = headline(UNKNOWN)
 
     assert text == (
-        "The model is wrong, and none of the known causes explains it. What is left is largest in x in steps_1."
+        "The model is wrong, and none of the known causes explains it. The remaining error is largest in x in steps_1."
     )
 
 

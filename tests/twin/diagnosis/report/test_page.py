@@ -115,7 +115,7 @@ def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_show
     small = MinorEffect(name="quadratic-drag", parameters=parameters, loglik_gain=31.4)
 
     text = text_of(quick_page(replace(found, minor_effects=(small,))))
-    listed = text[text.index("too small to be named") : text.index("ruled out above this size")]
+    listed = text[text.index("too small to be named") : text.index("Larger effects than the stated size are ruled out")]
 
     for part in ("quadratic-drag", "c = 0.20 N s^2/m^2", "31", *BY_NAME["quadratic-drag"].shows_in):
         assert part in listed, part
@@ -172,7 +172,7 @@ def test_names_beside_an_unknown_cause_are_said_to_be_confounders() -> None:
 
     assert text.startswith("The model is wrong, and the known causes do not explain all of it.")
     assert "may only imitate an unknown cause: the coil sits" in text
-    assert "What is left is largest at rest: the model needs a stop elsewhere." in text
+    assert "The remaining error is largest at rest: the model needs a stop elsewhere." in text
 
 
 def test_an_adequate_model_says_so_and_shows_one_model() -> None:
@@ -183,7 +183,7 @@ def test_an_adequate_model_says_so_and_shows_one_model() -> None:
     html = page(found)
 
     assert "The model is adequate" in html
-    assert "What got worse" not in html
+    assert "These errors got larger" not in html
     assert "The causes, and what to do" not in html
     assert "as a curve" not in html
 
@@ -209,7 +209,7 @@ def test_a_step_figure_that_just_misses_is_no_contradiction_of_nothing_left() ->
     """One of five figures at 4 %: a right model has such a one on every fifth page."""
     text = with_chances(rise_s=0.04)
 
-    assert "Nothing that can be measured: what is left is white" in text
+    assert "Nothing measurable is left: the rest is white" in text
     assert "does not explain all of it" not in text
 
 
