@@ -142,10 +142,9 @@ def _explain(
     mistake, location = first["type"], first["loc"]
     if mistake == "missing" and isinstance(location[-1], int):  # of four numbers: the list is wrong
         mistake, location = "too_short", location[:-1]
+    if location and location[-1] == "[key]":  # pydantic's word for the key itself; a file may have one of that name
+        mistake, location = _UNKNOWN, location[:-1]
     for step in location:
-        if step == "[key]":
-            mistake = _UNKNOWN
-            continue
         value, inner = _item(value, step), get_args(plain_of(hint))
         if isinstance(step, int):
             label = _item(value, "file") or _item(value, "name")

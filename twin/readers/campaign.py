@@ -139,7 +139,8 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     body = memoryview(data)[end + 1 :]
     try:
         # In batches, so that the samples are not in memory as text, Arrow and numpy at the same time.
-        values = np.empty((len(names), data.count(b"\n", end) + 1))
+        lines = data.count(b"\n", end) + data.count(b"\r", end) - data.count(b"\r\n", end) + 1  # as Arrow sees them
+        values = np.empty((len(names), lines))
         rows = 0
         for batch in csv.open_csv(pa.BufferReader(body), **options):
             for n, column in enumerate(batch.columns):

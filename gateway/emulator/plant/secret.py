@@ -8,7 +8,6 @@ that the effects were not changed.  The salt prevents guessing the effects from 
 from __future__ import annotations
 
 import base64
-import binascii
 import hashlib
 import json
 import secrets
@@ -95,7 +94,7 @@ def open_sealed(path: Path) -> dict[str, float]:
         packed = base64.b64decode(str(envelope["content"]), validate=True)
         content = zlib.decompressobj().decompress(packed, LARGEST_SMALL)
         intact = hashlib.sha256(content).hexdigest() == envelope["commitment"]
-    except (KeyError, binascii.Error, zlib.error):
+    except (KeyError, ValueError, zlib.error):
         intact = False
     if not intact:
         problem = f"Sealed file {path}: content and commitment differ"

@@ -34,6 +34,7 @@ def test_a_list_of_recordings_is_read(tmp_path: Path) -> None:
         ({"recordings": None}, "recordings = None is not a table"),
         ({"lift_off_v": "3"}, "lift_off_v = '3' is not a finite number"),
         ({"recordings": {NAME: {**RECORDING, "bytes": "3"}}}, f"recordings.{NAME}.bytes = '3' is not a whole number"),
+        ({"recordings": {"[key]": {**RECORDING, "said": [1]}}}, "recordings.[key].said 1 = 1 is not text"),
         ({"recordings": {NAME: {**RECORDING, "said": "x"}}}, f"recordings.{NAME}.said = 'x' is not a list of texts"),
     ],
 )

@@ -106,6 +106,7 @@ def test_a_changed_file_is_found_out(tmp_path: Path, key: str) -> None:
         "\x00\xff",
         '{"format": "board51-sealed-effects-1"}',
         '{"format": "board51-sealed-effects-1", "content": "!"}',
+        '{"format": "board51-sealed-effects-1", "content": "\\u00e9", "commitment": ""}',
     ],
 )
 def test_what_is_not_a_sealed_file_is_refused(tmp_path: Path, text: str) -> None:
