@@ -139,10 +139,10 @@ def _client(scheduler: str | None, processes: int) -> Iterator[Client]:
     except ModuleNotFoundError:
         raise missing_extra("cluster", "distributed") from None
     if scheduler is None:
+        # Any free port: None is port 8787, and a second cluster would find it taken.
+        local = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
         with (
-            LocalCluster(
-                n_workers=processes, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
-            ) as cluster,
+            LocalCluster(n_workers=processes, threads_per_worker=1, silence_logs=50, **local) as cluster,
             Client(cluster) as client,
         ):
             yield client

@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import signal
+import socket
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +80,11 @@ def test_a_killed_worker_loses_nothing_and_the_answers_are_those_of_one_by_one(t
             for pid in killed:
                 os.kill(pid, signal.SIGKILL)
 
-    answers = diagnose_all(runs, out, processes=1, progress=kill_once, quick=True)
+    with socket.socket() as another:
+        with suppress(OSError):  # a cluster of another test may have it
+            another.bind(("127.0.0.1", 8787))
+            another.listen()
+        answers = diagnose_all(runs, out, processes=1, progress=kill_once, quick=True)
 
     assert killed
     assert [answer.campaign for answer in answers] == ["a", "b", "c/deep"]
