@@ -29,13 +29,27 @@ _state = {"ordered": False}
 
 def on_end_signal(end: Callable[[], object]) -> None:
     """Call `end` at SIGTERM and at SIGINT; only the main thread may ask for this."""
+    act = in_thread(end)
 
     def handle(_number: int, _frame: object) -> None:
         note_end()
-        end()
+        act()
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, handle)
+
+
+def in_thread(act: Callable[[], object]) -> Callable[[], None]:
+    """Return a function that calls `act` in a thread of its own, for signals.
+
+    A signal is handled in the main thread, which may be about to wait for an event and hold its lock.  To set the event
+    there would wait for that lock for ever.
+    """
+
+    def start() -> None:
+        _thread.start_new_thread(act, ())  # not `threading`, which has locks of its own
+
+    return start
 
 
 def end_at_once() -> None:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from gateway.campaign.options import add_rig_arguments, same_command, write_line
 from protocol.bus.topics import check_name
-from protocol.ending import on_signals
+from protocol.ending import in_thread, on_signals
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
             prepare=lambda experiment: "" if args.yes else _request_preparation(experiment, stop),
         )  # fmt: skip
         try:
-            with on_signals(stop.set, signal.SIGINT, signal.SIGTERM):
+            with on_signals(in_thread(stop.set), signal.SIGINT, signal.SIGTERM):
                 if args.plant is None and wishes.plant.assumed and (card := control.await_card()) is not None:
                     wishes = replace(wishes, plant=card)
                 control.travel_m = wishes.plant.travel_m

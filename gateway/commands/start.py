@@ -29,7 +29,7 @@ from gateway.processes.command import EmulatedLine, emulated_line
 from gateway.processes.supervisor import END_S, Service, running
 from gateway.views.listen import ADDRESSES, address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
-from protocol.ending import on_signals, wait_for_end
+from protocol.ending import in_thread, on_signals, wait_for_end
 from protocol.errors import ServiceError, UsageError, require
 from protocol.files import make_folder, replace_text, writing
 from protocol.viewer import open_viewer
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     make_folder(args.log_dir)
     stopped = threading.Event()
     hang_up = (signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()
-    with on_signals(stopped.set, signal.SIGINT, signal.SIGTERM, *hang_up):
+    with on_signals(in_thread(stopped.set), signal.SIGINT, signal.SIGTERM, *hang_up):
         _warn_of_ports(args.board or [])
         line = emulated_line(Path(tempfile.gettempdir())) if args.emulated else None
         services = _services(args, line)

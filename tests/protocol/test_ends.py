@@ -27,6 +27,35 @@ sum(range(10**13))  # C that looks at no signal, as a compiler
 """
 
 
+WAITING = """
+import os, signal, threading
+from protocol.ending import on_end_signal
+ordered = threading.Event()
+on_end_signal(ordered.set)
+
+def order() -> None:
+    for _ in range(200):
+        os.kill(os.getpid(), signal.SIGTERM)
+        while not ordered.is_set():
+            pass
+        ordered.clear()
+    os._exit(0)
+
+threading.Thread(target=order, daemon=True).start()
+while True:
+    ordered.wait(0.0)  # nearly always about to wait, with the lock of the event
+"""
+
+
+@pytest.mark.posix
+def test_a_signal_may_come_while_its_event_is_about_to_be_waited_for() -> None:
+    with subprocess.Popen([sys.executable, "-c", WAITING]) as process:
+        try:
+            assert process.wait(HANG_S) == 0
+        finally:
+            process.kill()
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_what_has_begun_nothing_ends_at_once(number: signal.Signals) -> None:
     with subprocess.Popen([sys.executable, "-c", COMPILING], stdout=subprocess.PIPE) as process:
