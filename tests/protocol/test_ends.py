@@ -34,7 +34,7 @@ ordered = threading.Event()
 on_end_signal(ordered.set)
 
 def order() -> None:
-    for _ in range(200):
+    for _ in range(40):
         os.kill(os.getpid(), signal.SIGTERM)
         while not ordered.is_set():
             pass
