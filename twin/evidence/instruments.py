@@ -30,6 +30,7 @@ import numpy as np
 
 from twin.distributions import chi2_above, normal_exceeded
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X, Series
+from twin.estimation.low_pass import low_pass
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.estimation.structures import EQUAL_NOISE
@@ -160,12 +161,9 @@ def smooth(series: Series, column: int, *, before: int = 0, around: int = 0) -> 
 
 def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
     """Return i_c minus its linear regression on filtered u_c, over the samples `used`; all of shape (n,)."""
-    from scipy.signal import lfilter  # here: it takes 45 MB, and the running twin filters nothing
-
-    before = np.concatenate((u[:1], u[:-1]))
     lagged = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, settings.INPUT_SHOWS + 1)]
     # A few fixed lags in place of a fit of T_A: the regression stays linear, and no model of the amplifier is needed.
-    slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
+    slow = [u[0] + low_pass(u - u[0], math.exp(-1.0 / time)) for time in _TIMES]
     regressors = np.column_stack([np.ones(len(u)), *lagged, *slow])
     return np.asarray(i - regressors @ np.linalg.lstsq(regressors[used], i[used], rcond=None)[0])
 

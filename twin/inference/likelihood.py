@@ -100,7 +100,7 @@ class Criterion:
         return self.charging(Budget())
 
     def pay(self, *thetas: Theta, reuse: Sequence[Reuse] = ()) -> None:
-        """Pay for a run of each model; `reuse` as in `outputs_reusing`.
+        """Pay for a run of each model; `reuse` as in `changes`.
 
         Raises:
             Spent: the budget is too small.
@@ -147,8 +147,7 @@ class Criterion:
 
     def outputs(self, theta: Theta) -> FloatArray:
         """Return the innovations and their covariance, shape (n, 5)."""
-        self.pay(theta)
-        return self._outputs(theta)
+        return self._halved(theta).innovations
 
     def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
         """Run the filter; `known` as in `filtered`."""
@@ -166,21 +165,33 @@ class Criterion:
         fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))
 
     def run(self, theta: Theta) -> Results:
-        """Return the innovations and the steps of the filter, which `derivatives` reuses."""
+        """Return the innovations and the steps of the filter, which `changes` reuses."""
+        return self._halved(theta, steps=True)
+
+    def run_without_steps(self, theta: Theta) -> Results:
+        """Return a run of which `changes` can reuse nothing."""
+        return room_for(0, 0)._replace(innovations=self.outputs(theta))
+
+    def _halved(self, theta: Theta, *, steps: bool = False) -> Results:
+        """Run the filter over each half in a thread of its own."""
         self.pay(theta)
-        results = room_for(len(self.evidence.series), self._states(theta), steps=True)
+        results = room_for(len(self.evidence.series), self._states(theta), steps=steps)
         list(self._pool.map(lambda part: self._fill(theta, part, results), self.halves))
         self.evaluations += 1
         return results
 
-    def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
-        """Return the `outputs` of models near that of `at`, reusing the steps of its run.
+    def changes(
+        self, thetas: Sequence[Theta], scales: Sequence[float], at: Results, reuse: Sequence[Reuse] = ()
+    ) -> FloatArray:
+        """Return how far the `outputs` of models are from those of a run, over `scales`, shape (count, n, 5).
 
         Args:
             thetas: the models.
-            at: the run.
-            reuse: for each model, what it reuses of the run.
+            scales: of each model.
+            at: the run, of a model near them.
+            reuse: for each model, what it reuses of the run; nothing by default.
         """
+        reuse = reuse or [Reuse.NONE] * len(thetas)
         known, states, _ = at.steps.slopes.shape
         reuse = [
             mode if known and self._states(theta) == states else Reuse.NONE
@@ -188,7 +199,16 @@ class Criterion:
         ]
         self.pay(*thetas, reuse=reuse)
         steps = {Reuse.NONE: NO_STEPS, Reuse.SLOPES: at.steps.jacobians, Reuse.STEPS: at.steps}
-        return list(self._pool.map(lambda theta, mode: self._outputs(theta, steps[mode]), thetas, reuse))
+        change = np.empty((len(thetas), *at.innovations.shape))
+
+        def fill_in(index: int) -> None:
+            # In the worker: a difference takes as long as a tenth of a run, and one thread would do it for all.
+            outputs = self._outputs(thetas[index], steps[reuse[index]])
+            np.subtract(outputs, at.innovations, out=change[index])
+            change[index] /= scales[index]
+
+        list(self._pool.map(fill_in, range(len(thetas))))
+        return change
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """Return `outputs` of each point."""
@@ -197,8 +217,7 @@ class Criterion:
 
     def value(self, theta: Theta) -> float:
         """Return the log-likelihood with the priors; -inf for impossible parameters."""
-        self.pay(theta)
-        return self._value(theta)
+        return self.loglik(theta, self.outputs(theta))
 
     def _value(self, theta: Theta) -> float:
         return self.loglik(theta, self._outputs(theta))
@@ -238,24 +257,19 @@ class Criterion:
         """
         # Differences of the filter, not analytic sensitivities. These would be a second set of equations, and each new
         # cause would extend it. The differences include the effect on the Kalman gains.
-        steps = {name: derivative_step(theta, name, self.plant) for name in names}
-        models = [moved(theta, name, step, self.plant) for name, step in steps.items()]
+        steps = [derivative_step(theta, name, self.plant) for name in names]
+        models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
         if at is None:
-            base, *outs = self.several([theta, *models])
+            at, reuse = self.run_without_steps(theta), []
         else:
             # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             # Noise levels and stops do not change the motion between two readings, so its steps are reused.
             steady = NOISES + COLOURS + STOPS
-            is_reused = [rough or name in STOPS or (smooth and name in steady) for name in steps]
-            reuse = [Reuse.STEPS if name in steady else Reuse.SLOPES for name in steps]
+            is_reused = [rough or name in STOPS or (smooth and name in steady) for name in names]
+            reuse = [Reuse.STEPS if name in steady else Reuse.SLOPES for name in names]
             reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
-            base, outs = at.innovations, self.outputs_reusing(models, at, reuse)
-        change = np.empty((len(names), *base.shape))
-        for index, (name, filtered) in enumerate(zip(names, outs, strict=True)):
-            np.subtract(filtered, base, out=change[index])
-            change[index] /= steps[name]
-        return base, change
+        return at.innovations, self.changes(models, steps, at, reuse)
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
         """Return (log-likelihood, score, Fisher information) in the coordinates `names`."""

@@ -1,7 +1,7 @@
 """Equilibria (13) of the model with its causes.
 
-Rule 1: the equations are those of `extended.py`.  Brent's method (Algorithms for Minimization without Derivatives,
-        1973, chapter 4) gives first the current that carries the ball, then the input that gives this current.
+Rule 1: the equations are those of `extended.py`.  Bisection gives first the current that carries the ball, then the
+        input that gives this current.
 Rule 2: a position is the true position, or with `as_reading` the sensor's reading.  Crosstalk and a nonlinear sensor
         make them differ.
 Rule 3: dry friction is left out: with it every position near an equilibrium would be one, too.
@@ -14,7 +14,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from twin.compiled import Packed, kernel
 from twin.model.causes.cause import Vector
@@ -40,7 +39,6 @@ from twin.model.parameters import Model
 
 # The upper limits are beyond any amplifier.
 _MIN_A, _MAX_A, _MIN_V, _MAX_V = 1e-3, 1e3, 1e-2, 1e5
-_XTOL, _RTOL = 1e-18, 4.0 * float(np.finfo(float).eps)  # the finest relative tolerance that brentq takes
 _INPUTS = 300  # inputs on a grid from _LEAST_V to _MOST_V, 5 % apart
 _SETTLING, _SETTLING_STEP_S = 2000, 5e-3
 
@@ -140,5 +138,9 @@ def _surplus(u: float, base: Packed, c: Vector, i: float, w: float) -> float:
 
 
 def _root(rising: Callable[..., float], low: float, high: float, *rest: object) -> float:
-    # A bracket, not Newton: a dead zone or a limit makes the slope 0.
-    return float(brentq(rising, low, high, args=rest, xtol=_XTOL, rtol=_RTOL))
+    # Not Newton: a dead zone or a limit makes the slope 0.  Not Brent's method: its import takes 24 MB in every twin.
+    middle = 0.5 * (low + high)
+    while low < middle < high:  # until the two are neighbouring numbers
+        low, high = (low, middle) if rising(middle, *rest) > 0.0 else (middle, high)
+        middle = 0.5 * (low + high)
+    return middle

@@ -113,8 +113,10 @@ def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> 
 class Exact(Criterion):
     """The filter itself wherever the slopes of another run would do."""
 
-    def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
-        return self.several(thetas)
+    def changes(
+        self, thetas: Sequence[Theta], scales: Sequence[float], at: Results, reuse: Sequence[Reuse] = ()
+    ) -> FloatArray:
+        return super().changes(thetas, scales, at)
 
 
 @pytest.mark.slow

@@ -87,9 +87,14 @@ class Switched(Criterion):
         self.evaluations += 1
         return results.innovations
 
+    def outputs(self, theta: Theta) -> FloatArray:
+        """Return the outputs of both models, each where it holds."""
+        self.pay(theta)
+        return self._outputs(theta)
+
     def run(self, theta: Theta) -> Results:
         """Return a run without steps for other models, because two models share it."""
-        return room_for(0, 0)._replace(innovations=self.outputs(theta))
+        return self.run_without_steps(theta)
 
 
 def find_change(search: Search, selection: Selection, *, workers: int = 2) -> Change | None:
@@ -170,11 +175,11 @@ def _promising_cuts(
     theta, free = selection.base.theta, selection.base.free
     trials = [(cause, probe) for cause in candidates for probe in probes_of(cause, criterion.evidence.series)]
     steps = [derivative_step(theta, name, criterion.plant) for name in free]
-    thetas = [theta, *(moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True))]
-    base, *outs = criterion.several([*thetas, *(probed(theta, cause, probe) for cause, probe in trials)])
+    models = [moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True)]
+    models += [probed(theta, cause, probe) for cause, probe in trials]
     scales = [*steps, *(1.0 for _ in trials)]
-    change = np.stack([(out - base) / step for out, step in zip(outs, scales, strict=True)])
-    del outs
+    at = criterion.run_without_steps(theta)
+    base, change = at.innovations, criterion.changes(models, scales, at)
     number, count, k = criterion.evidence.series.recording, len(scales), len(free)
     scores, fishers = np.zeros((len(order), count)), np.zeros((len(order), count, count))
     for cut, recording in enumerate(order):

@@ -147,15 +147,12 @@ def _sums(
     """The score, shape (k,), and the Fisher information, shape (k, k), of the free parameters and the probes."""
     run = criterion.run(theta)
     base, free_change = criterion.derivatives(theta, free, run, rough=True)
-    k, count = len(free), len(free) + len(trials)
-    change = np.empty((count, *base.shape))
-    change[:k] = free_change
     models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
     # Slopes of the model without a cause serve for its probe: the probe is small, and a run with known slopes is cheap.
     reuse = [Reuse.NONE if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
-    for index, out in enumerate(criterion.outputs_reusing(models, run, reuse), k):
-        np.subtract(out, base, out=change[index])
+    change = np.concatenate((free_change, criterion.changes(models, [1.0] * len(models), run, reuse)))
+    count = len(change)
     fisher, each = np.zeros((count, count)), np.empty((len(base), count))
     information(base, change, each, fisher)
     steps = [derivative_step(theta, name, criterion.plant) for name in free]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from twin.distributions import Z_95, robust_spread, student_quantile
 from twin.estimation.record import FloatArray, Record, intervals, runs
@@ -187,6 +186,8 @@ def _level(u: float, i: FloatArray) -> Level | None:
 
 def find_shape(records: list[Record]) -> Shape | None:
     """Return the first-order fit to all steps, of captures if there are any; None without a usable step."""
+    from scipy.optimize import minimize_scalar  # here: it takes 24 MB, and the running twin fits no step
+
     steps = [step for record in records for step in _captured_steps(record)]
     if not steps:
         steps = [step for record in records if record.kind == "amplifier-step" for step in _recorded_steps(record)]

@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from protocol.campaign import Plant
+from twin.estimation.low_pass import low_pass
 from twin.estimation.prepare import flights
 from twin.estimation.record import FloatArray, Record, intervals, runs
 from twin.settings import identification as settings
@@ -85,14 +86,12 @@ def amplifier_start(records: list[Record]) -> AmplifierStart | None:
 
 def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) -> tuple[float, float]:
     """Return (K_A, sum of squares) of the regression of i_c on the filtered u_c and the decay of the first current."""
-    from scipy.signal import lfilter  # here: it takes 45 MB, and the running twin filters nothing
-
     cross = power = 0.0
     prepared = []
     for step, u, i in pieces:
         # (1) exactly over an interval under a held u_c: an Euler step would be wrong for T_A below it.
         a = float(np.exp(-step / T_A))
-        response = lfilter([0.0, 1.0 - a], [1.0, -a], u)
+        response = low_pass(u, a)
         alive = min(len(i), int(30.0 * T_A / step) + 1)  # later powers are denormal numbers, a hundred times slower
         free = i.copy()
         free[:alive] -= i[0] * np.exp(-np.arange(alive) * (step / T_A))
@@ -206,8 +205,6 @@ def _mean_square(i: FloatArray, u: FloatArray, step: float, amplifier: Amplifier
 
 
 def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: Plant) -> FloatArray:
-    from scipy.signal import fftconvolve
-
     s = np.linspace(-1.0, 1.0, width + 1)
     reach_s = 0.5 * width * step
     # M. Shinbrot, On the analysis of linear and nonlinear systems, Transactions of the ASME 79, 1957.  A filter would
@@ -222,7 +219,7 @@ def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: 
     phi_middle = (1.0 - (0.5 * (s[:-1] + s[1:])) ** 2) ** 3
 
     def slide(values: FloatArray, window: FloatArray) -> FloatArray:
-        return np.asarray(fftconvolve(values, window[::-1], mode="valid")[:: max(width // OVERLAP, 1)] * step)
+        return np.asarray(np.convolve(values, window[::-1], mode="valid")[:: max(width // OVERLAP, 1)] * step)
 
     # Only differences of x matter; without its mean the sums over a window lose no digits.
     centred = x - np.mean(x)
