@@ -339,3 +339,14 @@ def test_numbers_have_the_digits_that_their_interval_leaves() -> None:
     assert measured(99.98, (99.9, 100.06), "A/s") == ("99.98 A/s", "99.90 to 100.06 A/s")
     assert measured(0.5, None, "N") == ("0.5 N", "")
     assert quantity(2e-5, "m/A") == "20 µm/A"
+
+
+def test_rounds_are_numbered_without_those_that_scored_nothing() -> None:
+    """The second name of a pair has a round without scores, and no figure."""
+    found = found_gap()
+    (first,) = found.selection.rounds
+    rounds = (first, replace(first, scores=()), first)
+
+    html = quick_page(replace(found, selection=replace(found.selection, rounds=rounds)))
+
+    assert set(re.findall(r"Round (\d+):", html)) == {"1", "2"}
