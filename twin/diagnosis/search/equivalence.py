@@ -213,7 +213,7 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
     decided = {cause.name, *same, *(trial.cause for trial in known)}
     scores = [score for score in scores if score.cause not in decided and score.testable]
     scores = [score for score in scores if score.gain > settings.MIN_CLASS_SCORE * settings.MIN_GAIN]
-    cutoff_gain = -math.inf if fit_all else selected.gain - settings.OUT_OF_CLASS_GAIN
+    cutoff_gain = selected.gain - settings.OUT_OF_CLASS_GAIN
     if not fit_all:
         # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only
         # sorts out candidates that cannot reach the class even then.
