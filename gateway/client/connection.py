@@ -115,7 +115,7 @@ class Subscription:
         subscribers, self._subscribers = self._subscribers, []
         for subscriber in subscribers:
             with contextlib.suppress(zenoh.ZError):  # the session is closed
-                subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+                subscriber.undeclare()
         for _ in subscribers:
             self._ended.acquire(timeout=_LAST_CALL_S)
 

@@ -54,8 +54,9 @@ def _nicer() -> int:
     if stated:
         print(  # noqa: T201  # the command is not known yet
             f"{NICE_VARIABLE}: {stated!r} is not a whole number from 0 to {MAX_NICE}; {NICER} is used",
-            file=sys.stderr, flush=True,
-        )  # fmt: skip
+            file=sys.stderr,
+            flush=True,
+        )
     return NICER
 
 
