@@ -84,7 +84,7 @@ class GuardedServer(InternalServer):
         self._identify = identify
         self.peer_host = ""  # of the session that is being activated; asyncua does not say it to a user manager
         self.operations, self.secured = operations, secured
-        self.spaces = Namespaces(site=0, types=0, di=0, machinery=0)  # until they are registered
+        self.spaces = Namespaces(site=0, types=0, machinery=0)  # until they are registered
         self.conditions: dict[ua.NodeId, ConditionNode] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
         self.isession.subscription_service = self.subscription_service
