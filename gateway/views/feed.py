@@ -136,10 +136,8 @@ class Feed:
         command = pb.Command()
         command.CopyFrom(what)
         command.who = who
-        reply = send(
-            BusBoard(self._session, self.site, board), command, timeout_s=timeout_s, typed=False, since_ns=issued_ns,
-            role=role if self.guarded else "",
-        )  # fmt: skip
+        where, stated = BusBoard(self._session, self.site, board), role if self.guarded else ""
+        reply = send(where, command, timeout_s=timeout_s, typed=False, since_ns=issued_ns, role=stated)
         if not acknowledges or feed is None:
             return reply
         if reply.reason == "not-delivered" and (not role or may(Role[role.upper()], "acknowledge")):
