@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import logging.handlers
 import queue
-import socket
 import sys
 import threading
 import time
@@ -28,7 +27,7 @@ import zenoh
 from gateway.access.authorize import Authorizer
 from gateway.access.certificates import WARN_DAYS
 from gateway.access.folder import SecurityFolder
-from gateway.access.listeners import allow_restart, check_bus_listeners
+from gateway.access.listeners import check_bus_listeners, try_listening
 from gateway.bus.command_service import CommandService
 from gateway.bus.plant_cards import BoardCard, configured_card, folder_of
 from gateway.bus.publisher import GATHER_S, BoardSink, Publisher, Publishers
@@ -227,11 +226,7 @@ def _check_free(endpoint: str) -> None:
     if kind not in ("tcp", "tls") or not port.isdigit() or int(port) == 0:
         return
     try:
-        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, socket.SOCK_STREAM) as probe:
-            allow_restart(probe)
-            probe.bind(address)
-            probe.listen(1)
+        try_listening(host.strip("[]"), int(port))
     except OSError as error:
         raise ServiceError(
             f"Cannot listen on {endpoint}: {error.strerror}",

@@ -100,4 +100,9 @@ def argument(parse: Callable[[str], T], is_good: Callable[[T], bool], problem: s
     return checked
 
 
+def add_repeatable(parser: ArgumentParser, option: str, metavar: str, text: str) -> None:
+    """Add an option that may be given several times: a list, which is empty without it."""
+    parser.add_argument(option, action="append", default=[], metavar=metavar, help=text)
+
+
 interval = argument(number, lambda seconds: 0.0 < seconds < math.inf, "is no interval; give seconds above 0")

@@ -57,8 +57,8 @@ def access_control(site: str, people: Mapping[str, Role], *, upper: bool = False
             _rule(f"{service}-puts", "ingress", ("put",), published[service]),
             _rule(f"{service}-answers", "ingress", ("declare_queryable", "reply"), [_as(site, topic, "*", "*")]),
         ]
-        own = [f"{service}-{what}" for what in ("puts", "answers", "lives")]
-        policies.append({"subjects": _subject_ids(service), "rules": ["read", "told", "served", "asks-logs", *own]})
+        rights = [f"{service}-{what}" for what in ("puts", "answers", "lives")]
+        policies.append({"subjects": _subject_ids(service), "rules": ["read", "told", "served", "asks-logs", *rights]})
     policies[0]["rules"].append("serves-logs")
     senders = {"views": ("*", "*"), **{name: (role.word, name) for name, role in people.items()}}
     for name, (role, who) in senders.items():

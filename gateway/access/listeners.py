@@ -34,6 +34,15 @@ def allow_restart(listener: socket.socket) -> None:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
 
 
+def try_listening(host: str, port: int) -> None:
+    """Listen for a moment, for servers that tell late or badly of a port in use.  Raises OSError if it is."""
+    family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    with socket.socket(family, kind) as probe:
+        allow_restart(probe)
+        probe.bind(address)
+        probe.listen(1)
+
+
 def check_listener(host: str, *, protected: bool, insecure: bool, what: str, remedy: str) -> None:
     """Check that a listener may be opened.
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from gateway.access.passwords import NOBODY, hash_password, is_line, matches
@@ -192,14 +192,9 @@ def remove_token(path: Path, name: str) -> None:
 
 def _write(path: Path, content: _File) -> None:
     lines = ["# Logins of OPC UA and the web page; `board51 security add-user` and `add-token` write this file.\n"]
-    lines += [
-        f'[users.{name}]\nrole = "{entry.role}"\npassword = "{entry.password}"\n'
-        for name, entry in sorted(content.users.items())
-    ]
-    lines += [
-        f'[tokens.{name}]\nuser = "{token.user}"\nrole = "{token.role}"\nsha256 = "{token.sha256}"\n'
-        for name, token in sorted(content.tokens.items())
-    ]
+    for section, tables in asdict(content).items():
+        for name, table in sorted(tables.items()):
+            lines += [f"[{section}.{name}]", *(f'{key} = "{value}"' for key, value in table.items()), ""]
     write_private(path, "\n".join(lines).encode())
 
 

@@ -71,12 +71,12 @@ def state_now(config: GatewayConfig, board: str, file: Path, who: str) -> tuple[
     Raises:
         UsageError: the file cannot be read, its [plant] is not usable, or the card cannot be written.
     """
-    plant, kept = load_stated_plant(file), folder_of(config) / f"{board}.toml"
+    plant, path = load_stated_plant(file), folder_of(config) / f"{board}.toml"
     try:
-        _write(kept, pb.PlantCard(who=who, stated_ns=time.time_ns()), plant)
+        _write(path, pb.PlantCard(who=who, stated_ns=time.time_ns()), plant)
     except OSError as error:
         raise UsageError(
-            f"The plant card cannot be written to {kept}: {error.strerror}", remedy="Give another --log-dir"
+            f"The plant card cannot be written to {path}: {error.strerror}", remedy="Give another --log-dir"
         ) from None
     return objections(asdict(plant))
 

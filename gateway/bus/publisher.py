@@ -226,9 +226,8 @@ class BoardSink:
 
     def _count(self, name: Literal["waiting", "dropped"]) -> int:
         counts = {topic: int(getattr(channel, name)) for topic, channel in self._channels.items()}
-        return sum(counts.values()) - min(
-            counts["state"], counts["states"]
-        )  # the same samples in both: count them once
+        twice = min(counts["state"], counts["states"])  # the same samples in both
+        return sum(counts.values()) - twice
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
         """Send the samples of one read to bus and log."""
@@ -277,4 +276,4 @@ class _Token:
             self._token = self._session.liveliness().declare_token(self._key)
         elif not payload and self._token is not None:
             token, self._token = self._token, None
-            token.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+            token.undeclare()

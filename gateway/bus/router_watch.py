@@ -46,7 +46,7 @@ class RouterWatch:
 
     def close(self) -> None:
         """Stop watching, and release the publishers."""
-        self._listener.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._listener.undeclare()
         self._hold(held=False)
 
     def look(self) -> tuple[str, str, str] | None:

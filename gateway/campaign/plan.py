@@ -19,10 +19,6 @@ from protocol.errors import UsageError
 from protocol.experiments import LIFT_OFF, Burst, CoilOff, Constant, Experiment, Hover, Wave
 
 LEFT_SHARE = 0.4  # of a signal's span that must remain within the limits for the signal to be useful
-_SHAPES = {
-    "step": pb.SHAPE_STEP, "rectangle": pb.SHAPE_RECTANGLE, "sawtooth": pb.SHAPE_SAWTOOTH, "prbs": pb.SHAPE_PRBS,
-    "multisine": pb.SHAPE_MULTISINE, "chirp": pb.SHAPE_CHIRP,
-}  # fmt: skip
 _JUMPS = ("step", "rectangle", "sawtooth", "prbs")
 # Steepest slope over amplitude * 2 pi / period: at most 6.44 for eight harmonics of equal size with Schroeder phases
 # and peak 1 (over all 128 signs of the board's multisine).
@@ -215,7 +211,7 @@ def _send(wave: Wave, scale: Scale, low: float, high: float) -> Send:
     # Offset and amplitude are each rounded to counts, so their sum may exceed the limit by one count.
     count = scale.limits.x_lsb_m if wave.on_reference else scale.limits.u_lsb_v
     excite = pb.Excite(
-        shape=_SHAPES[wave.shape],
+        shape=f"SHAPE_{wave.shape.upper()}",
         on_reference=wave.on_reference,
         amplitude=max((high - low) / 2 - count, 0.0),
         offset=(high + low) / 2,

@@ -153,25 +153,23 @@ class Runner:
     def _all(self, summary: Summary) -> None:
         total = len(summary.outcomes)
         for number, outcome in enumerate(summary.outcomes, 1):
-            e = outcome.experiment
+            e, head = outcome.experiment, f"[{number}/{total}] {outcome.experiment.name}"
             if outcome.standing != "not-reached":
-                self._write_line(f"[{number}/{total}] {e.name}: {outcome.standing.replace('-', ' ')}")
+                self._write_line(f"{head}: {outcome.standing.replace('-', ' ')}")
                 continue
             if e.person and (why := self._refused(e)):
                 outcome.standing = "skipped"
                 outcome.problems.append(why)
-                self._write_line(f"[{number}/{total}] {e.name}: skipped, {why}")
+                self._write_line(f"{head}: skipped, {why}")
                 continue
             if needs_lift_off(e) and self._folder.lift_off_v is None:
                 outcome.standing = "given-up"
                 outcome.problems.append("the lift-off input is not known")
-                self._write_line(f"[{number}/{total}] {e.name}: given up, the lift-off input is not known")
+                self._write_line(f"{head}: given up, the lift-off input is not known")
                 continue
             ahead = [o.experiment for o in summary.outcomes[number - 1 :] if o.standing == "not-reached"]
             left = sum(experiment.duration_s + OVERHEAD_S[experiment.closed_loop] for experiment in ahead)
-            self._write_line(
-                f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)"
-            )
+            self._write_line(f"{head}, {e.duration_s:.0f} s: {e.purpose} (about {left:.0f} s left)")
             # Until it ends otherwise: an exception leaves this standing.
             outcome.standing = "interrupted"
             self._repeat(outcome)

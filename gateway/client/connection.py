@@ -43,12 +43,9 @@ _AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_plant", "set_s
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add `--connect`, `--site` and `--identity`."""
     parser.add_argument(
-        "--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT",
-        help=f"the router's endpoint (default {DEFAULT_ENDPOINT})",
-    )  # fmt: skip
-    parser.add_argument(
-        "--site", default=topics.DEFAULT_SITE, help=f"first chunk of the keys (default {topics.DEFAULT_SITE})"
+        "--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help="the router's endpoint (default %(default)s)"
     )
+    parser.add_argument("--site", default=topics.DEFAULT_SITE, help="first chunk of the keys (default %(default)s)")
     parser.add_argument("--identity", metavar="FOLDER", help=HELP)
 
 
@@ -115,7 +112,7 @@ class Subscription:
         subscribers, self._subscribers = self._subscribers, []
         for subscriber in subscribers:
             with contextlib.suppress(zenoh.ZError):  # the session is closed
-                subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+                subscriber.undeclare()
         for _ in subscribers:
             self._ended.acquire(timeout=_LAST_CALL_S)
 

@@ -157,6 +157,5 @@ def check_topic(name: str) -> None:
     Raises:
         UsageError: it cannot; the message lists the topics.
     """
-    available = [topic.name for topic in topics.TOPICS if topic.bus and topic.source != "client"]
-    if name not in available:
-        raise UsageError(f"{name!r} is not a topic of the bus", remedy=f"Choose among {', '.join(available)}")
+    if name not in topics.RECEIVED:
+        raise UsageError(f"{name!r} is not a topic of the bus", remedy=f"Choose among {', '.join(topics.RECEIVED)}")

@@ -125,7 +125,7 @@ class Samples:
             UsageError: pandas is not installed; it is not a dependency of board51.
         """
         try:
-            import pandas  # type: ignore[import-untyped, unused-ignore]  # optional, not among our dependencies
+            import pandas  # optional, not among our dependencies
         except ImportError:
             problem = "pandas is not installed, and a DataFrame needs it"
             raise UsageError(problem, remedy="Install pandas, or use the arrays: to_dict() has them by name") from None

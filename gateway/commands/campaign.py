@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.campaign.options import add_rig_arguments, same_command, write_line
+from protocol.arguments import add_repeatable
 from protocol.bus.topics import check_name
 from protocol.ending import in_thread, on_signals
 from protocol.errors import UsageError
@@ -46,10 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     run_.add_argument("--board", default="", help="name of the board")
     add_rig_arguments(run_, who="campaign")
     run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
-    run_.add_argument(
-        "--experiment", action="append", default=[], metavar="NAME",
-        help="record only this experiment and add it to FOLDER; repeatable",
-    )  # fmt: skip
+    add_repeatable(run_, "--experiment", "NAME", "record only this experiment and add it to FOLDER; repeatable")
     run_.add_argument("--list", action="store_true", help="print the menu of experiments and end")
     run_.add_argument("--park", action="store_true", help="if the ball flies, land it first instead of giving up")
     run_.add_argument("--yes", action="store_true", help="you have done the preparation by hand (blocked-ball)")

@@ -26,6 +26,7 @@ from gateway.client.message_queue import MessageQueue
 from gateway.client.rig import SILENCE_S, Rig
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
 from gateway.processes.command import EmulatedLine, call, emulated_line, finish, free_port, listens, running, wait
+from protocol.arguments import add_repeatable
 from protocol.bus import board51_pb2 as pb
 from protocol.diagnosis import Diagnosis, load_diagnosis
 from protocol.ending import on_signals
@@ -44,9 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments: where the results go."""
     parser.epilog = "examples:\n  board51 demo --out demo-out\n  board51 demo --effect coulomb-friction=1e-4"
     parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results (demo-out)")
-    parser.add_argument(
-        "--effect", action="append", default=[], metavar="NAME=VALUE", help="passed on to the emulator; repeat for more"
-    )
+    add_repeatable(parser, "--effect", "NAME=VALUE", "passed on to the emulator; repeat for more")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.access.listeners import is_loopback
+from protocol.arguments import add_repeatable
 from protocol.ending import on_end_signal
 from protocol.errors import UsageError
 
@@ -95,15 +96,10 @@ def _examples() -> str:
 
 def _add_deviations(parser: argparse.ArgumentParser) -> None:
     """Add what makes board, line and plant differ from the nominal ones."""
-    parser.add_argument(
-        "--effect", action="append", default=[], metavar="NAME=VALUE",
-        help="effect that the twin's model does not have; repeatable",
-    )  # fmt: skip
+    add_repeatable(parser, "--effect", "NAME=VALUE", "effect that the twin's model does not have; repeatable")
     parser.add_argument("--secret", type=int, metavar="SEED", help="draw hidden effects from SEED")
     parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: file for the sealed effects")
-    parser.add_argument(
-        "--fault", action="append", default=[], metavar="FAULT", help="fault of board or line; repeatable"
-    )
+    add_repeatable(parser, "--fault", "FAULT", "fault of board or line; repeatable")
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of noise and faults; board n takes SEED + n (default: 0)"
     )

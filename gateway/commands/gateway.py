@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.views.listen import ADDRESSES
+from protocol.arguments import add_repeatable
 from protocol.bus.endpoint import check_endpoint
 from protocol.bus.identity import login_name
 from protocol.bus.topics import check_name
@@ -37,23 +38,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 gateway --board rig1=/dev/ttyUSB0 --opcua --opcua-rate 50 --hmi"
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="TOML; every key is optional except the boards")
-    parser.add_argument(
-        "--board", action="append", default=[], metavar="NAME=PORT",
-        help="a board and its pyserial URL; may be repeated; replaces those of the file",
-    )  # fmt: skip
-    parser.add_argument(
-        "--plant", action="append", default=[], metavar="[NAME=]FILE",
-        help="state the plant card of a board now: TOML with the [plant] of its rig; may be repeated",
-    )  # fmt: skip
+    add_repeatable(
+        parser, "--board", "NAME=PORT", "a board and its pyserial URL; may be repeated; replaces those of the file"
+    )
+    stated = "state the plant card of a board now: TOML with the [plant] of its rig; may be repeated"
+    add_repeatable(parser, "--plant", "[NAME=]FILE", stated)
     parser.add_argument("--site", help="first chunk of every key (default board51)")
-    parser.add_argument(
-        "--listen", action="append", default=[], metavar="ENDPOINT",
-        help="be the router here (default tcp/127.0.0.1:7447)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--connect", action="append", default=[], metavar="ENDPOINT",
-        help="be a client of the router there instead; with --listen: be a router that joins it",
-    )  # fmt: skip
+    add_repeatable(parser, "--listen", "ENDPOINT", "be the router here (default tcp/127.0.0.1:7447)")
+    joined = "be a client of the router there instead; with --listen: be a router that joins it"
+    add_repeatable(parser, "--connect", "ENDPOINT", joined)
     log = parser.add_mutually_exclusive_group()
     log.add_argument("--log-dir", metavar="DIR", help="where the MCAP log goes (default logs)")
     log.add_argument("--no-log", action="store_true", help="write no log")

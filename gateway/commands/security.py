@@ -23,6 +23,7 @@ from gateway.access.folder import SecurityFolder
 from gateway.access.private import open_output, write_private
 from gateway.access.roles import ROLE_WORDS, Role, parse_role
 from gateway.access.users import User, remove_token, set_token
+from protocol.arguments import add_repeatable
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
 from protocol.bus.identity import load_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
@@ -46,10 +47,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     init = _step(steps, "init", "make the folder with keys, certificates and users")
     init.add_argument("--site", default=DEFAULT_SITE, help=f"first chunk of the keys (default {DEFAULT_SITE})")
-    init.add_argument(
-        "--host", action="append", default=[], help="name or address under which others reach this machine; repeatable"
-    )
-    init.add_argument("--user", action="append", default=[], metavar=_USER, help=f"of {', '.join(ROLE_WORDS)}")
+    add_repeatable(init, "--host", "HOST", "name or address under which others reach this machine; repeatable")
+    add_repeatable(init, "--user", _USER, f"of {', '.join(ROLE_WORDS)}")
     add = _step(steps, "add-user", "add a person, or change the role or the password of one")
     add.add_argument("user", metavar=_USER)
     for step in (init, add):

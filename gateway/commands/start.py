@@ -28,6 +28,7 @@ from gateway.link.port import closed_problem
 from gateway.processes.command import EmulatedLine, emulated_line
 from gateway.processes.supervisor import END_S, Service, running
 from gateway.views.listen import ADDRESSES, address
+from protocol.arguments import add_repeatable
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.ending import in_thread, on_signals, wait_for_end
 from protocol.errors import ServiceError, UsageError, require
@@ -56,26 +57,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--board", action="append", metavar="[NAME=]PORT",
         help="a board and its pyserial URL; may be repeated (first name: rig1)",
     )  # fmt: skip
-    parser.add_argument(
-        "--effect", action="append", default=[], metavar="NAME=VALUE",
-        help="hidden effect of the emulated plant; repeatable",
-    )  # fmt: skip
+    add_repeatable(parser, "--effect", "NAME=VALUE", "hidden effect of the emulated plant; repeatable")
     parser.add_argument(
         "--rig", type=Path, metavar="FILE",
         help="file of another emulated rig, as for `board51 emulate`; states its plant, too",
     )  # fmt: skip
-    parser.add_argument(
-        "--plant", action="append", default=[], metavar="[NAME=]FILE",
-        help="state the plant card of a board: TOML with the [plant] of its rig, as for `campaign run`; repeatable",
-    )  # fmt: skip
+    stated = "state the plant card of a board: TOML with the [plant] of its rig, as for `campaign run`; repeatable"
+    add_repeatable(parser, "--plant", "[NAME=]FILE", stated)
     parser.add_argument("--model", default="ce152", metavar="FILE", help="model of the twin (default ce152)")
     parser.add_argument(
-        "--page", default=PAGE, metavar="HOST:PORT", help=f"address of the control room (default {PAGE})"
+        "--page", default=PAGE, metavar="HOST:PORT", help="address of the control room (default %(default)s)"
     )
     parser.add_argument(
-        "--listen", default=DEFAULT_ENDPOINT, metavar="ENDPOINT",
-        help=f"endpoint of the bus (default {DEFAULT_ENDPOINT})",
-    )  # fmt: skip
+        "--listen", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help="endpoint of the bus (default %(default)s)"
+    )
     parser.add_argument(
         "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="folder of the MCAP logs (default logs)"
     )

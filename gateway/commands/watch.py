@@ -32,9 +32,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_bus_arguments(parser)
     parser.add_argument("--board", default="*", help="only this board")
     parser.add_argument(
-        "--topic", action="append", choices=[t.name for t in topics.TOPICS if t.bus and t.source != "client"],
+        "--topic",
+        action="append",
+        choices=topics.RECEIVED,
         help="only this topic; repeat for more (default: those slower than the tick)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--table",
         action="store_true",
@@ -62,7 +64,7 @@ def _format(value: object) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """Print messages; return 0 if any arrived, 1 if none did before the time-out."""
-    rare = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and not t.rate.startswith(_OFTEN)]
+    rare = [name for name in topics.RECEIVED if not topics.TOPIC_OF_NAME[name].rate.startswith(_OFTEN)]
     names = args.topic or rare
     if args.table and (args.topic or args.json):
         raise UsageError("--table has its own columns", remedy="Leave out --topic and --json")

@@ -60,8 +60,7 @@ HELP = "\n".join(
     [
         "faults (--fault NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION], repeatable; times in seconds of the board):",
         *(f"  {name + '=P':<14} {description}, with probability P per byte" for name, description in RATES.items()),
-        *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in SPANS.items()),
-        *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in OUTPUTS.items()),
+        *(f"  {name + '=S':<14} {description}; lasts S s" for name, description in (SPANS | OUTPUTS).items()),
         *(f"  {name + '=N':<14} {description}" for name, description in (CODES | CLOCK).items()),
         *(f"  {name:<14} {description}" for name, description in (WIRING | EVENTS).items()),
         "  @START         begins then (default 0); @START+LENGTH ends a fault that has no duration after LENGTH s",

@@ -30,7 +30,7 @@ from protocol.files import parse_toml, read_small
 from protocol.wire.messages import Law
 
 BUILD = b"emul-own"  # not that of a CE 152, whose build states its plant
-_LEAST_GAP_M = 1e-4  # of the coil's plane above the top stop
+_MIN_GAP_M = 1e-4  # of the coil's plane above the top stop
 _HEADROOM = 1.05  # of the current that lifts the ball
 
 
@@ -65,9 +65,9 @@ def load_rig(path: Path) -> tuple[PlantConstants, flash.BoardProfile]:
     file: _File = checked(_File, table, where=str(path))
     plant = file.plant
     above_stop_m = plant.x_max_m - plant.travel_m
-    if above_stop_m < _LEAST_GAP_M:
+    if above_stop_m < _MIN_GAP_M:
         raise ConfigError(
-            f"{path}: plant.x_max_m = {plant.x_max_m:g} is no more than {_LEAST_GAP_M * 1e3:g} mm above the travel",
+            f"{path}: plant.x_max_m = {plant.x_max_m:g} is no more than {_MIN_GAP_M * 1e3:g} mm above the travel",
             remedy="Give where the coil acts: the plane of a CE 152 is 2.4 mm above the top stop",
         )
     rig = PlantConstants(

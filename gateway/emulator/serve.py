@@ -260,18 +260,18 @@ class Emulator:
         self._do(lambda line: line.reconnect(renamed=renamed), board)
 
     def _do(self, action: Callable[[BoardLine], None], board: int, *, patience_s: float = 10.0) -> None:
-        line, done = self._server.lines[board], Future[None]()
+        line, outcome = self._server.lines[board], Future[None]()
 
         def work() -> None:
             try:
                 action(line)
-                done.set_result(None)
+                outcome.set_result(None)
             except Exception as error:  # handed to the caller below
-                done.set_exception(error)
+                outcome.set_exception(error)
 
         self._server.call(work)
         try:
-            done.result(patience_s)
+            outcome.result(patience_s)
         except TimeoutError:
             problem = "The emulator's thread does not answer"
             raise ServiceError(problem, remedy="Use it inside its `with` block") from None

@@ -10,9 +10,9 @@ from gateway.board.scaling import Scaling, WireCommand
 from gateway.link.reporter import LinkReporter
 from gateway.link.sink import Sink
 from protocol.bus import board51_pb2 as pb
-from protocol.wire.codec import unpack_pair
+from protocol.wire.codec import unpack_counts
 from protocol.wire.events import Answer
-from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message
+from protocol.wire.messages import Message
 from protocol.wire.session import Session
 
 _SETTLE_S = 0.02  # u_from is applied this long before the first sample (rule 12)
@@ -94,11 +94,8 @@ class CaptureReader:
         elif block.int("tick") != self._record.tick:
             self._end("The capture was interrupted by another one.")
             return
-        packed = block.bytes("samples")
-        pairs = (unpack_pair(packed[3 * n : 3 * n + 3]) for n in range(CAPTURE_BLOCK_SAMPLES // 2))
-        counts = [count for pair in pairs for count in pair]
         # The last block is filled up with zeros, which are no samples.
-        self._counts += counts[: total - len(self._counts)]
+        self._counts += unpack_counts(block.bytes("samples"))[: total - len(self._counts)]
         if len(self._counts) < total:
             self._read(now_s)
             return

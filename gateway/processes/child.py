@@ -52,10 +52,8 @@ def _nicer() -> int:
     if stated.isdecimal() and int(stated) <= MAX_NICE:
         return int(stated)
     if stated:
-        print(  # noqa: T201  # the command is not known yet
-            f"{NICE_VARIABLE}: {stated!r} is not a whole number from 0 to {MAX_NICE}; {NICER} is used",
-            file=sys.stderr, flush=True,
-        )  # fmt: skip
+        text = f"{NICE_VARIABLE}: {stated!r} is not a whole number from 0 to {MAX_NICE}; {NICER} is used"
+        print(text, file=sys.stderr, flush=True)  # noqa: T201  # the command is not known yet
     return NICER
 
 

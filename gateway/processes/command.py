@@ -34,10 +34,10 @@ def start(*command: str, nicer: bool = True, **options: Any) -> Process:
     It is a session of its own: Ctrl-C reaches this process alone, which ends its children in the right order.  With
     `nicer` it has a lower priority than this process.  The options are those of `subprocess.Popen`.
     """
-    return subprocess.Popen(child_words(*command, nicer=nicer), stdin=subprocess.PIPE, **_apart(nicer=nicer), **options)
+    return subprocess.Popen(child_words(*command, nicer=nicer), stdin=subprocess.PIPE, **_group(nicer=nicer), **options)
 
 
-def _apart(*, nicer: bool) -> dict[str, Any]:
+def _group(*, nicer: bool) -> dict[str, Any]:
     if sys.platform != "win32":
         return {"start_new_session": True}
     priority = subprocess.BELOW_NORMAL_PRIORITY_CLASS if nicer else 0

@@ -22,7 +22,7 @@ from google.protobuf.message import Message
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse, stamp_ns
-from protocol.bus.topics import TOPIC_OF_NAME, TOPICS, split
+from protocol.bus.topics import RECORDED, TOPIC_OF_NAME, split
 from protocol.errors import DataError
 from protocol.log.reader import RawLogRecord
 
@@ -30,8 +30,7 @@ TICKS_BITS = 14  # of a block: 33 s at 500 Hz
 SECONDS = 64  # of a block of other topics
 MAX_IDS = 1 << 20  # of a block; a longer list is not unpacked
 LARGEST_REPLY = 16_000_000  # bytes, unpacked
-EVERY_TICK = frozenset(t.name for t in TOPICS if t.bus and t.logged and t.rate.startswith("every tick"))
-LOGGED = tuple(t.name for t in TOPICS if t.bus and t.logged)
+EVERY_TICK = frozenset(name for name in RECORDED if TOPIC_OF_NAME[name].rate.startswith("every tick"))
 
 
 class BlockId(NamedTuple):

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.record.blocks import LOGGED, BlockId, locate, pack, unpack
+from gateway.record.blocks import BlockId, locate, pack, unpack
+from protocol.bus.topics import RECORDED
 from protocol.log.reader import LogReader, RawLogRecord
 
 
@@ -61,7 +62,7 @@ class Contents:
         end_s, complete = time.monotonic() + limit_s, True
         fresh: dict[str, _Fresh] = {}  # of each stream the block that is being read
         # A part that was not read to its end is continued where that pass ended: ids are sets.
-        for record in self._reader.raw(topics_=LOGGED, from_byte=self._next_byte):
+        for record in self._reader.raw(topics_=RECORDED, from_byte=self._next_byte):
             if time.monotonic() > end_s and self._scan.offset > self._next_byte:
                 complete = False
                 break
@@ -105,7 +106,8 @@ class Contents:
         newest_ns = 0
         waiting: list[tuple[int, RawLogRecord]] = []  # without a time, before the first that bears one
         begin = 0 if entry is None else entry.begin_byte
-        for record in self._reader.raw(topics_=[*topic, "state"] if topic else LOGGED, boards=[board], from_byte=begin):
+        names = [*topic, "state"] if topic else RECORDED
+        for record in self._reader.raw(topics_=names, boards=[board], from_byte=begin):
             if not missing and not waiting:
                 return
             located = locate(record)

@@ -24,9 +24,7 @@ from protocol.log.reader import LogReader, RawLogRecord
 
 SESSIONS_PER_PASS = 100_000  # --loop: passes are not continuous, so each pass has its own session numbers
 _REPEATED, _REPEATED_S = "every 5 s", 6.0  # `rate` in the table of topics; a little more than that
-DEFAULT_TOPICS = tuple(
-    topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.source == "gateway"
-)
+DEFAULT_TOPICS = tuple(name for name in topics.RECORDED if topics.TOPIC_OF_NAME[name].source == "gateway")
 
 
 class BusReplay:

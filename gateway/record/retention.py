@@ -34,7 +34,7 @@ def delete_expired(
     if not (keep_days or keep_gb):
         return
     logs = expired(logs_in(folder, prefix), time.time(), keep_days=keep_days, keep_gb=keep_gb)
-    kept, archived = 0, set[tuple[str, int, int]]()
+    retained, archived = 0, set[tuple[str, int, int]]()
     if logs and keep_unarchived:
         from gateway.record.catalogue.store import archived_logs  # a gateway starts without it
 
@@ -46,14 +46,14 @@ def delete_expired(
     for path, reason in logs:
         try:
             if keep_unarchived and (path.name, path.stat().st_size, path.stat().st_mtime_ns) not in archived:
-                kept += 1
+                retained += 1
                 continue
             path.unlink(missing_ok=True)
             yield "info", f"{path.name} deleted: {reason}"
         except OSError as error:
             yield "warning", f"{path.name} cannot be deleted: {error.strerror}"
-    if kept:
-        yield "warning", f"logs kept beyond the bound, as they are not archived yet: {kept}"
+    if retained:
+        yield "warning", f"logs kept beyond the bound, as they are not archived yet: {retained}"
 
 
 def logs_in(folder: Path, prefix: str) -> list[Log]:

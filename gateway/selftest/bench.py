@@ -126,7 +126,7 @@ class Bench:
     def rest(self) -> Rest:
         """Return the readings at rest; measure them if they are not known yet."""
         if self._rest is None:
-            self.line.order("SET_MODE", mode=int(Mode.IDLE))
+            self.idle()
             self.line.run(_SETTLE_S)
             samples = self.line.run(0.5 if self.quick else 2.0)
             if len(samples) < 100:

@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 from gateway.selftest.wire import Wire
 from protocol.errors import ServiceError
-from protocol.wire.codec import unpack_pair
+from protocol.wire.codec import unpack_counts
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
-from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message, Reason, Value
+from protocol.wire.messages import Message, Reason, Value
 from protocol.wire.session import Session
 
 PING_S = 0.1
@@ -151,9 +151,7 @@ class Connection:
         while len(counts) < total:
             block = self.order("READ_CAPTURE", index=len(counts))
             total = block.int("total")
-            packed = block.bytes("samples")
-            pairs = (unpack_pair(packed[3 * n : 3 * n + 3]) for n in range(CAPTURE_BLOCK_SAMPLES // 2))
-            counts += [count for pair in pairs for count in pair][: total - len(counts)]
+            counts += unpack_counts(block.bytes("samples"))[: total - len(counts)]
         return counts
 
     def _write(self) -> None:

@@ -87,14 +87,12 @@ def _bound(good: Range, unit: str) -> str:
     low, high = good
     if low == high:
         return quantity(low, unit)
-    if math.isinf(low):
-        return f"at most {quantity(high, unit)}"
     if math.isinf(high):
         return f"at least {quantity(low, unit)}"
+    if low in (-math.inf, 0.0):
+        return f"at most {quantity(high, unit)}"
     if low == -high:
         return f"within ±{quantity(high, unit)}"
-    if low == 0.0:
-        return f"at most {quantity(high, unit)}"
     return f"{quantity(low, '')} to {quantity(high, unit)}"
 
 

@@ -147,7 +147,7 @@ class Filler:
 
     def _fill_block(self, key: str, part: str, block: BlockId, tally: Tally) -> None:
         have, more = self._local.ids(block), True
-        request = pb.LogBlock(stream=block.stream, session=block.session, number=block.number)
+        request = pb.LogBlock(**block._asdict())
         while more:
             reply = self._request_first(key, pb.LogRequest(part=part, block=request, have=pack(have)[0]))
             before = len(have)

@@ -116,10 +116,8 @@ class LogServer:
         return contents
 
     def _add_blocks(self, reply: pb.LogReply, contents: Contents, from_byte: int) -> None:
-        found = sorted(
-            ((entry.end_byte, block) for block, entry in contents.blocks.items() if self._serves(block)),
-        )
-        for end_byte, block in found:
+        blocks = sorted((entry.end_byte, block) for block, entry in contents.blocks.items() if self._serves(block))
+        for end_byte, block in blocks:
             if end_byte < from_byte:
                 continue
             # Those that end in the same chunk come together: the next request begins behind it.
@@ -127,10 +125,8 @@ class LogServer:
                 reply.more = True
                 return
             entry = contents.blocks[block]
-            reply.blocks.add(
-                stream=block.stream, session=block.session, number=block.number, count=entry.count, digest=entry.digest,
-                last_ns=entry.last_ns, end_byte=end_byte,
-            )  # fmt: skip
+            where, what = block._asdict(), {"count": entry.count, "digest": entry.digest, "last_ns": entry.last_ns}
+            reply.blocks.add(**where, **what, end_byte=end_byte)
         reply.more, reply.problem = not self._complete, contents.damage
 
     def _add_records(self, reply: pb.LogReply, contents: Contents, request: pb.LogRequest) -> None:

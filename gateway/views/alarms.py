@@ -153,14 +153,12 @@ class AlarmBook:
             self._fault_at = (event.session, event.tick)  # samples from before it may still be on their way
             self._alarms.pop(FAULT, None)  # its name is known now
             self.come(event.name, "fault", event.text, now_ns)
-        elif event.name in _REFUSED_BOARD:
+        elif event.name in (TO_BOARD, *_REFUSED_BOARD):
             self.come(event.name, "fault", event.text, now_ns)
         elif event.name in ("log-disk-full", "log-failed", "log-removed"):
             self.come(LOG, "fault", event.text, now_ns)
         elif event.name == "log-resumed":
             self.go(LOG, now_ns)
-        elif event.name == TO_BOARD:
-            self.come(TO_BOARD, "fault", event.text, now_ns)
         elif event.name == "board-answers":
             self.go(TO_BOARD, now_ns)
 

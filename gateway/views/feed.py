@@ -37,16 +37,14 @@ from gateway.record.replay import SESSIONS_PER_PASS
 from gateway.views.board_feed import BoardFeed, M
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import is_plausible, is_replayed, parse, parts
+from protocol.bus.encoding import BATCH_OF, is_plausible, is_replayed, parse, parts
 
 MAX_BOARDS = 64
-_TOPICS = ("states", "status", "event", "alarms", "parameters", "plant", "command/record", "twin/states",
-           "twin/alarm", "twin/alarms", "twin/model", "twin/diagnosis", "capture")  # fmt: skip
+_TYPES = {name: topics.TOPIC_OF_NAME[name].message for name in topics.RECEIVED if name not in BATCH_OF}
 _CHECKED = (pb.Status, pb.Parameters)  # whose numbers become whole ones, axes and limits; samples may have NaN
 # One subscriber for both topics of the twin's alarms: zenoh keeps the order within a subscriber, and a list of active
 # alarms that overtakes an alarm would end it.  Not `twin/*`: for a subscriber of `twin/state` each tick is sent alone.
-_KEYS = (*(topic for topic in _TOPICS if not topic.startswith("twin/alarm")), "twin/alarm$*")
-_TYPES: dict[str, type[Message]] = {name: topics.TOPIC_OF_NAME[name].message for name in _TOPICS}
+_KEYS = (*(topic for topic in _TYPES if not topic.startswith("twin/alarm")), "twin/alarm$*")
 
 
 class Feed:
@@ -81,7 +79,7 @@ class Feed:
     def close(self) -> None:
         """Unsubscribe."""
         self._subscription.close()
-        self._token.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._token.undeclare()
 
     def boards(self) -> tuple[str, ...]:
         """Return the names of the boards seen so far, in order."""
@@ -138,10 +136,8 @@ class Feed:
         command = pb.Command()
         command.CopyFrom(what)
         command.who = who
-        reply = send(
-            BusBoard(self._session, self.site, board), command, timeout_s=timeout_s, typed=False, since_ns=issued_ns,
-            role=role if self.guarded else "",
-        )  # fmt: skip
+        where, stated = BusBoard(self._session, self.site, board), role if self.guarded else ""
+        reply = send(where, command, timeout_s=timeout_s, typed=False, since_ns=issued_ns, role=stated)
         if not acknowledges or feed is None:
             return reply
         if reply.reason == "not-delivered" and (not role or may(Role[role.upper()], "acknowledge")):

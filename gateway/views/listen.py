@@ -20,9 +20,8 @@ SECURITY = "folder made by `board51 security init`: "
 def add_view_arguments(parser: argparse.ArgumentParser, view: str, *, security: str = "", insecure: str) -> None:
     """The bus, `--listen`, `--insecure`, and `--security` where `security` says what it gives."""
     add_bus_arguments(parser)
-    default = ADDRESSES[view]
     parser.add_argument(
-        "--listen", default=default, metavar="HOST:PORT", help=f"address to listen on (default {default})"
+        "--listen", default=ADDRESSES[view], metavar="HOST:PORT", help="address to listen on (default %(default)s)"
     )
     parser.add_argument("--insecure", action="store_true", help=insecure)
     if security:

@@ -73,6 +73,8 @@ TOPICS: tuple[Topic, ...] = (
           description="queryable: one TwinCommand in, one CommandReply per board out"),
 )  # fmt: skip
 TOPIC_OF_NAME = {topic.name: topic for topic in TOPICS}
+RECEIVED = tuple(topic.name for topic in TOPICS if topic.bus and topic.source != "client")  # by a client
+RECORDED = tuple(topic.name for topic in TOPICS if topic.bus and topic.logged)  # from the bus
 
 AS = "as"
 ALIVE = "alive"  # liveliness token <site>/<board>/alive, held while the gateway serves the board

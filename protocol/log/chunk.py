@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 
-import lz4.frame  # type: ignore[import-untyped]  # ships no types
+import lz4.frame
 import zstandard
 
 CHANNEL, CHUNK = 0x04, 0x06  # opcodes
@@ -66,7 +66,7 @@ def stated_size(content: bytes) -> int:
 
 
 def _decompress(name: bytes, packed: bytes, max_bytes: int) -> bytes:
-    """Return the first `most` bytes at most; b"" for an unknown compression."""
+    """Return the first `max_bytes` bytes at most; b"" for an unknown compression."""
     if name == b"lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=max_bytes))
     if name == b"zstd":

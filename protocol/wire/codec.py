@@ -90,6 +90,11 @@ def unpack_pair(packed: bytes) -> tuple[int, int]:
     return both & 0xFFF, both >> 12
 
 
+def unpack_counts(packed: bytes) -> list[int]:
+    """Return the counts of the samples of a CAPTURE_BLOCK."""
+    return [count for at in range(0, len(packed), 3) for count in unpack_pair(packed[at : at + 3])]
+
+
 _CODECS = {row.type: _Codec(row) for row in ROWS}
 BODY_SIZE = {row.name: _CODECS[row.type].struct.size for row in ROWS}
 

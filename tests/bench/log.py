@@ -86,7 +86,7 @@ def _write_plain(path: Path, messages: list[tuple[int, bytes]]) -> None:
         channel = writer.register_channel(KEY, "protobuf", schema)
         for now_ns, data in messages:
             writer.add_message(channel, now_ns, data, now_ns)
-        writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
+        writer.finish()
 
 
 def _read_ours(path: Path) -> None:

@@ -93,6 +93,6 @@ def test_a_session_whose_router_does_not_read_is_closed_in_its_time(tmp_path: Pa
             took_s = time.monotonic() - began_s
         finally:
             router.signal(signal.SIGCONT)
-        subscribed.close()  # type: ignore[no-untyped-call]
+        subscribed.close()
 
     assert took_s < CLOSE_S + 4.0  # zenoh's own limit is 10 s

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml  # type: ignore[import-untyped]  # comes with mkdocs, without types
+import yaml
 
 import board51
 from tests.harness.ports import free_port

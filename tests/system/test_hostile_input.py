@@ -52,14 +52,15 @@ FOUND = {
     "a gain that no double holds": ("gains", b'law = "pid"\ngains = [1, 2, 1' + b"0" * 400 + b"]\n"),
     "a run without a plant": ("run", b'{"format": 1, "identity": {}, "lift_off_v": null, "recordings": {}}'),
     "a run with another plant": (
-        "run", b'{"format": 1, "identity": {"plant": {"": 1}}, "lift_off_v": null, "recordings": {}}',
+        "run",
+        b'{"format": 1, "identity": {"plant": {"": 1}}, "lift_off_v": null, "recordings": {}}',
     ),
     "a carriage return in a line": ("table, twin", b"t,u_c,i_c,x\n0.0,1,1,1\r2\n0.002,1,1\n"),
     "a matrix without its shape": (
         "matrix, twin",
         b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<IIIIII8x", 14, 24, 6, 8, 6, 0),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("reader", "content"), FOUND.values(), ids=FOUND)

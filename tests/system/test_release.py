@@ -16,7 +16,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-import yaml  # type: ignore[import-untyped]  # comes with mkdocs, without types
+import yaml
 
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.harness.ports import free_port

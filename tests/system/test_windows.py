@@ -49,8 +49,9 @@ def test_a_pty_is_refused_in_words() -> None:
     done = board51("emulate", "--pty", "board")
 
     assert (done.returncode, done.stderr) == (
-        2, "board51 emulate: A pty needs Linux or macOS. Give --tcp HOST:PORT instead.\n",
-    )  # fmt: skip
+        2,
+        "board51 emulate: A pty needs Linux or macOS. Give --tcp HOST:PORT instead.\n",
+    )
 
 
 @pytest.mark.slow  # test_start.py guards the same where all is real

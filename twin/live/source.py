@@ -88,7 +88,7 @@ def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[st
     # A named board is known with its first status; without a name all are awaited, because two must be refused.
     while time.monotonic() < deadline and not (board and boards):
         time.sleep(0.05)
-    subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
+    subscriber.undeclare()
     if not boards:
         raise ServiceError(
             f"No gateway reports {site}/{board or '*'}",
@@ -154,7 +154,7 @@ def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, progr
         if now - reported_s >= PROGRESS_S:
             reported_s = now
             progress(f"{now - began:.0f} of {span_s:.0f} s, {len(live.states)} samples")
-    subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
+    subscriber.undeclare()
     if not live.states:
         raise ServiceError(
             f"No sample of {site}/{board} came within {span_s:.0f} s", remedy="See `board51 watch --topic status`"

@@ -74,7 +74,7 @@ def hand_over_and_compare(
             time.sleep(0.1)
             after = surprise([answer for answer in list(messages) if answer.tick >= tick])
     finally:
-        subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
+        subscriber.undeclare()
     return True, [*lines, f"innovation before: {before}", f"innovation after:  {after}"]
 
 

@@ -80,7 +80,7 @@ class TwinLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]  # untyped in the library
+        self._writer.finish()
         self._file.close()
 
     def write(self, key: str, message: Message | bytes, *, message_type: type[Message], log_time_ns: int) -> None:

@@ -86,11 +86,11 @@ def image(baud: int = 115200) -> Path:
     )
 
 
-def actual_baud(baud: int, clock_hz: int = CLOCK_HZ) -> float:
+def actual_baud(baud: int) -> float:
     """Return what timer 3 makes of a baud rate: the arithmetic of firmware/mcs51/part.h, as the data sheet has it."""
-    divider = min(max((clock_hz // 16 // max(baud, 1)).bit_length() - 1, 1), 7)
-    fraction = round(2 * clock_hz / (1 << divider - 1) / max(baud, 1)) - 64
-    return 2 * clock_hz / (1 << divider - 1) / (min(max(fraction, 0), 255) + 64)
+    divider = min(max((CLOCK_HZ // 16 // max(baud, 1)).bit_length() - 1, 1), 7)
+    fraction = round(2 * CLOCK_HZ / (1 << divider - 1) / max(baud, 1)) - 64
+    return 2 * CLOCK_HZ / (1 << divider - 1) / (min(max(fraction, 0), 255) + 64)
 
 
 def simulator() -> Path:

@@ -19,9 +19,7 @@ from gateway.commands.logs import archive
 from gateway.record.catalogue.store import COLUMNS, Answer, Update, query, selection, update
 from protocol.errors import UsageError
 
-COLUMNS_OF_TABLE = (
-    "began", "board", "session", "duration_s", "flown_s", "model", "causes", "alarms", "nis", "file", "archived",
-)  # fmt: skip
+COLUMNS_OF_TABLE = "began board session duration_s flown_s model causes alarms nis file archived".split()
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -37,7 +37,7 @@ SETTLE_S = 0.1  # a subscription that has just appeared takes up to 60 ms until 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    names = [topic.name for topic in topics.TOPICS if topic.bus and topic.logged]
+    names = topics.RECORDED
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an MCAP file, or the parts of one log")
     parser.add_argument(
         "--speed", type=float, default=1.0, metavar="N", help="multiple of real time; 0: as fast as possible"

@@ -89,10 +89,10 @@ def build_option() -> str:
 
 def _git(*words: str) -> str:
     try:
-        done = subprocess.run(["git", "-C", str(SOURCES), *words], capture_output=True, text=True, check=False)
+        process = subprocess.run(["git", "-C", str(SOURCES), *words], capture_output=True, text=True, check=False)
     except OSError:  # no git
         return ""
-    return done.stdout.strip() if done.returncode == 0 else ""
+    return process.stdout.strip() if process.returncode == 0 else ""
 
 
 def library() -> Path:

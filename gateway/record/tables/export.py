@@ -158,12 +158,7 @@ def _write_csv(path: Path, columns: Columns) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns.names)
-        # repr: the shortest text that reads back as the same double
-        writer.writerows([_csv_cell(cell) for cell in row] for row in columns.rows)
-
-
-def _csv_cell(cell: Cell) -> str | int:
-    return "" if cell is None else repr(cell) if isinstance(cell, float) else cell
+        writer.writerows(columns.rows)  # a float as the shortest text that reads back as the same double, None as ""
 
 
 def _write_mat(path: Path, columns: Columns) -> None:

@@ -147,12 +147,12 @@ def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) 
 
 def _with_field_names(table: Table, recording: Recording) -> Recording:
     """Return the recording with the columns of an export for channels that have none of their own name."""
-    found: dict[Channel, Column] = {
+    exported: dict[Channel, Column] = {
         channel: Column(column=name)
         for channel, name in {"t": "t_s", **_FIELDS}.items()
         if name in table.names and recording.column(channel).column not in table.names
     }
-    return replace(recording, columns={**found, **recording.columns})
+    return replace(recording, columns={**exported, **recording.columns})
 
 
 def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatArray], dict[str, int]]:

@@ -71,7 +71,7 @@ class FoxgloveView:
             ) from None
         self.port = self._server.port
         # Batches have the same samples, in fewer messages.
-        names = [t.name for t in topics.TOPICS if t.bus and t.source != "client" and t.name not in BATCH_OF]
+        names = [topic for topic in topics.RECEIVED if topic not in BATCH_OF]
         self._subscription = Subscription(session, [f"{site}/*/{topic}" for topic in names], self._arrived)
 
     def close(self) -> None:

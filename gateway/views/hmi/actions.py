@@ -33,13 +33,10 @@ from protocol.errors import Board51Error
 REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
 WRITTEN_S = 30.0  # a log that is open is flushed far more often
 # A replay shows what was seen, the twin of then included.
-_EVERYTHING = [word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)]
-_RIGHTS = {  # the acts that whoever starts, and whoever ends, a job of this kind must be allowed
-    "record": ("recording", "recording"), "campaign": ("campaign", "stop"), "replay": ("read", "read"),
-    "hand-over": ("use_model", "use_model"), "identify": ("diagnose", "diagnose"), "bode": ("diagnose", "diagnose"),
-    "validate": ("diagnose", "diagnose"), "diagnose": ("diagnose", "diagnose"), "compare": ("diagnose", "diagnose"),
-    "design": ("diagnose", "diagnose"), "forecast": ("diagnose", "diagnose"),
-}  # fmt: skip
+_EVERYTHING = [word for topic in topics.RECORDED for word in ("--topic", topic)]
+# The act that whoever starts or ends a job of this kind must be allowed; to end a campaign, "stop" is enough.
+_RIGHTS = dict.fromkeys(("identify", "validate", "diagnose", "bode", "compare", "design", "forecast"), "diagnose")
+_RIGHTS |= {"record": "recording", "campaign": "campaign", "replay": "read", "hand-over": "use_model"}
 _ORDER = re.compile(r"pause|play|(seek|speed) \d{1,9}(\.\d{1,6})?")
 _logger = logging.getLogger("gateway.hmi")
 
@@ -216,7 +213,7 @@ class Actions:
 
     def stop_job(self, session: LoginSession, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""
-        self.check(session, _RIGHTS[kind][1])
+        self.check(session, "stop" if kind == "campaign" else _RIGHTS[kind])
         if not self.jobs.stop(kind, board):
             raise RefusalError("not-running", text_of("job.not_running"))
         return pb.CommandReply(accepted=True, text=text_of("job.ending"))
@@ -239,7 +236,7 @@ class Actions:
 
     def check_order(self, order: Order) -> None:
         """Check the right to start a job, as `check` does."""
-        self.check(order.session, _RIGHTS[order.kind][0])
+        self.check(order.session, _RIGHTS[order.kind])
 
     def check(self, session: LoginSession, act: str) -> None:
         """Check the right to act.  An action restarts the idle time.

@@ -140,8 +140,8 @@ class Jobs:
     def close(self) -> None:
         """End them all; those that leave nothing undone within QUICK_END_S."""
         patient = [job.process for (kind, _), job in self._jobs.items() if kind in _PATIENT]
-        others = [job.process for (kind, _), job in self._jobs.items() if kind not in _PATIENT]
-        thread = threading.Thread(target=end, args=(others, signal.SIGINT, QUICK_END_S))
+        quick = [job.process for (kind, _), job in self._jobs.items() if kind not in _PATIENT]
+        thread = threading.Thread(target=end, args=(quick, signal.SIGINT, QUICK_END_S))
         thread.start()
         end(patient, signal.SIGINT, END_S)
         thread.join()

@@ -53,8 +53,8 @@ REMEDIES: Mapping[str, str] = {
     "not-finite": "Give a finite number",
     "slew": "Move the reference in smaller steps",
     "implausible": "Correct the value that the message names",
-    "not-confirmed": "Correct the value, or add \"confirmed\": true if it is right",
-    "wrong-mode": "Set the mode that the command needs first: {\"command\": \"mode\", \"mode\": \"closed-loop\"}",
+    "not-confirmed": 'Correct the value, or add "confirmed": true if it is right',
+    "wrong-mode": 'Set the mode that the command needs first: {"command": "mode", "mode": "closed-loop"}',
     "fault-active": "Remove the cause of the fault; the command mode then clears it",
     "not-available": "Use a board or firmware that supports the command",
     "queue-full": _LATER,
@@ -68,7 +68,7 @@ REMEDIES: Mapping[str, str] = {
     "bad-length": "Flash the firmware that belongs to this gateway",
     "version": "Flash the firmware that belongs to this gateway",
     "no-session": _LATER,
-}  # fmt: skip
+}
 
 
 def remedy_of(code: str) -> str:

@@ -34,7 +34,7 @@ class Programs:
 
     def __init__(self, sessions: LoginSessions) -> None:
         self._sessions = sessions
-        self._by_grant: dict[str, LoginSession] = {}
+        self._granted: dict[str, LoginSession] = {}
 
     def session(self, headers: Mapping[str, str], now_s: float) -> LoginSession | None:
         """Return the session of a request's token; None: it has none, or that is not valid."""
@@ -47,7 +47,7 @@ class Programs:
             user = self._sessions.users.bearer(grant)
         if user is None:
             return None
-        session = self._by_grant.get(grant)
+        session = self._granted.get(grant)
         if session is None or session.name != user.name or not self._sessions.is_open(session, now_s):
-            session = self._by_grant[grant] = self._sessions.open(user.name, user.role, now_s, grant=grant)
+            session = self._granted[grant] = self._sessions.open(user.name, user.role, now_s, grant=grant)
         return session

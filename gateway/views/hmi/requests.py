@@ -115,9 +115,8 @@ class Requests:
             gains = await asyncio.to_thread(parse_gains, await request.body(), parameters)
         except DataError as error:
             raise RefusalError("bad-file", str(error)) from None
-        law = "PID" if gains.law == pb.LAW_PID else "LQI"
-        shown = {"law": law, "rows": rows(gains, parameters), "command": command_of(gains)}
-        return JSONResponse({"accepted": True, **shown})
+        law, table = "PID" if gains.law == pb.LAW_PID else "LQI", rows(gains, parameters)
+        return JSONResponse({"accepted": True, "law": law, "rows": table, "command": command_of(gains)})
 
     async def job(self, request: Request) -> Response:
         """Start or stop a job."""
@@ -167,11 +166,11 @@ class Requests:
         name, names, shelve_s = table.get("name"), table.get("names"), table.get("shelve_s", 0.0)
         if isinstance(names, list) and 0 < len(names) <= MAX_ALARMS and all(isinstance(name, str) for name in names):
             several = [str(name) for name in names]
-            return await self._act(
-                request, board, lambda session, wish: self._actions.acknowledge_all(
-                    session, board, several, issued_ns=wish.issued_ns
-                ),
-            )  # fmt: skip
+
+            def acknowledge(session: LoginSession, wish: Wish) -> pb.CommandReply:
+                return self._actions.acknowledge_all(session, board, several, issued_ns=wish.issued_ns)
+
+            return await self._act(request, board, acknowledge)
         if not isinstance(name, str) or not isinstance(shelve_s, int | float):
             raise _malformed('Give {"name": "...", "shelve_s": 600} or {"names": ["...", ...]}.')
 

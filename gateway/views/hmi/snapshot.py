@@ -161,10 +161,9 @@ def _named(board: BoardFeed) -> str:
     diagnosis = board.latest(pb.TwinDiagnosis)
     if diagnosis is None or not diagnosis.cause or board.age_s(pb.TwinDiagnosis) > TWIN_TIMEOUT_S:
         return ""
-    return text_of(
-        "rig.named", seconds=f"{diagnosis.for_s:.0f}", sentence=diagnosis.sentence,
-        probability=f"{diagnosis.probability:.1g}", since=_moment(diagnosis.since_ns),
-    )  # fmt: skip
+    seconds, since = f"{diagnosis.for_s:.0f}", _moment(diagnosis.since_ns)
+    sentence, probability = diagnosis.sentence, f"{diagnosis.probability:.1g}"
+    return text_of("rig.named", seconds=seconds, sentence=sentence, probability=probability, since=since)
 
 
 def job(running: Job) -> dict[str, Any]:

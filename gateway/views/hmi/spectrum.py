@@ -28,11 +28,11 @@ def even(t_s: FloatArray, values: FloatArray, *, end_s: float, step_s: float, co
         step_s: sampling interval, s.
         count: of the values to return.
     """
-    place = np.rint((t_s - end_s) / step_s).astype(np.int64) + count - 1
-    inside = (place >= 0) & (place < count)
-    found = np.full(count, np.nan)
-    found[place[inside]] = values[inside]
-    return found
+    index = np.rint((t_s - end_s) / step_s).astype(np.int64) + count - 1
+    valid = (index >= 0) & (index < count)
+    series = np.full(count, np.nan)
+    series[index[valid]] = values[valid]
+    return series
 
 
 def missing(values: FloatArray) -> float:
@@ -54,8 +54,8 @@ def amplitudes(values: FloatArray, step_s: float) -> tuple[FloatArray, FloatArra
     filled -= np.average(filled, weights=window)
     transform = np.fft.rfft(filled * window, _PAD * len(values))
     frequency_hz = np.fft.rfftfreq(_PAD * len(values), step_s)
-    shown = frequency_hz >= _MAIN_LOBE / (len(values) * step_s)
-    return np.asarray(frequency_hz[shown], np.float64), np.abs(transform[shown]) * (2.0 / window.sum())
+    resolved = frequency_hz >= _MAIN_LOBE / (len(values) * step_s)
+    return np.asarray(frequency_hz[resolved], np.float64), np.abs(transform[resolved]) * (2.0 / window.sum())
 
 
 def in_bands(frequency_hz: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,7 +22,7 @@ from gateway.views.hmi.traces import number
 from protocol.bus import board51_pb2 as pb
 
 SPAN_S = 10.0
-LEAST_S = 2.0  # of samples needed for a first spectrum
+MIN_SPAN_S = 2.0  # of samples needed for a first spectrum
 _MAX_READINGS = 10_000  # of a topic: SPAN_S at 1 kHz; twice as many are kept before the older half goes
 _HIGHEST = {"x": "spectrum.highest_x", "e": "spectrum.highest_e", "i": "spectrum.highest_i"}
 _TWIN_LAG_S = 0.25  # by which the twin may be behind
@@ -79,13 +79,13 @@ class Watch:
         if not link.live:
             return _words(text_of("spectrum.silent"))
         span_s = float(states[-1, 1] - states[0, 1]) if len(states) > 1 else 0.0
-        if span_s < LEAST_S:
-            return _words(text_of("spectrum.collecting", seconds=f"{span_s:.1f}", least=f"{LEAST_S:g}"))
+        if span_s < MIN_SPAN_S:
+            return _words(text_of("spectrum.collecting", seconds=f"{span_s:.1f}", least=f"{MIN_SPAN_S:g}"))
         columns, step_s = _columns(states, self._errors.table())
-        shown: dict[str, Any] = {"span_s": round(len(columns["x"]) * step_s, 1)}
+        answer: dict[str, Any] = {"span_s": round(len(columns["x"]) * step_s, 1)}
         words, highest = [], []
         for name, values in columns.items():
-            shown[name], word = None, _word(name, missing(values))
+            answer[name], word = None, _word(name, missing(values))
             if word:
                 words.append(word)
             if missing(values) <= MISSING:
@@ -93,12 +93,12 @@ class Watch:
                 at = int(np.argmax(amplitude))
                 highest.append(text_of(_HIGHEST[name], amplitude=f"{amplitude[at]:.3g}", hz=f"{frequency_hz[at]:.3g}"))
                 middle_hz, largest = in_bands(frequency_hz, amplitude)
-                if "f_hz" not in shown:
-                    shown["f_hz"] = [number(f, 5) for f in middle_hz.tolist()]
-                shown[name] = [number(a, 3) for a in largest.tolist()]
+                if "f_hz" not in answer:
+                    answer["f_hz"] = [number(f, 5) for f in middle_hz.tolist()]
+                answer[name] = [number(a, 3) for a in largest.tolist()]
         if highest:
-            shown["highest"] = text_of("spectrum.highest", lines=" \u00b7 ".join(highest))
-        return shown | _words(*words)
+            answer["highest"] = text_of("spectrum.highest", lines=" \u00b7 ".join(highest))
+        return answer | _words(*words)
 
 
 def _words(*sentences: str) -> dict[str, Any]:

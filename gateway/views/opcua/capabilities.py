@@ -17,11 +17,8 @@ from gateway.views.opcua.subscriptions import MAX_ITEMS
 
 _PROFILE = "http://opcfoundation.org/UA-Profile"
 _POLICY = "http://opcfoundation.org/UA/SecurityPolicy#"
-FACETS = tuple(
-    f"{_PROFILE}/Server/{name}"
-    for name in ("DataAccess", "Methods", "HistoricalRawData", "ACBaseCondition", "ACRefresh2", "ACEnable", "ACAlarm",
-                 "ACAckAlarm")
-)  # fmt: skip
+_FACETS = "DataAccess Methods HistoricalRawData ACBaseCondition ACRefresh2 ACEnable ACAlarm ACAckAlarm"
+FACETS = tuple(f"{_PROFILE}/Server/{name}" for name in _FACETS.split())
 TRANSPORT = f"{_PROFILE}/Transport/uatcp-uasc-uabinary"
 _OF_POLICY = {
     "NoSecurity": f"{_POLICY}None",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from asyncua.server import binary_server_asyncio
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import nodeid_from_binary
 
-from gateway.access.listeners import allow_restart
+from gateway.access.listeners import try_listening
 from gateway.access.roles import Role
 from gateway.access.users import User
 from gateway.views.feed import Feed
@@ -70,7 +69,10 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     Raises:
         ServiceError: the port is taken.
     """
-    _check_free(settings)
+    try:  # first: the address space takes seconds to build, and asyncua tells of a taken port with a traceback
+        try_listening(settings.host, settings.port)
+    except OSError as error:
+        raise _listen_error(settings, error) from None
     security = settings.security
     anonymous = User(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
 
@@ -151,18 +153,6 @@ async def _keep_up(
             continue
 
 
-def _check_free(settings: OpcuaSettings) -> None:
-    """Look first: the address space takes seconds to build, and asyncua tells of a taken port with a traceback."""
-    try:
-        family, kind, _, _, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind) as probe:
-            allow_restart(probe)
-            probe.bind(address)
-            probe.listen(1)
-    except OSError as error:
-        raise _listen_error(settings, error) from None
-
-
 def _listen_error(settings: OpcuaSettings, error: OSError) -> ServiceError:
     return ServiceError(
         f"OPC UA cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
@@ -170,7 +160,7 @@ def _listen_error(settings: OpcuaSettings, error: OSError) -> ServiceError:
     )
 
 
-class PromptProcessor(UaProcessor):  # type: ignore[misc]  # asyncua's class is untyped
+class PromptProcessor(UaProcessor):
     """Handles each call and write in a task of its own, which ends with the connection: it delays no other request.
 
     asyncua handles the requests of a connection one after the other.  A write to a board that does not answer takes

@@ -63,7 +63,7 @@ _OF_CONDITIONS: dict[ua.NodeId, tuple[str, tuple[ua.VariantType, ...]]] = {
 
 
 @dataclass
-class Guest(Account):  # type: ignore[misc]  # asyncua's class is untyped
+class Guest(Account):
     """A user of asyncua that holds a user of this product."""
 
     visitor: User | None = None
@@ -72,7 +72,7 @@ class Guest(Account):  # type: ignore[misc]  # asyncua's class is untyped
 Identify = Callable[[str | None, str | None, bytes | None, str], User | None]
 
 
-class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes are untyped
+class GuardedServer(InternalServer):
     """asyncua's internal server and user manager with our sessions and limits.
 
     `identify` says from (name, password, certificate, host) who it is, or None for nobody who may in.  Sessions of a
@@ -84,7 +84,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         self._identify = identify
         self.peer_host = ""  # of the session that is being activated; asyncua does not say it to a user manager
         self.operations, self.secured = operations, secured
-        self.spaces = Namespaces(site=0, types=0, di=0, machinery=0)  # until they are registered
+        self.spaces = Namespaces(site=0, types=0, machinery=0)  # until they are registered
         self.conditions: dict[ua.NodeId, ConditionNode] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
         self.isession.subscription_service = self.subscription_service
@@ -145,7 +145,7 @@ def _own_subscriptions_only(
     return guarded
 
 
-class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
+class GuardedSession(InternalSession):
     """The session of one client."""
 
     iserver: GuardedServer
@@ -261,8 +261,8 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         if request.MethodId in _OF_CONDITIONS:
             return _result(*await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs))
         board, name = self._method(request.ObjectId, request.MethodId)
-        is_ours = request.MethodId in self.aspace and request.ObjectId == ua.NodeId(board, self.iserver.spaces.site)
-        if not is_ours or name not in _METHODS:
+        is_of_board = request.MethodId in self.aspace and request.ObjectId == ua.NodeId(board, self.iserver.spaces.site)
+        if not is_of_board or name not in _METHODS:
             return _result(S.BadMethodInvalid)
         command = called(_METHODS[name], inputs)
         if not isinstance(command, pb.Command):
@@ -289,7 +289,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
                 return int(S.BadSubscriptionIdInvalid), []
             return await self.iserver.subscription_service.refresh(*values), []
         if name in ("shelve", "one-shot", "unshelve"):
-            return await self._shelve(node, name, *(supplied.Value for supplied in inputs)), []
+            return await self._shelve(node, name, *values), []
         condition = self.iserver.conditions.get(node)
         if condition is None:
             return int(S.BadNodeIdUnknown), []

@@ -35,7 +35,7 @@ MAX_ITEMS = 5_000  # monitored items of one subscription; eight boards have 1500
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
 
 
-class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is untyped
+class Items(MonitoredItemService):
     """asyncua's service for one subscription, with the timestamps asked for and filters as Part 4 has them."""
 
     _timestamps = ua.TimestampsToReturn.Source
@@ -191,7 +191,7 @@ def is_news(sent: ua.DataValue | None, value: ua.DataValue, filter_: Any) -> boo
     return True
 
 
-class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncua's class is untyped
+class BoundedSubscriptions(SubscriptionService):
     """Subscriptions with a shortest interval and a largest number of items."""
 
     def __init__(self, *args: Any, **options: Any) -> None:

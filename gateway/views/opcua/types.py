@@ -37,7 +37,6 @@ class Namespaces:
 
     site: int
     types: int
-    di: int
     machinery: int
 
 
@@ -113,11 +112,11 @@ async def register(server: Server) -> Namespaces:
     The site's namespace must have been registered: clients count on its number.
     """
     site = len(await server.get_namespace_array()) - 1
-    types, di, machinery = [await server.register_namespace(uri) for uri in (TYPES, DI, MACHINERY)]
+    types, _, machinery = [await server.register_namespace(uri) for uri in (TYPES, DI, MACHINERY)]
     for file in (_COMPANIONS, _TYPES):
         for node in await server.import_xml(xmlstring=nodeset(file)):
             _complete(server.iserver.aspace[node])
-    return Namespaces(site=site, types=types, di=di, machinery=machinery)
+    return Namespaces(site=site, types=types, machinery=machinery)
 
 
 def _complete(node: NodeData) -> None:

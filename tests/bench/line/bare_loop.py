@@ -79,9 +79,9 @@ def main(folder: Path, count: int, endpoint: str) -> None:
                     continue
                 publishers[fd].put(state)
                 log.add_message(channels[fd], now, state, now)
-    log.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
+    log.finish()
     stream.close()
-    session.close()  # type: ignore[no-untyped-call]  # likewise
+    session.close()
 
 
 if __name__ == "__main__":

@@ -199,7 +199,7 @@ CONFIGURED, OF_BOARD = "is outside the gateway's limits,", "is outside the board
             "This needs mode idle or open loop; the board is in closed loop.",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_refusal_says_value_bound_and_unit(
     view: BoardView, limits: dict[str, float], what: dict[str, Any], said: str
 ) -> None:

@@ -118,8 +118,9 @@ def test_the_newest_statement_counts(tmp_path: Path) -> None:
             changed = bus.await_event("plant-stated")
 
     assert (configured.plant.name, later_command.plant.name, later_file.plant.name) == ("filed", "heavy", "filed")
-    assert changed.text.endswith("travel 6 mm, x_max 6 mm, g 9.81 m/s2; before: a ball of 20 g (17 mm), travel 6 mm,"
-                                 " x_max 9 mm, g 9.81 m/s2")  # fmt: skip
+    assert changed.text.endswith(
+        "travel 6 mm, x_max 6 mm, g 9.81 m/s2; before: a ball of 20 g (17 mm), travel 6 mm, x_max 9 mm, g 9.81 m/s2"
+    )
 
 
 def test_a_configured_plant_that_is_impossible_or_assumed_ends_the_start(

@@ -93,9 +93,7 @@ def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(number: sign
     assert code == 0
     assert left == ["steps"]
     assert json.loads((folder / "run.json").read_text())["left"] == []
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "campaign.toml", "run.json", "steps.mcap",
-    ]  # fmt: skip
+    assert sorted(path.name for path in folder.iterdir()) == ["campaign.toml", "run.json", "steps.mcap"]
 
 
 @pytest.mark.slow

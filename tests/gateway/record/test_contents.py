@@ -37,7 +37,7 @@ def test_a_part_that_is_read_while_it_grows_has_the_contents_of_the_whole(tmp_pa
 
     assert {b: (e.digest, e.count, e.end_byte) for b, e in growing.blocks.items()} == {
         b: (e.digest, e.count, e.end_byte) for b, e in at_once.blocks.items()
-    }  # fmt: skip
+    }
     assert growing.damage == ""
 
 

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-import lz4.frame  # type: ignore[import-untyped]  # ships no types
+import lz4.frame
 import pytest
 import zstandard
 

@@ -235,7 +235,7 @@ def foreign(path: Path, *, schema: str, topic: str) -> None:
         schema_id = writer.register_schema(schema, "protobuf", b"")
         channel_id = writer.register_channel(topic, "protobuf", schema_id)
         writer.add_message(channel_id, 5, b"\x08\x01", 5)
-        writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
+        writer.finish()
 
 
 @pytest.mark.parametrize(
@@ -285,7 +285,7 @@ def test_messages_of_others_are_skipped_and_counted(tmp_path: Path) -> None:
         ):
             channel = writer.register_channel(topic, "protobuf", writer.register_schema(schema, "protobuf", b""))
             writer.add_message(channel, 5, data, 5)
-        writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
+        writer.finish()
     reader = LogReader(log)
 
     records = list(reader.records())

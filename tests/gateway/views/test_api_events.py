@@ -113,8 +113,9 @@ def test_a_late_reader_is_told_the_alarms_that_stand(api: ApiServer) -> None:
 def test_a_capture_of_another_session_is_not_the_one_that_was_started(api: ApiServer) -> None:
     program = api.program("vic")
     assert program.get("/rigs/rig/capture").json()["code"] == "no-capture"
-    record = pb.CaptureRecord(session=1, tick=50, sample_time_s=4e-5, u_from_v=1, u_to_v=2, step_index=1,
-                              i_c_a=[0.25, 0.5])  # fmt: skip
+    record = pb.CaptureRecord(
+        session=1, tick=50, sample_time_s=4e-5, u_from_v=1, u_to_v=2, step_index=1, i_c_a=[0.25, 0.5]
+    )
     api.gateway.send("capture", record)
     wait_for(lambda: program.get("/rigs/rig/capture").status_code == 200, "the capture")
     same = program.get("/rigs/rig/capture", from_tick=50, format="csv")
@@ -159,8 +160,7 @@ def test_what_is_not_there_is_answered_with_a_remedy(
 def test_jobs_need_the_rights_that_the_page_asks_for(api: ApiServer) -> None:
     validate, hand_over = {"job": "validate"}, {"job": "hand-over", "model": MODEL}
     design = {"job": "design", "model": MODEL, "x_m": 2.85e-3}
-    refused = [api.program(who).post("/rigs/rig/jobs", body) for who in ("vic", "ben")
-               for body in (hand_over, design)]  # fmt: skip
+    refused = [api.program(who).post("/rigs/rig/jobs", body) for who in ("vic", "ben") for body in (hand_over, design)]
 
     assert {answer.status_code for answer in refused} == {403}
     assert api.program("vic").post("/rigs/rig/jobs", validate).status_code == 403

@@ -124,9 +124,9 @@ def test_an_unknown_rig_is_answered_with_the_known_ones(api: ApiServer) -> None:
 
 
 @pytest.mark.parametrize(
-    "query", ["last_s=-1", "last_s=61", "last_s=ten", "last_s=nan", "last_s=", "format=xml", "lasts=1",
-              "last_s=1&last_s=2"],
-)  # fmt: skip
+    "query",
+    ["last_s=-1", "last_s=61", "last_s=ten", "last_s=nan", "last_s=", "format=xml", "lasts=1", "last_s=1&last_s=2"],
+)
 def test_a_wrong_query_is_refused(api: ApiServer, query: str) -> None:
     answer = api.program("ana").http.get(f"/api/v1/rigs/rig/states?{query}")
 

@@ -66,8 +66,9 @@ def test_margins_before_and_after_are_seen_by_all_and_loaded_by_an_engineer(tmp_
     assert sent["set_gains"]["x_0_m"] == 2.85e-3
     assert forbidden.status_code == 403
     assert (fly["reason"], fly["text"]) == (
-        "not-loaded", "The board does not have the gains of this design. Load them first.",
-    )  # fmt: skip
+        "not-loaded",
+        "The board does not have the gains of this design. Load them first.",
+    )
     assert (refused.status_code, refused.json()["text"]) == (409, "Gain 2.")
     assert ">\u25cf on the board<" in loaded
     assert ">Load on the board<" not in loaded

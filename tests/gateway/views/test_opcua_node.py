@@ -207,9 +207,7 @@ def test_the_alarm_of_an_absent_board_is_acknowledged_by_its_event(node: Path, t
 
     waiting = {"refresh": "Good", "active": True, "acked": False}
     assert viewer["alarm"] == {**waiting, "codes": ["BadEventIdUnknown", "BadUserAccessDenied"]}
-    assert operator["alarm"] == {
-        **waiting, "codes": ["BadEventIdUnknown", "Good"], "by": "otto", "comment": "known",
-    }  # fmt: skip
+    assert operator["alarm"] == {**waiting, "codes": ["BadEventIdUnknown", "Good"], "by": "otto", "comment": "known"}
     assert late["alarm"]["acked"] is True
     assert operator["calls"]["SetReference"]["code"] == "BadNoCommunication"
     assert operator["calls"]["Stop"]["code"] == "BadNoCommunication"

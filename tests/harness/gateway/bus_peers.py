@@ -38,7 +38,7 @@ class PlayedGateway:
 
     def stop_answering(self) -> None:
         """As if the gateway had ended, and not its router."""
-        self._queryable.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._queryable.undeclare()
 
     def send(self, topic: str, message: Message, board: str = "rig") -> None:
         """As a gateway and a twin do, ticks in a batch, too: blocking, so that nothing is lost here."""
@@ -89,7 +89,7 @@ class PlayedGateway:
     def give_up(self) -> None:
         """End what is not answered without an answer."""
         while self.unanswered:
-            self.unanswered.pop().drop()  # type: ignore[no-untyped-call]  # the stub has no return type
+            self.unanswered.pop().drop()
 
 
 @contextmanager

@@ -88,4 +88,4 @@ def longest_round_s(
         process.kill()
         process.wait()
         process.stdout.close()
-        queryable.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        queryable.undeclare()

@@ -12,11 +12,12 @@ from threading import Event, Thread
 import zenoh
 from google.protobuf.message import Message
 
-from gateway.record.blocks import LOGGED, locate
+from gateway.record.blocks import locate
 from gateway.record.writer import LogWriter
 from gateway.sites.server import LogServer
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from protocol.bus.topics import RECORDED
 from protocol.log.reader import LogReader
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_endpoint
@@ -77,7 +78,7 @@ def held(folder: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> Co
     counts: Counter[tuple[str, bytes]] = Counter()
     for path in folder.glob(parts):
         if path.stat().st_size:
-            records = LogReader(path).raw(topics_=LOGGED)
+            records = LogReader(path).raw(topics_=RECORDED)
             counts.update((r.key, r.data) for r in records if r.time_ns < before_ns and locate(r) is not None)
     return counts
 

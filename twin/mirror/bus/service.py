@@ -238,10 +238,10 @@ class TwinService:
             log.warning("no new session: %s", error)
             return
         for subscriber in before:
-            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+            subscriber.undeclare()
         self._subscribers = self._hear(self._hearing)
         if deaf is not None:
-            deaf.close()  # type: ignore[no-untyped-call]  # the same
+            deaf.close()
 
     def _watched(self, site: str, board: str) -> Watched:
         watched = self.boards.get(board)

@@ -18,10 +18,7 @@ from gateway.views.hmi.sessions import LoginSession
 from protocol.bus import board51_pb2 as pb
 
 RIG = {404: "no rig of this name"}
-ACT = {
-    403: "the role does not suffice", 404: "no rig of this name", 409: "refused; the code says why",
-    503: "no gateway answers",
-}  # fmt: skip
+ACT = RIG | {403: "the role does not suffice", 409: "refused; the code says why", 503: "no gateway answers"}
 _REPLY = TypeAdapter(shapes.Reply)
 
 

@@ -10,6 +10,7 @@ import asyncio
 
 from starlette.responses import PlainTextResponse, Response
 
+from gateway.views.dispatch import EVERY_RIG
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.api import commands, rigs, shapes
 from gateway.views.hmi.api.base import ACT, RIG, Base, answer
@@ -21,7 +22,6 @@ from gateway.views.hmi.library import download
 from gateway.views.hmi.refusals import RefusalError
 from protocol.bus import board51_pb2 as pb
 
-EVERY = "*"
 _COMMAND = BodyKinds("command", {name: kind for name, (kind, _) in commands.KINDS.items()})
 
 
@@ -122,7 +122,7 @@ class Endpoints(Base):
         """Switch the coil off at once; of the rig `*`: of all rigs.  It acts whatever is sent with it."""
         replies = await self._acts.stop(call.request, call.path("rig"))
         refused = {name: reply for name, reply in replies.items() if not reply.accepted}
-        if call.path("rig") != EVERY:
+        if call.path("rig") != EVERY_RIG:
             return answer(next(iter(replies.values())))
         reply = pb.CommandReply(accepted=True, text=f"STOP of {', '.join(replies) or 'no rig'}")
         if refused:

@@ -30,9 +30,10 @@ _PARTS = {
 }
 _SOFT = f"With the query {SOFT}=true every answer has status 200, for clients that hide the body of an error."
 _TOKEN = {
-    "type": "http", "scheme": "bearer",
+    "type": "http",
+    "scheme": "bearer",
     "description": "of `board51 security add-token`; not needed where the page has no login",
-}  # fmt: skip
+}
 _ALL = {400: "a value or key is not valid", 401: "no valid token", 403: "from a page of another server, or the role"}
 
 

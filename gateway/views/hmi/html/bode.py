@@ -14,7 +14,7 @@ from typing import Any
 from gateway.views.hmi.texts import texts_of
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 400.0, 220.0, 50.0, 392.0, 8.0, 180.0
-_BEYOND = 1.15  # factor by which the axis of frequencies goes beyond the measured ones
+_MARGIN = 1.15  # factor by which the axis of frequencies goes beyond the measured ones
 _FACTORS = {"plant": 1e3, "loop": 1.0}  # m/V to mm/V
 _SURE = 1.96  # standard deviations of 95 %
 _PHASE_STEPS = (5, 10, 15, 30, 45, 90, 180)  # degrees between lines
@@ -59,7 +59,7 @@ def _panels(height: Mapping[str, Any]) -> Iterator[Panel]:
             for f, gain, phase, radius in _rows(measured, "gain", "phase_deg", "radius95")
             if radius < gain
         ]
-        low_hz, high_hz = (sure[0][0] / _BEYOND, sure[-1][0] * _BEYOND) if sure else (math.inf, 0.0)
+        low_hz, high_hz = (sure[0][0] / _MARGIN, sure[-1][0] * _MARGIN) if sure else (math.inf, 0.0)
         curve = [
             (f, factor * gain, phase, spread, phase_std)
             for f, gain, phase, gain_std, phase_std in _rows(
@@ -75,7 +75,7 @@ def _panels(height: Mapping[str, Any]) -> Iterator[Panel]:
         yield _panel(texts_of("bode_gain")[name], gains, line, logarithmic=True)
         turned = _turned([p for _, _, p, _, _ in curve])
         line = [(row[0], p, p - _SURE * row[4], p + _SURE * row[4]) for row, p in zip(curve, turned, strict=True)]
-        phases = [(f, _beside(line, f, p), math.degrees(math.asin(r / g))) for f, g, p, r in sure]
+        phases = [(f, _in_turn(line, f, p), math.degrees(math.asin(r / g))) for f, g, p, r in sure]
         bars = [(f, p, p - spread, p + spread) for f, p, spread in phases]
         yield _panel(texts_of("bode_phase")[name], bars, line, logarithmic=False)
 
@@ -99,7 +99,7 @@ def _turned(phase_deg: Sequence[float]) -> list[float]:
     return [p - 360.0 * math.ceil((middle - 90.0) / 360.0) for p in phase_deg]
 
 
-def _beside(line: Sequence[_Row], f_hz: float, phase_deg: float) -> float:
+def _in_turn(line: Sequence[_Row], f_hz: float, phase_deg: float) -> float:
     """Return a phase in the turn in which the curve is at this frequency."""
     closest = min(line, key=lambda row: abs(math.log(row[0] / f_hz)))[1]
     return phase_deg + 360.0 * round((closest - phase_deg) / 360.0)
@@ -115,7 +115,7 @@ def _panel(title: str, points: list[_Row], line: list[_Row], *, logarithmic: boo
     low, high = scale(min(drawn)), scale(max(drawn))
     margin = max(0.06 * (high - low), 0.02 if logarithmic else 2.0)
     low, high = low - margin, high + margin
-    left, right = math.log10(points[0][0] / _BEYOND), math.log10(points[-1][0] * _BEYOND)
+    left, right = math.log10(points[0][0] / _MARGIN), math.log10(points[-1][0] * _MARGIN)
 
     def x(f_hz: float) -> float:
         return LEFT + (math.log10(f_hz) - left) / (right - left) * (RIGHT - LEFT)
@@ -140,15 +140,15 @@ def _panel(title: str, points: list[_Row], line: list[_Row], *, logarithmic: boo
 def _decades(low: float, high: float) -> list[float]:
     """Return 1, 2, 5, 10 ... between powers of ten, or powers alone where these are many."""
     for digits in ((1, 2, 5), (1,)):
-        found = [
+        values = [
             digit * 10.0**k
             for k in range(math.floor(low), math.ceil(high) + 1)
             for digit in digits
             if low <= math.log10(digit * 10.0**k) <= high
         ]
-        if len(found) <= _MAX_LINES:
+        if len(values) <= _MAX_LINES:
             break
-    return found
+    return values
 
 
 def _steps(low: float, high: float) -> list[float]:

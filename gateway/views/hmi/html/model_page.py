@@ -87,9 +87,9 @@ def _designed(
 ) -> dict[str, object]:
     """Return the newest design, what would be sent to the board, and whether the board has it."""
     design = newest_design(chosen)
-    values: dict[str, object] = {"design": design, "load": None, "rows": [], "load_problem": "", "loaded": False,
-                                 "forecast_report": "",
-                                 "x_mm": f"{parameters.x_0_m * 1e3:.4g}" if parameters is not None else ""}  # fmt: skip
+    x_mm = f"{parameters.x_0_m * 1e3:.4g}" if parameters is not None else ""
+    values: dict[str, object] = {"design": design, "x_mm": x_mm, "loaded": False, "forecast_report": ""}
+    values |= {"load": None, "rows": [], "load_problem": ""}
     if design is None or not design.analysis:
         return values
     try:

@@ -120,10 +120,10 @@ class Pages:
         def may(act: str) -> bool:
             return self._actions.may(session, act)
 
-        shown: dict[str, object] = {
+        common: dict[str, object] = {
             "board": "", "prefix": "", "chips": False, "script": "", "live": live, "replayed": live.startswith(REPLAY),
             "replay": self._actions.jobs.get("replay", "*"), "session": session, "role": sessions.role(session),
             "may": may, "rights": " ".join(filter(may, MINIMUM_ROLE)), "log_out": sessions.users is not None,
             "now_s": time.monotonic(),
         }  # fmt: skip
-        return render(template, shown | values)
+        return render(template, common | values)

@@ -104,10 +104,10 @@ def newest_design(campaign: CampaignFolder | None) -> DesignFolder | None:
 
 def flight_before(campaign: CampaignFolder, design: DesignFolder) -> Path | None:
     """Return the newest recording of the experiment before a design: of an earlier design, else of the campaign."""
-    own = campaign.path / f"{EXPERIMENT}.mcap"
+    recording = campaign.path / f"{EXPERIMENT}.mcap"
     all_flown = sorted((campaign.path / DESIGNS).glob(f"*/{FLIGHT}/{EXPERIMENT}.mcap"))
     earlier = [path for path in all_flown if path.parent.parent.name < design.path.name]
-    return earlier[-1] if earlier else own if own.is_file() else None
+    return earlier[-1] if earlier else recording if recording.is_file() else None
 
 
 def _cell(loop: dict[str, Any], name: str, factor: float) -> str:

@@ -139,17 +139,17 @@ class ModelWork:
     def diagnose(self, order: Order) -> pb.CommandReply:
         """Diagnose the causes of the model's errors in a campaign."""
         chosen, quick = self.recorded(order), order.flag("quick")
-        words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / folders.DIAGNOSIS), "--next-experiment",
-                 *["--quick"] * quick]  # fmt: skip
+        words = ["diagnose", str(chosen.toml), "--out", str(chosen.path / folders.DIAGNOSIS), "--next-experiment"]
+        words += ["--quick"] * quick
         entry = text_of("campaigns.was_diagnosed_quick") if quick else text_of("campaigns.was_diagnosed")
         return self.start(order, words, chosen.path, entry)
 
     def diagnose_live(self, order: Order) -> pb.CommandReply:
         """Diagnose the causes of the model's errors in the last minutes of flight."""
         folder = self._new(order.board)
-        words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", order.board, "--logs", str(self._routes.logs),
-                 "--quick", "--next-experiment", "--out", str(folder / folders.DIAGNOSIS),
-                 *self._routes.live(order.session.name)]  # fmt: skip
+        words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", order.board, "--logs", str(self._routes.logs)]
+        words += ["--quick", "--next-experiment", "--out", str(folder / folders.DIAGNOSIS)]
+        words += self._routes.live(order.session.name)
         return self.start(order, words, folder, text_of("campaigns.was_diagnosed_live", minutes=f"{LIVE_MIN:g}"))
 
     def compare(self, order: Order) -> pb.CommandReply:

@@ -133,7 +133,7 @@ export function follow(now, gone, force = false) {
   else put("reference-now", unsent ? textOf("reference.in_force_unsent", { mm }) : textOf("reference.in_force", { mm }));
   if (!force && (unsent || Math.abs(x_ref - followed) < COUNT_M)) return;
   followed = x_ref;
-  form.mm.value = form.slide.value = (x_ref * 1e3).toFixed(3);
+  form.mm.value = form.slide.value = mm;
 }
 
 // What gateway and board both let through.

@@ -12,7 +12,7 @@ import time
 from array import array
 from bisect import bisect_left
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from asyncua import ua
 from asyncua.common.utils import Buffer
@@ -71,7 +71,7 @@ class Track:
         return (self._head - self.count + row) % self.rows
 
 
-class RingHistory(HistoryManager):  # type: ignore[misc]  # asyncua's class is untyped in part
+class RingHistory(HistoryManager):
     """asyncua's history service over tracks, which the boards' nodes fill.  Events are in the log."""
 
     def __init__(self, server: InternalServer) -> None:
@@ -133,5 +133,4 @@ def _bound(moment: datetime | None) -> datetime | None:
 
 
 def _ns(moment: datetime) -> int:
-    delta = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return ((delta.days * 86400 + delta.seconds) * 1_000_000 + delta.microseconds) * 1000
+    return (moment - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
