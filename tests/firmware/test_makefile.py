@@ -38,7 +38,7 @@ def make(folder: Path, *words: str) -> str:
     [
         (skip_without_avr, "avr", "atmega328p"),
         pytest.param(skip_without_avr, "avr", "magnetoshield", marks=pytest.mark.slow),
-        (skip_without_sdcc, "mcs51", "aduc841"),
+        pytest.param(skip_without_sdcc, "mcs51", "aduc841", marks=pytest.mark.slow),
     ],
 )
 def test_an_image_by_make_is_that_by_python(skip: Callable[[], None], goal: str, name: str, tmp_path: Path) -> None:

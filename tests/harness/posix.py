@@ -7,7 +7,6 @@ none is left out by hand.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -29,16 +28,23 @@ def needs_posix(path: Path) -> bool:
     place = path.relative_to(ROOT / "tests")
     if place == _EVERYWHERE or place.parts[0] in _FOLDERS:
         return place != _EVERYWHERE
-    return any(_WORDS.search(text) for text in _sources(path))
-
-
-def _sources(path: Path) -> Iterator[str]:
-    """Yield the text of a file and of the helpers below it, each once: helpers import each other."""
+    # A file and the helpers below it, each once: helpers import each other.
     seen, ahead = set(), [path]
     while ahead:
         file = ahead.pop()
         if file in seen or not file.exists():
             continue
         seen.add(file)
-        yield (text := file.read_text(encoding="utf-8"))
-        ahead += (ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in _HELPERS.findall(text))
+        found, helpers = _search(file)
+        if found:
+            return True
+        ahead += helpers
+    return False
+
+
+@cache
+def _search(file: Path) -> tuple[bool, tuple[Path, ...]]:
+    """Return whether one of the words stands in a file, and the helpers that it imports."""
+    text = file.read_text(encoding="utf-8")
+    helpers = (ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in _HELPERS.findall(text))
+    return _WORDS.search(text) is not None, tuple(helpers)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 import pytest
@@ -10,7 +9,7 @@ import pytest
 import board51
 from gateway.commands.watch_table import FRESH_ALARMS_S, FRESH_S, Table
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.bus_peers import played_gateway
+from tests.harness.gateway.bus_peers import played_gateway, ticking
 
 STATE = pb.State(x_m=3.1234e-3, x_ref_m=3e-3, i_c_a=0.6, mode=pb.MODE_CLOSED_LOOP)
 
@@ -55,21 +54,11 @@ def test_an_alarm_that_ended_leaves_the_line() -> None:
 
 def test_the_command_prints_a_line_for_each_rig(capsys: pytest.CaptureFixture[str]) -> None:
     with played_gateway() as gateway:
-        done = threading.Event()
-
-        def publish() -> None:
-            while not done.wait(0.02):
-                for board in ("rig2", "rig1"):
-                    gateway.state(board)
-
-        thread = threading.Thread(target=publish)
-        thread.start()
         began_s = time.monotonic()
         words = ["--connect", gateway.endpoint, "--every", "0.2", "--count", "2", "--timeout", "60"]
-        code = board51.main(["watch", "--table", *words])
-        took_s = time.monotonic() - began_s
-        done.set()
-        thread.join()
+        with ticking(gateway, "rig2", "rig1", period_s=0.02):
+            code = board51.main(["watch", "--table", *words])
+            took_s = time.monotonic() - began_s
 
     lines = capsys.readouterr().out.splitlines()
     assert code == 0

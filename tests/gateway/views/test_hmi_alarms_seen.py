@@ -12,9 +12,8 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab
 from tests.harness.gateway.hmi_peers import hmi
-from tests.patience import HANG_MS
 
 pytestmark = [
     pytest.mark.slow,
@@ -51,17 +50,11 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[PlayedGat
 @pytest.fixture
 def page(browser: Browser, served: tuple[PlayedGateway, str]) -> Iterator[Page]:
     gateway, url = served
-    context = browser.new_context(viewport={"width": 1440, "height": 900}, base_url=url)
-    context.set_default_timeout(HANG_MS)
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto("/rig/rig")
-    page.wait_for_selector("body[data-live=yes]")
-    gateway.commands.clear()
-    yield page
-    context.close()
-    assert errors == []
+    with open_tab(browser, width=1440, url=url) as page:
+        page.goto("/rig/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        gateway.commands.clear()
+        yield page
 
 
 def raise_alarm(gateway: PlayedGateway, name: str, *, active: bool = True) -> None:

@@ -11,10 +11,9 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
-from tests.patience import HANG_MS
 
 pytestmark = [
     pytest.mark.xdist_group("hmi-browser"),
@@ -59,29 +58,24 @@ def bus(rig: Rig) -> Iterator[Bus]:
 
 
 @pytest.fixture(scope="module")
-def tab(browser: Browser, rig: Rig) -> Iterator[Page]:
+def operators_tab(browser: Browser) -> Iterator[Page]:
     """One tab for all tests, as an operator's; no script in it may fail."""
-    context = browser.new_context(viewport={"width": 1400, "height": 900})
-    context.set_default_timeout(HANG_MS)
-    tab = context.new_page()
-    errors: list[str] = []
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    yield tab
-    context.close()
-    assert errors == []
+    with open_tab(browser) as page:
+        yield page
 
 
 @pytest.fixture
-def page(tab: Page, rig: Rig) -> Page:
+def page(operators_tab: Page, rig: Rig) -> Page:
     """The rig's page, live; the board is idle."""
-    if tab.url != f"{rig.url}/rig/rig":
-        tab.goto(f"{rig.url}/rig/rig")
-    tab.wait_for_selector("body[data-live=yes]")
-    tab.keyboard.press("Escape")  # STOP
+    page = operators_tab
+    if page.url != f"{rig.url}/rig/rig":
+        page.goto(f"{rig.url}/rig/rig")
+    page.wait_for_selector("body[data-live=yes]")
+    page.keyboard.press("Escape")  # STOP
     # Answered, not only idle: a STOP that is still on its way would end what the test does next.
-    expect(tab.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
-    expect(tab.locator('[data-live="mode"]')).to_contain_text("idle")
-    return tab
+    expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
+    expect(page.locator('[data-live="mode"]')).to_contain_text("idle")
+    return page
 
 
 def live(page: Page, name: str) -> str:

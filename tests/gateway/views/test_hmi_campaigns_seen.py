@@ -12,9 +12,8 @@ from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab
 from tests.harness.gateway.hmi_peers import hmi
-from tests.patience import HANG_MS
 
 pytestmark = [
     pytest.mark.slow,
@@ -59,16 +58,10 @@ def served(data: Path) -> Iterator[tuple[PlayedGateway, str]]:
 
 @pytest.fixture
 def page(browser: Browser, served: tuple[PlayedGateway, str]) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 1440, "height": 900}, base_url=served[1])
-    context.set_default_timeout(HANG_MS)
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto("/")
-    expect(page.locator(".board-card")).to_have_count(2)
-    yield page
-    context.close()
-    assert errors == []
+    with open_tab(browser, width=1440, url=served[1]) as page:
+        page.goto("/")
+        expect(page.locator(".board-card")).to_have_count(2)
+        yield page
 
 
 def test_a_campaign_that_failed_is_not_shown_in_place_of_a_result_and_an_interrupted_one_can_be_continued(

@@ -11,12 +11,12 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM, start_job
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab, start_job
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.hmi_peers import Process
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.harness.twin.true_model import true_model
-from tests.patience import HANG_MS, WORK_MS
+from tests.patience import WORK_MS
 
 pytestmark = [
     pytest.mark.xdist_group("hmi-design"),
@@ -52,16 +52,10 @@ def bus(rig: Rig) -> Iterator[Bus]:
 
 @pytest.fixture
 def page(browser: Browser, rig: Rig) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 1440, "height": 900})
-    context.set_default_timeout(HANG_MS)
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto(f"{rig.url}/model/rig")
-    page.wait_for_selector("body[data-live=yes]")
-    yield page
-    context.close()
-    assert errors == []
+    with open_tab(browser, width=1440) as page:
+        page.goto(f"{rig.url}/model/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        yield page
 
 
 def parameters(bus: Bus) -> pb.Parameters:

@@ -10,10 +10,9 @@ from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
-from tests.patience import HANG_MS
 
 pytestmark = [
     pytest.mark.slow,
@@ -31,14 +30,8 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[PlayedGat
 
 @pytest.fixture
 def page(browser: Browser, served: tuple[PlayedGateway, str]) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, base_url=served[1])
-    context.set_default_timeout(HANG_MS)
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    yield page
-    context.close()
-    assert errors == []
+    with open_tab(browser, width=1280, height=800, url=served[1]) as page:
+        yield page
 
 
 def test_a_card_has_the_line_of_x_from_before_the_page_the_mode_the_alarms_and_the_model(

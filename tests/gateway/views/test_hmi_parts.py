@@ -25,7 +25,6 @@ from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import travel_of
 from gateway.views.hmi.sessions import MAX_SESSIONS, LoginSessions
 from gateway.views.hmi.snapshot import describe, rest
-from gateway.views.hmi.traces import MAX_ROWS, Traces
 from gateway.views.hmi.turns import MAX_BYTES, Turns
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError
@@ -67,68 +66,6 @@ def test_sessions_are_bounded_and_the_idlest_makes_room() -> None:
 
     assert sessions.get(second.token, 500.0) is None
     assert sessions.get(first.token, 500.0) is first
-
-
-def test_what_leaves_the_ring_of_a_plot_is_kept_for_ten_minutes_and_no_spike_is_lost(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("gateway.views.hmi.traces.MAX_ROWS", 30)
-    with played_gateway() as gateway, feed_of(gateway) as feed:
-        gateway.state()
-        board = wait_for(lambda: feed.board("rig"), "the board")
-        traces = Traces(board)
-        traces.pump()
-
-        for n in range(4000):
-            gateway.state(x_m=4.5e-3 if n == 333 else 3e-3)
-        wait_for(lambda: (s := board.latest(pb.State)) is not None and s.tick == 4001, "the last sample")
-        traces.pump()
-
-    past, (first, *_) = traces.past(), traces.since(0)[0]
-    times = [float(str(row[2])) for row in past]
-    assert 3 <= len(past) <= 5, "bins of two seconds"
-    assert max(float(str(row[4])) for row in past) == pytest.approx(4.5e-3)
-    assert times == sorted(times)
-    assert times[-1] < float(str(first[2]))
-
-
-def test_no_spike_is_lost_between_500_hz_and_a_screen() -> None:
-    with played_gateway() as gateway, feed_of(gateway) as feed:
-        gateway.state()
-        board = wait_for(lambda: feed.board("rig"), "the board")
-        traces = Traces(board)
-        traces.pump()
-
-        for n in range(1000):
-            gateway.state(x_m=4.5e-3 if n == 333 else 3e-3, i_c_a=math.nan)
-        wait_for(lambda: (s := board.latest(pb.State)) is not None and s.tick == 1001, "the last sample")
-        traces.pump()
-
-    seen, cursor = traces.since(0)
-    assert 50 < len(seen) < 70, "30 bins a second"
-    assert max(float(str(row[4])) for row in seen) == pytest.approx(4.5e-3)
-    assert seen[0][6] is None, "what does not exist is null: JSON has no NaN"
-    assert traces.since(cursor) == ([], cursor)
-
-
-@pytest.mark.slow
-def test_a_reader_that_was_away_gets_what_the_ring_holds_and_no_more() -> None:
-    with played_gateway() as gateway, feed_of(gateway) as feed:
-        gateway.state()
-        board = wait_for(lambda: feed.board("rig"), "the board")
-        traces = Traces(board)
-        traces.pump()
-        for _ in range(MAX_ROWS * 17 // 200 + 3):
-            for _ in range(200):
-                gateway.state(tick=gateway.tick * 17)
-            end = gateway.last.tick
-            wait_for(lambda end=end: (s := board.latest(pb.State)) is not None and s.tick == end, "samples")  # type: ignore[misc]  # mypy sees no type for a lambda default
-            traces.pump()
-
-    missed, cursor = traces.since(0)
-    assert len(missed) == MAX_ROWS
-    assert cursor > MAX_ROWS
-    json.dumps(missed, allow_nan=False)
 
 
 def test_a_file_of_gains_becomes_a_command_and_a_table() -> None:

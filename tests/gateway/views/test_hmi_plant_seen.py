@@ -13,12 +13,12 @@ from playwright.sync_api import Browser, Page, expect
 from gateway.emulator.own_rig import limits_toml, load_rig
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM, start_job
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab, start_job
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.heavy_rig import DRAGGED_RIG, TRUTH
 from tests.harness.gateway.hmi_peers import hmi
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
-from tests.patience import HANG_MS, WORK_MS
+from tests.patience import WORK_MS
 
 pytestmark = [
     pytest.mark.slow,
@@ -29,16 +29,10 @@ NOBODY = "Assumed: nobody stated the plant of this rig."
 
 
 def opened(browser: Browser, url: str) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 1440, "height": 900}, base_url=url)
-    context.set_default_timeout(HANG_MS)
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto("/model/rig")
-    page.wait_for_selector("body[data-live=yes]")
-    yield page
-    context.close()
-    assert errors == []
+    with open_tab(browser, width=1440, url=url) as page:
+        page.goto("/model/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        yield page
 
 
 def press(page: Page, name: str) -> None:

@@ -13,7 +13,7 @@ from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway import hmi_peers
 from tests.harness.gateway.bus_peers import played_gateway
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import frame, hmi
 
@@ -57,20 +57,14 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 @pytest.fixture
 def page(browser: Browser, port: int) -> Iterator[Page]:
-    """A tab; no script in it may fail."""
-    context = browser.new_context(viewport={"width": 1400, "height": 900})
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto(f"http://127.0.0.1:{port}/logs")
-    yield page
-    visitor = hmi_peers.Page(port)
-    visitor.open()
-    visitor.post("/api/*/job", {"kind": "replay", "act": "stop"})
-    with visitor.live("/live-replay") as live:
-        wait_for(lambda: not frame(live)["jobs"].get("replay", {}).get("running"), "its end")
-    context.close()
-    assert errors == []
+    with open_tab(browser) as page:
+        page.goto(f"http://127.0.0.1:{port}/logs")
+        yield page
+        visitor = hmi_peers.Page(port)
+        visitor.open()
+        visitor.post("/api/*/job", {"kind": "replay", "act": "stop"})
+        with visitor.live("/live-replay") as live:
+            wait_for(lambda: not frame(live)["jobs"].get("replay", {}).get("running"), "its end")
 
 
 def replay(page: Page) -> None:

@@ -13,11 +13,10 @@ from playwright.sync_api import Browser, Page, expect
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway import hmi_peers
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab
 from tests.harness.gateway.gateway_peers import Bus, client, wait_for
 from tests.harness.gateway.hmi_peers import Process, frame
 from tests.harness.gateway.rig_peers import Rig, emulated_rig
-from tests.patience import HANG_MS
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("hmi-browser")]
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)
@@ -42,10 +41,8 @@ def bus(rig: Rig) -> Iterator[Bus]:
 
 @pytest.fixture
 def page(browser: Browser, rig: Rig) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 1400, "height": 900})
-    context.set_default_timeout(HANG_MS)
-    yield context.new_page()
-    context.close()
+    with open_tab(browser) as page:
+        yield page
 
 
 def write_log(path: Path, board: str) -> None:

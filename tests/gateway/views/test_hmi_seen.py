@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, Page, expect
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 from tests.harness.gateway.bus_peers import played_gateway, ticking
-from tests.harness.gateway.chromium import ABSENT, CHROMIUM
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, open_tab
 from tests.harness.gateway.design_files import campaign, designed
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
@@ -51,14 +51,11 @@ def page(browser: Browser, site: Site) -> Iterator[Page]:
     """A tab; no script in it may fail, and no policy be broken."""
     site.gateway.commands.clear()
     site.mode = {"mode": pb.MODE_CLOSED_LOOP}
-    context = browser.new_context(viewport={"width": 1400, "height": 900})
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.on("console", lambda said: errors.append(said.text) if "Content Security" in said.text else None)
-    yield page
-    context.close()
-    assert errors == []
+    broken: list[str] = []
+    with open_tab(browser) as page:
+        page.on("console", lambda said: broken.append(said.text) if "Content Security" in said.text else None)
+        yield page
+    assert broken == []
 
 
 @pytest.mark.parametrize("path", ["/", "/logs", "/replay/", "/replay/rig", "/report/0/one/report.html", "/rig/rig"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +18,7 @@ from protocol.bus.encoding import BATCH_OF, batch
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.ports import free_port
+from tests.harness.repeated import repeated
 
 JUNK = b"\xff\xff"  # no message of any kind
 HEARD = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/states")  # one of each subscriber
@@ -134,22 +135,15 @@ def ticking(
     period_s: float = 0.004,
 ) -> Iterator[None]:
     """The gateway publishes samples, as far as this machine keeps up, status and parameters now and then."""
-    stop = threading.Event()
+    numbers = itertools.count()
 
-    def work() -> None:
-        n = 0
-        while not stop.wait(period_s):
-            for board in boards or ("rig",):
-                gateway.state(board, **(values(n) if values is not None else {}))
-                if n % 50 == 0:
-                    gateway.status(board)
-                    gateway.parameters(board)
-            n += 1
+    def tick() -> None:
+        n = next(numbers)
+        for board in boards or ("rig",):
+            gateway.state(board, **(values(n) if values is not None else {}))
+            if n % 50 == 0:
+                gateway.status(board)
+                gateway.parameters(board)
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
+    with repeated(tick, period_s):
         yield
-    finally:
-        stop.set()
-        thread.join()

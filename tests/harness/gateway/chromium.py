@@ -26,6 +26,19 @@ def chromium() -> Iterator[Browser]:
         browser.close()
 
 
+@contextmanager
+def open_tab(browser: Browser, *, width: int = 1400, height: int = 900, url: str | None = None) -> Iterator[Page]:
+    """Open a tab, whose addresses begin with `url`; no script in it may fail."""
+    context = browser.new_context(viewport={"width": width, "height": height}, base_url=url)
+    context.set_default_timeout(HANG_MS)
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    yield page
+    context.close()
+    assert errors == []
+
+
 def start_job(page: Page, name: str) -> None:
     """Press the button of that name as soon as it may be pressed; the server must answer that its job has started."""
     with page.expect_response("**/job", timeout=WORK_MS) as answer:

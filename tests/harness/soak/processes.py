@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.harness.repeated import repeated
 from tests.patience import HANG_S
 
 LOOK_S = 1.0
@@ -144,19 +144,14 @@ class Service:
 @contextmanager
 def looked_at(services: Sequence[Service]) -> Iterator[None]:
     """Look at them each second; at the end of the block whatever still runs is killed."""
-    stop = threading.Event()
 
-    def work() -> None:
-        while not stop.wait(LOOK_S):
-            for service in services:
-                service.look()
+    def look() -> None:
+        for service in services:
+            service.look()
 
-    thread = threading.Thread(target=work)
-    thread.start()
     try:
-        yield
+        with repeated(look, LOOK_S):
+            yield
     finally:
-        stop.set()
-        thread.join()
         for service in services:
             service.kill()

@@ -141,11 +141,17 @@ class Lab:
         rig = self.rig
         i_0 = rig.equilibrium_current_a(x_m)
         gain = CE152.equilibrium_current_a(x_m) / i_0 * CE152.amplifier_gain_a_v / rig.amplifier_gain_a_v
-        k = gains_in_counts(
-            Law.LQI,
-            (0.49, 1700.0 / gain, 17.7 / gain, -17600.0 / gain),
-            (i_0, x_m, rig.equilibrium_input_v(x_m)),
-        )
+        gains = (0.49, 1700.0 / gain, 17.7 / gain, -17600.0 / gain)
+        self.close_loop(gains, (i_0, x_m, rig.equilibrium_input_v(x_m)))
+
+    def close_loop(
+        self, gains: tuple[float, ...], point: tuple[float, float, float], *, i_c_a: float | None = None
+    ) -> None:
+        """Put the ball at rest at this operating point of i_c, x and u_c, and close the loop with these gains.
+
+        `i_c_a` is the current that flows, where it is not that of the point.
+        """
+        k = gains_in_counts(Law.LQI, gains, point)
         self.ask(
             "SET_GAINS",
             law=int(Law.LQI),
@@ -155,9 +161,9 @@ class Lab:
             x_0=k.x_0,
             u_0=k.u_0,
         )
-        self.ask("SET_REFERENCE", x_ref=POSITION.to_count(x_m))
+        self.ask("SET_REFERENCE", x_ref=POSITION.to_count(point[1]))
         self.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
-        self.plant.set_state(x_m, i_c_a=i_0)
+        self.plant.set_state(point[1], i_c_a=point[0] if i_c_a is None else i_c_a)
 
     def excite(self, shape: Shape, *, on_reference: bool, amplitude: int, offset: int, period: int, seed: int) -> None:
         self.ask(

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import board51
-from gateway.emulator.firmware_model.flash import POSITION, gains_in_counts
+from gateway.emulator.firmware_model.flash import POSITION
 from gateway.emulator.plant.constants import CE152
-from protocol.wire.messages import Law, Mode, Shape
+from protocol.wire.messages import Shape
 from tests.harness.twin.emulated_campaign import Lab
 from tests.harness.twin.true_model import true_model
 from twin.control import discrete, linearise
@@ -29,19 +29,7 @@ def error_m(effects: dict[str, float], made: Design) -> float:
     """rms of x_ref - x on the emulated rig under these gains, steps of 0.6 mm."""
     lab = Lab(CE152, effects=effects, seed=3)
     point = made.point
-    k = gains_in_counts(Law.LQI, made.gains, (point.i_a, point.x_m, point.u_v))
-    lab.ask(
-        "SET_GAINS",
-        law=int(Law.LQI),
-        **{f"k{n + 1}_mantissa": k.mantissas[n] for n in range(4)},
-        **{f"k{n + 1}_shift": k.shifts[n] for n in range(4)},
-        i_0=k.i_0,
-        x_0=k.x_0,
-        u_0=k.u_0,
-    )
-    lab.ask("SET_REFERENCE", x_ref=POSITION.to_count(MIDDLE_M))
-    lab.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
-    lab.plant.set_state(MIDDLE_M, i_c_a=CE152.equilibrium_current_a(MIDDLE_M))
+    lab.close_loop(made.gains, (point.i_a, point.x_m, point.u_v), i_c_a=CE152.equilibrium_current_a(MIDDLE_M))
     lab.run(300)
     span, middle = POSITION.span(0.3e-3), POSITION.to_count(MIDDLE_M)
     lab.excite(Shape.RECTANGLE, on_reference=True, amplitude=span, offset=middle, period=500, seed=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -14,6 +13,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.ports import free_endpoint
+from tests.harness.repeated import repeated
 from tests.harness.twin.rig import Rig
 
 
@@ -33,19 +33,9 @@ def gateway(endpoint: str, parameters: pb.Parameters, *, accepts: bool) -> Itera
             query.reply(query.key_expr, reply.SerializeToString())
 
         session.declare_queryable(topics.key("lab", "rig1", "command"), answer)
-        over = threading.Event()
-
-        def repeat() -> None:
-            while not over.wait(0.05):
-                session.put(topics.key("lab", "rig1", "parameters"), parameters.SerializeToString())
-
-        publisher = threading.Thread(target=repeat)
-        publisher.start()
-        try:
+        key, data = topics.key("lab", "rig1", "parameters"), parameters.SerializeToString()
+        with repeated(lambda: session.put(key, data), 0.05):
             yield received
-        finally:
-            over.set()
-            publisher.join()
 
 
 def board() -> pb.Parameters:

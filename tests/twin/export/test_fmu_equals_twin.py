@@ -96,7 +96,13 @@ def test_it_flies_as_the_twin(name: str, fmi: str, closed_loop: bool, made: Made
 
 
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("no causes", "late, dry, offset", "hidden states", "remainder"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("another rig", "two time constants")),
+    ],
+)
 def test_the_standard_finds_nothing_wrong(name: str, fmi: str, tmp_path: Path) -> None:
     path = tmp_path / "rig.fmu"
     path.write_bytes(fmu(MODELS[name], law(name), fmi=fmi, compiler="").content)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.record import Record
 from twin.identification.horizon import error_at
 from twin.identification.pipeline import identify_records
+from twin.identification.result import Identification
 
 # A CE 152 by its numbers; its coil's plane is 2.4 mm above the stop.
 BALL = Ball(K_A=0.297, T_A=3e-4, K_c=5.607e-6, b=0.02, m=CE152.mass_kg, travel=CE152.travel_m, x_max=8.1e-3)
@@ -54,9 +56,15 @@ def flights(seed: int) -> list[Record]:
     return [bounces, lab.record("wide", "closed-loop", 1600)]
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@cache
+def identified(seed: int) -> tuple[list[Record], Identification]:
+    records = flights(seed)
+    return records, identify_records(CAMPAIGN, records)
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_error_of_the_law_is_not_called_noise_of_the_sensor(seed: int) -> None:
-    found = identify_records(CAMPAIGN, flights(seed))
+    _, found = identified(seed)
 
     noise = found.model.noise
     # 3200 samples know a standard deviation to 1.3 %; what the law lacks may add to it, but not make it another size.
@@ -80,7 +88,7 @@ def throws(levels_v: tuple[float, ...], seed: int) -> Record:
     return replace(record, x=x)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_ball_that_turns_where_the_law_has_its_pole_does_not_outvote_the_flights(seed: int) -> None:
     flight = BALL.closed_loop(wandering(seed, 1600, middle=2.85e-3, span=0.8e-3), 1600, seed=seed + 10)
     alone = identify_records(CAMPAIGN, [flight])
@@ -98,9 +106,7 @@ def test_a_ball_that_turns_where_the_law_has_its_pole_does_not_outvote_the_fligh
 
 
 def test_a_model_that_predicts_worse_than_none_is_said_to_and_its_ball_stays_between_the_stops() -> None:
-    records = flights(0)
-
-    found = identify_records(CAMPAIGN, records)
+    records, found = identified(0)
 
     assert found.ahead is not None
     assert found.ahead.rmse_m > found.ahead.constant_m

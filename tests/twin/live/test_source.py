@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +14,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from protocol.errors import ServiceError, UsageError
 from tests.harness.ports import free_endpoint
+from tests.harness.repeated import repeated
 from tests.harness.twin.twin_bus import router
 from twin.live.folder import changes_of, controller_of, plant_of, write
 from twin.live.pieces import cut
@@ -97,23 +98,16 @@ def test_a_change_of_gains_is_where_recordings_end_and_leaves_no_single_law() ->
 @contextmanager
 def gateway(session: zenoh.Session, *boards: str) -> Iterator[None]:
     """Publishes a status and a sample of each board, over and over."""
-    end = threading.Event()
+    ticks = itertools.count()
 
-    def work() -> None:
-        tick = 0
-        while not end.wait(0.01):
-            for board in boards:
-                session.put(f"lab/{board}/status", pb.Status(session=7).SerializeToString())
-                session.put(f"lab/{board}/state", state(tick).SerializeToString())
-            tick += 1
+    def publish() -> None:
+        tick = next(ticks)
+        for board in boards:
+            session.put(f"lab/{board}/status", pb.Status(session=7).SerializeToString())
+            session.put(f"lab/{board}/state", state(tick).SerializeToString())
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
+    with repeated(publish, 0.01):
         yield
-    finally:
-        end.set()
-        thread.join()
 
 
 @pytest.mark.slow

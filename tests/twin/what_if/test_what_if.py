@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import board51
-from gateway.emulator.firmware_model.flash import POSITION, gains_in_counts
+from gateway.emulator.firmware_model.flash import POSITION
 from gateway.emulator.plant.constants import CE152
 from protocol.bus import board51_pb2 as pb
-from protocol.wire.messages import Law, Mode, Shape
+from protocol.wire.messages import Shape
 from tests.harness.twin.emulated_campaign import TICK_S, Lab
 from tests.harness.twin.true_model import true_model
 from twin.api.functions import design
@@ -54,20 +54,7 @@ def law_of(gains: Gains) -> LawNumbers:
 def flight(gains: Gains, seed: int, effect: str = "", strength: float = 0.0, ticks: int = 3000) -> Record:
     """Steps of 0.6 mm under these gains, after the loop has settled."""
     lab = Lab(CE152, effects={effect: strength} if effect else {}, seed=seed)
-    i_0 = CE152.equilibrium_current_a(X_M)
-    k = gains_in_counts(Law.LQI, gains, (i_0, X_M, CE152.equilibrium_input_v(X_M)))
-    lab.ask(
-        "SET_GAINS",
-        law=int(Law.LQI),
-        **{f"k{n + 1}_mantissa": k.mantissas[n] for n in range(4)},
-        **{f"k{n + 1}_shift": k.shifts[n] for n in range(4)},
-        i_0=k.i_0,
-        x_0=k.x_0,
-        u_0=k.u_0,
-    )
-    lab.ask("SET_REFERENCE", x_ref=POSITION.to_count(X_M))
-    lab.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
-    lab.plant.set_state(X_M, i_c_a=i_0)
+    lab.close_loop(gains, (CE152.equilibrium_current_a(X_M), X_M, CE152.equilibrium_input_v(X_M)))
     lab.run(600)
     span, middle = POSITION.span(0.3e-3), POSITION.to_count(X_M)
     lab.excite(Shape.RECTANGLE, on_reference=True, amplitude=span, offset=middle, period=500, seed=1)

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -14,6 +13,7 @@ import pytest
 import zenoh
 
 from tests.harness.ports import free_endpoint
+from tests.harness.repeated import repeated
 from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait
 from tests.patience import HANG_S
@@ -137,21 +137,15 @@ def running(words: list[str]) -> Iterator[subprocess.Popen[bytes]]:
 @contextmanager
 def speaking(session: zenoh.Session) -> Iterator[Callable[[], bool]]:
     """A board that repeats itself; yields whether a twin has answered since the last call."""
-    rig, heard, over = Rig(seed=2), Heard(session, "lab"), threading.Event()
+    rig, heard = Rig(seed=2), Heard(session, "lab")
     rig.hold(HELD)
 
     def speak() -> None:
-        while not over.wait(0.02):
-            session.put("lab/rig/parameters", rig.parameters().SerializeToString())
-            publish(session, list(rig.run(1, HELD)))
+        session.put("lab/rig/parameters", rig.parameters().SerializeToString())
+        publish(session, list(rig.run(1, HELD)))
 
     def answered() -> bool:
         return bool(heard.payloads.pop("lab/rig/twin/divergence", []))
 
-    speaker = threading.Thread(target=speak)
-    speaker.start()
-    try:
+    with repeated(speak, 0.02):
         yield answered
-    finally:
-        over.set()
-        speaker.join()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-import threading
+from contextlib import AbstractContextManager
 
 import pytest
 import zenoh
@@ -11,6 +12,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.ports import free_endpoint
+from tests.harness.repeated import repeated
 from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait, wait_for_count
 from twin.mirror.bus import service as service_module
@@ -140,28 +142,24 @@ def test_a_twin_that_hears_status_and_no_samples_hears_through_a_new_session(mon
             "subjects": [{"id": "first", "zids": [str(service._session.zid())]}],
             "policies": [{"rules": ["deaf"], "subjects": ["first"]}],
         }  # fmt: skip
-        stop = threading.Event()
-        with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
-            gateway = threading.Thread(target=stream, args=(session, stop))
-            gateway.start()
-            try:
-                wait(lambda: "rig" in service.boards and service.boards["rig"].samples > 20, "samples", 40.0)
-            finally:
-                stop.set()
-                gateway.join()
+        with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session, streaming(session):
+            wait(lambda: "rig" in service.boards and service.boards["rig"].samples > 20, "samples", 40.0)
 
         assert service.renewed >= 1  # on a busy machine a new session may need longer than a second
 
 
-def stream(session: zenoh.Session, stop: threading.Event) -> None:
+def streaming(session: zenoh.Session) -> AbstractContextManager[None]:
     """A board that streams, as a gateway publishes it."""
-    tick = 0
+    ticks = itertools.count(1)
     status = pb.Status(link="streaming", samples_per_s=500.0).SerializeToString()
-    while not stop.wait(0.02):
-        tick += 1
+
+    def publish() -> None:
+        tick = next(ticks)
         state = pb.State(sequence=tick, tick=tick, session=1)
         session.put("lab/rig/states", pb.StateBatch(states=[state]).SerializeToString())
         session.put("lab/rig/status", status)
+
+    return repeated(publish, 0.02)
 
 
 def test_a_tick_is_sent_alone_only_where_somebody_subscribes_to_ticks(endpoint: str) -> None:
