@@ -87,7 +87,6 @@ class Regime:
         probability = probability_per_window(settings.false_alarms_per_day, self.window * sample_time_s)
         self.nis_on = white_threshold(self.window, 2, probability)
         self.nis_off = white_threshold(self.window, 2, OFF_PROBABILITY)
-        self._travel_m = model.plant.travel_m
         self._expected: ExpectedError | None = None
         if parameters and self.law:
             self._expected = ExpectedError(
