@@ -64,6 +64,7 @@ class KnownParameters:
         history = self._history.get(session)
         if not history:
             return None
+        # Dropped once they are past: the ticks of a session only rise.
         while len(history) > 1 and history[1][0] <= tick:
             history.pop(0)
         return history[0][1] if history[0][0] <= tick else None

@@ -134,16 +134,16 @@ class Bench(Yardstick):
             gains = pool.map(partial(self.gain, before, after), affordable)
             return [result for result in gains if result is not None][::-1]
 
-    def _affordable(self, wanted: Sequence[int], thetas: Sequence[Theta]) -> list[int]:
+    def _affordable(self, lengths: Sequence[int], thetas: Sequence[Theta]) -> list[int]:
         """The horizons within the budget; that of the answer has priority."""
         pace, paid = pace_of(self.judge.series), set()
-        for samples in sorted(wanted, key=lambda samples: abs(samples * self.tick_s - settings.BENEFIT_HORIZON_S)):
+        for samples in sorted(lengths, key=lambda samples: abs(samples * self.tick_s - settings.BENEFIT_HORIZON_S)):
             with suppress(Spent), self.budget.question(f"the error of x {1e3 * samples * self.tick_s:.0f} ms ahead"):
                 self.budget.take(
                     sum(pace.steps_ahead(theta.base(self.plant), theta.vector(), samples) for theta in thetas)
                 )
                 paid.add(samples)
-        return [samples for samples in wanted if samples in paid]
+        return [samples for samples in lengths if samples in paid]
 
 
 def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> tuple[float, float]:

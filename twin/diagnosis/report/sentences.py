@@ -188,11 +188,13 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
     unsure = [finding for finding in diagnosis.causes if not diagnosis.holds(finding)]
     if diagnosis.verdict in ("causes-found", "partly-explained"):
         text = _causes_sentence(sure, whole=not unsure) + _classes_sentence(sure) + gain
-        beside = " In addition, as candidates: "
+        introduction = " In addition, as candidates: "
         if diagnosis.verdict == "partly-explained":
             text += _rest_clause(diagnosis)
-            beside = " These are smaller than the rest, and perhaps only due to another form of an equation: "
-        return text + (f"{beside}{_causes_sentence(unsure, whole=False)}" if unsure else "") + _rivals_sentence(unsure)
+            introduction = " These are smaller than the rest, and perhaps only due to another form of an equation: "
+        if unsure:
+            text += introduction + _causes_sentence(unsure, whole=False)
+        return text + _rivals_sentence(unsure)
     where = diagnosis.unexplained_where.removeprefix("most ")
     rest = f" The remaining error is largest {where}." if where else ""
     if not diagnosis.causes:

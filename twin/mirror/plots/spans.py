@@ -39,6 +39,7 @@ def draw_spans(columns: list[Column], out: Path, *, title: str) -> None:
         error, innovation = _column(axes[:, k], column, first=k == 0)
         errors.append(error)
         innovations.append(innovation)
+    # Of all spans together: on scales of their own, a bad span would look like a good one.
     _scale(axes[2, 0], np.concatenate(errors))
     _scale(axes[3, 0], np.concatenate(innovations))
     handles: dict[str, Artist] = {}  # each label once
