@@ -37,7 +37,7 @@ def show(path: Path) -> None:
         print(f"no screen to show it: see {path}", file=sys.stderr)
 
 
-def show_text(path: Path, title: str, text: str, *, notes: Sequence[str] = (), figures: Sequence[Figure] = ()) -> None:
+def show_text(path: Path, title: str, text: str, *, figures: Sequence[Figure] = ()) -> None:
     """Write a page for a result without a report, and show it.
 
     Raises:
@@ -49,8 +49,6 @@ def show_text(path: Path, title: str, text: str, *, notes: Sequence[str] = (), f
 
     pictures = [inline(figure, title, "png") for figure in figures]
     answer, _, rest = text.partition("\n")
-    page = render(
-        "page/text.html", title=title, answer=answer, colour="", text=rest.strip("\n"), notes=notes, pictures=pictures
-    )
+    page = render("page/text.html", title=title, answer=answer, colour="", text=rest.strip("\n"), pictures=pictures)
     write_text(path, page)
     show(path)

@@ -13,6 +13,7 @@ from twin.comparison.parameters import Course, courses
 from twin.estimation.family import holm
 from twin.estimation.record import Record
 from twin.model.parameters import Model
+from twin.page.plain import micrometres
 
 SAME_TIME = 0.05  # of the sampling time: flights nearer than that have the same horizons
 
@@ -179,12 +180,6 @@ def _names(models: Sequence[Model]) -> tuple[str, ...]:
 
 def _days(models: Sequence[Model]) -> tuple[str, ...]:
     return tuple("" if model.measured is None else model.measured.isoformat() for model in models)
-
-
-def micrometres(value_m: float) -> str:
-    """Write an error in micrometres with three digits, without an exponent."""
-    value = value_m * 1e6
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _ms(change: Change) -> str:

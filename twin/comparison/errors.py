@@ -21,7 +21,7 @@ import numpy as np
 
 from twin.distributions import student_above, student_quantile
 from twin.estimation.record import FloatArray, Record
-from twin.identification.horizon import HORIZONS_S
+from twin.identification.horizon import horizons
 from twin.model.parameters import Model
 from twin.prediction import Prediction, predict
 from twin.settings.diagnosis import ERROR_BLOCK_S
@@ -73,11 +73,6 @@ class Change:
     count: int  # predictions of both sides
     blocks: int
     significant: bool = False  # by Holm's method over all changes of the comparison
-
-
-def horizons(tick_s: float) -> tuple[int, ...]:
-    """Return the horizons in samples of this sampling time."""
-    return tuple(sorted({max(round(horizon_s / tick_s), 1) for horizon_s in HORIZONS_S}))
 
 
 def predictions(model: Model, record: Record) -> list[Prediction]:

@@ -7,12 +7,12 @@ from dataclasses import asdict
 from typing import Any
 
 from twin.comparison import figures
-from twin.comparison.comparison import Comparison, micrometres
+from twin.comparison.comparison import Comparison
 from twin.comparison.errors import WHOLE, Change
 from twin.comparison.parameters import Course
 from twin.distributions import Z_95
 from twin.page.figures import Picture, inline
-from twin.page.plain import columns, plain
+from twin.page.plain import columns, micrometres, plain
 from twin.page.render import Mark, render
 
 TITLES = {

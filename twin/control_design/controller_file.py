@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from protocol.bus import board51_pb2 as pb
+from protocol.campaign import Controller, OperatingPoint
 from protocol.checked import KEYS, Number, checked, key
 from protocol.errors import DataError
 from protocol.files import parse_json, read_small
-from twin.control import LawNumbers, law_numbers
+from twin.control import LawNumbers
 from twin.control_design.gains import Law
+from twin.evidence.checks import control_law
 
 REMEDY = "Give a controller.json as `board51 design --out` writes it"
 Gains = tuple[Number, Number, Number, Number]  # in the order of the law (protocol/README.md, rule 9), SI units
@@ -78,18 +79,9 @@ def numbers_of(
         u_range_v: limits of u_c, V.
         x_lsb_m: one count of x, m, which limits the integral; 0: no limit.
     """
-    numbers = law_numbers(
-        pb.Parameters(
-            law=pb.LAW_PID if law == "pid" else pb.LAW_LQI,
-            gains=gains,
-            i_0_a=point.i_0_a,
-            x_0_m=point.x_0_m,
-            u_0_v=point.u_0_v,
-            u_min_v=u_range_v[0],
-            u_max_v=u_range_v[1],
-            sample_time_s=sample_time_s,
-            x_lsb_m=x_lsb_m,
-        )
-    )
+    at = OperatingPoint(i_c_a=point.i_0_a, x_m=point.x_0_m, u_c_v=point.u_0_v)
+    controller = Controller(kind=law, gains=gains, operating_point=at)
+    low, high = u_range_v
+    numbers = control_law.numbers_of(controller, sample_time_s, u_low=low, u_high=high, x_lsb_m=x_lsb_m)
     assert numbers is not None  # all of them are there, and finite
     return numbers

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.control import discrete
 from twin.control_design.loop import Controller, Plant, radius
-from twin.model.causes.catalogue import BY_NAME
+from twin.inference.theta import parameter_of
 from twin.model.parameters import PARAMETERS, Model, Parameter
 
 SAMPLES = 400
@@ -88,11 +88,11 @@ def plant_at(model: Model, x_m: float, sample_time_s: float) -> Plant:
 
 def _within_range(name: str, value: float) -> float:
     """Limit the value of a parameter of the paper, or of a "cause.parameter", to its physical range."""
-    cause, _, parameter = name.partition(".")
-    if not parameter:
-        return min(max(value, PARAMETERS[name][1]), PARAMETERS[name][2])
-    known = next(entry for entry in BY_NAME[cause].parameters if entry.name == parameter)
-    return min(max(value, known.low), known.high)
+    if name in PARAMETERS:
+        _, low, high = PARAMETERS[name]
+    else:
+        low, high = parameter_of(name).low, parameter_of(name).high
+    return min(max(value, low), high)
 
 
 def _with(model: Model, values: Mapping[str, float]) -> Model:

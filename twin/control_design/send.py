@@ -25,15 +25,7 @@ PARAMETERS_WAIT_S = 7.0  # the gateway repeats them every 5 s
 REPLY_WAIT_S = 5.0
 
 
-def send(
-    design: Design,
-    *,
-    site: str,
-    board: str,
-    endpoint: str,
-    who: str = "board51 design",
-    identity: Identity | None = None,
-) -> str:
+def send(design: Design, *, site: str, board: str, endpoint: str, identity: Identity | None = None) -> str:
     """Load `design` into `board`; in closed loop the gains are in force within one tick.
 
     Returns:
@@ -50,7 +42,7 @@ def send(
         raise UsageError("the loop is unstable on its own model: nothing was sent", remedy="Choose other weights")
     with open_client((endpoint,), identity) as session:
         check_board(design, _parameters(session, site, board))
-        reply = _send(session, site, board, _command(design, who), identity)
+        reply = _send(session, site, board, _command(design), identity)
     if not reply.accepted:
         raise ServiceError(
             f"{site}/{board} did not accept the gains: refused by {reply.refused_by}, {reply.reason} ({reply.text})",
@@ -101,11 +93,11 @@ def _parameters(session: zenoh.Session, site: str, board: str) -> pb.Parameters:
         ) from None
 
 
-def _command(design: Design, who: str) -> pb.Command:
+def _command(design: Design) -> pb.Command:
     point = design.point
     return pb.Command(
         id=uuid.uuid4().hex,
-        who=who,
+        who="board51 design",
         # Dated and valid for a short time: gains that were held up must not change a later flight.
         issued_ns=time.time_ns(),
         valid_s=REPLY_WAIT_S,

@@ -176,6 +176,7 @@ def _height(group: Sequence[_Flown], model: Model) -> Height:
     joined = {name: _joined(several) for name, several in measured.items()}
     x_m = float(np.mean([part.setting.x_m for part in group]))
     law = next((part.setting.law for part in group if part.setting.law is not None), None)
+    # Curves and margins at the mean height.  The tests do not use them: each part was compared at its own height.
     setting = replace(group[0].setting, law=law, x_m=x_m)
     every = np.concatenate([m.f_hz for m in joined.values()] or [np.array([1.0])])
     # Below half the sampling rate, at which a sampled response has no phase.
@@ -187,6 +188,7 @@ def _height(group: Sequence[_Flown], model: Model) -> Height:
         recordings=tuple(dict.fromkeys(part.name for part in group)),
         measured=joined,
         model=curves(model, setting, dense),
+        # S and T are functions of L: with them one difference would be tested three times.
         deviations={name: _joined(several) for name, several in differing.items() if name not in ("S", "T")},
         margins=measured_margins,
         model_margins=model_margins,
@@ -241,6 +243,7 @@ def _margins(loop: Measured | None, model: Model, setting: Setting) -> tuple[dic
     # Half of the variance for either part: std^2 is that of the complex error.
     noise = rng.standard_normal((DRAWS, 2, len(f_hz))) * std / np.sqrt(2.0)
     measured = with_intervals(f_hz, value, list(value + noise[:, 0] + 1j * noise[:, 1]))
+    # Not within the measured frequencies alone: the model is known at all of them.
     dense = np.geomspace(0.1, 0.49 / setting.sample_time_s, 2 * CURVE_POINTS)
     curve = curves(model, setting, dense).get("loop")
     if curve is None:

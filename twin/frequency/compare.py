@@ -87,4 +87,5 @@ def _chance(z: FloatArray, noise: FloatArray, parameter_part: FloatArray, dof: F
     whole = noise + parameter_part
     share = np.trace(noise, axis1=1, axis2=2) / np.trace(whole, axis1=1, axis2=2)
     size = 0.5 * np.einsum("fa,fab,fb->f", z, np.linalg.inv(whole), z)
+    # Only the noise is estimated: where it is a small share, the variance is known nearly as if it were given.
     return np.asarray(fisher_above(size, 2.0, 2.0 * dof / share**2))

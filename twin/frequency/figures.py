@@ -23,6 +23,7 @@ SENSITIVITIES: tuple[Name, ...] = ("S", "T")
 
 def radius(m: Measured) -> FloatArray:
     """Return the radius of the disc that holds the response with 95 %, shape (F,)."""
+    # F and no chi-square: the noise is an estimate from few bins, which makes the disc larger.
     return np.asarray(m.std * np.sqrt(fisher_quantile(0.95, 2.0, 2.0 * m.dof)))
 
 
@@ -83,6 +84,7 @@ def residual_figure(spectra: Sequence[ResidualSpectrum]) -> Figure:
 
 
 def _gain(ax: Axes, measured: Measured, curve: Curve | None, unit: str) -> None:
+    # Not where the error exceeds the value: on a logarithmic axis such a bar has no lower end.
     drawn = measured.std < np.abs(measured.value)
     size, bar = np.abs(measured.value)[drawn], radius(measured)[drawn]
     if curve is not None:

@@ -53,6 +53,7 @@ def margins_of(f_hz: FloatArray, loop: ComplexArray) -> Margins:
     at_unity = turned[_changes(size)]
     crossing = _changes(turned)
     at_minus = np.exp(-size[crossing[np.abs(turned[crossing]) < 1.0]])  # without the jumps from pi to -pi
+    # The crossings nearest to a factor of 1: on the way to a farther one the loop is unstable already.
     return Margins(
         gain_low=float(at_minus[at_minus < 1.0].max(initial=-np.inf)) if (at_minus < 1.0).any() else np.nan,
         gain_high=float(at_minus[at_minus > 1.0].min(initial=np.inf)) if (at_minus > 1.0).any() else np.nan,

@@ -47,6 +47,7 @@ def _spectrum(filtered: Sequence[Filtered], column: int, name: str) -> ResidualS
     total, segments, f_hz = np.zeros(1), 0, np.empty(0)
     for run in filtered:
         T_s = run.source.record.interval_s
+        # Even: only then the last bin is the Nyquist frequency, which is left out below.
         length = 2 * round(SEGMENT_S / T_s / 2)
         if len(f_hz) and len(f_hz) != length // 2 - 1:
             continue  # another sampling time

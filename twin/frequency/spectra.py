@@ -53,7 +53,6 @@ class Spectra:
     u: ComplexArray  # V
     i: ComplexArray  # A
     x: ComplexArray  # m
-    periodic: bool
 
     @property
     def dof(self) -> float:
@@ -87,6 +86,7 @@ class Spectra:
 
 def _straight(count: int) -> FloatArray:
     """An orthonormal basis of the straight lines over a band, shape (count, 2)."""
+    # Centred, so that it is orthogonal to the constant: a projection is then two products, without a matrix to solve.
     ramp = np.arange(count) - 0.5 * (count - 1)
     return np.column_stack((np.full(count, count**-0.5), ramp / np.linalg.norm(ramp)))
 
@@ -133,5 +133,4 @@ def spectra(signals: FloatArray, part: Part, interval_s: float) -> Spectra | Non
         u=u,
         i=i,
         x=x,
-        periodic=bool(part.period),
     )

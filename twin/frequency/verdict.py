@@ -176,7 +176,7 @@ def _change(kind: str, value: float, f_hz: FloatArray) -> ComplexArray:
 
 def _range(tested: Sequence[Tested]) -> tuple[float, float]:
     """The lowest and the highest frequency at which x / u_c is certain."""
-    certain = [of[name].f_hz[good[name]] for _, of, good in tested for name in ("plant",) if name in of]
+    certain = [of["plant"].f_hz[good["plant"]] for _, of, good in tested if "plant" in of]
     every = np.concatenate(certain) if certain else np.empty(0)
     return (float(every.min()), float(every.max())) if len(every) else (np.nan, np.nan)
 

@@ -22,6 +22,11 @@ from twin.inference.theta import Theta
 HORIZONS_S = (2e-3, 10e-3, 20e-3, 40e-3)
 
 
+def horizons(tick_s: float) -> list[int]:
+    """Return HORIZONS_S in samples of this sampling time, each once."""
+    return sorted({max(round(horizon_s / tick_s), 1) for horizon_s in HORIZONS_S})
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Horizon:
     """Error of the prediction of x at one horizon."""

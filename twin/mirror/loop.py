@@ -36,6 +36,7 @@ def advance(
     i, x, v = memory[I_READ], memory[X_READ], memory[V]
     if closed_loop:
         u = run_law(law_, memory, i, x, x_ref)
+    # In open loop, too: when the loop is closed, the law differences against the reading before.
     memory[X_BEFORE] = x
     hold(plant, memory, u)
     return i, x, v, u

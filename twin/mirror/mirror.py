@@ -96,8 +96,7 @@ class Mirror:
             return None
         self._last = now
         alarms: list[pb.Alarm] = []
-        bridged = 0
-        loss = self._enter_regime(now, last)
+        loss, bridged = self._enter_regime(now, last), 0
         consecutive = last is not None and same and now.tick == last.tick + 1 and not loss
         # One test for all that is out of the ordinary: the other samples, 500 a second, take the short way.
         if not consecutive or not self._flying or last is None or last.mode != now.mode or math.isnan(now.drive):
@@ -134,8 +133,7 @@ class Mirror:
             alarms += self.comparison.skip()
         for alarm in alarms:
             alarm.host_time_ns, alarm.tick, alarm.session = state.host_time_ns, state.tick, state.session
-        nis_on = regime.nis_on if regime is not None else 0.0
-        return Output(now, sync, bridged, flying, answer, tuple(alarms), nis_on)
+        return Output(now, sync, bridged, flying, answer, tuple(alarms), 0.0 if regime is None else regime.nis_on)
 
     def use(self, model: Model) -> list[pb.Alarm]:
         """Use `model` from the next sample on; returns the alarms that end with the previous model.
@@ -146,6 +144,7 @@ class Mirror:
             ValueError, ArithmeticError, numpy.linalg.LinAlgError: no twin can be made of these numbers.
         """
         regime = self.regime
+        # Made before anything is changed: numbers of which no twin can be made raise here.
         if regime is not None:
             regime = Regime(model, self.settings, sample_time_s=regime.sample_time_s, parameters=regime.parameters)
         self.model, self.regime = model, regime
@@ -200,6 +199,7 @@ class Mirror:
         """Prepare the regime for this sample's T_s and parameters; returns why the twin loses step by that, or ''."""
         parameters = self._known.at(now.session, now.tick)
         regime = self.regime
+        # The same object at nearly every sample: messages are compared field by field only where it is another.
         if regime is not None and parameters is regime.parameters and parameters is not None:
             return ""
         same = last is not None and last.session == now.session
@@ -226,6 +226,7 @@ class Mirror:
     def _hold(self, regime: Regime) -> Packed:
         """Clear all windows and pack what stays constant during the regime."""
         self.comparison.start(regime.window, regime.hold)
+        # Not a number until the first start: `_start` sees by it that nobody knows how warm the coil is.
         self._twin = np.full(places(regime.plant), math.nan)
         return regime.packed(self.comparison.windows, self._twin)
 
@@ -286,16 +287,15 @@ class Mirror:
 
     def _decide_sync(self, loss: str, bridged: int, alarms: list[pb.Alarm]) -> str:
         if not self._flying or loss:
-            sync = OUT_OF_STEP
+            self.sync = OUT_OF_STEP
         elif self._settling_ticks > 0:
-            sync = SETTLING
+            self.sync = SETTLING
             self._settling_ticks -= 1 + bridged
         else:
-            sync = IN_STEP
-        self.sync = sync
-        self.counters[_SAMPLES_IN[sync]] += 1
+            self.sync = IN_STEP
+        self.counters[_SAMPLES_IN[self.sync]] += 1
         # In step, not when settling begins: a loop that loses step again and again would raise it each time.
-        if sync == IN_STEP and self._alarm_active:
+        if self.sync == IN_STEP and self._alarm_active:
             self._alarm_active = False
             alarms.append(pb.Alarm(name=OUT_OF_STEP, active=False, value=self._losses(), text="in step again"))
-        return sync
+        return self.sync

@@ -130,6 +130,7 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     carry(f.F, f.P, f.G, f.m)
     add_process_noise(f, T_s)
     cut = n - 1 - int(o.since_cut[0]) if o.since_cut[0] < n - 1 else -1
+    # Only where a cut or a stop may lie within the tick: each case is one more run of the model over it.
     if cut >= 0 or not 0.0 <= f.y[X] <= Base(*base_of(f)).travel_m:
         spread_over_cases(f, o.inputs, n, T_s, cut)
     take_readings(f, out, i, x, True, True)

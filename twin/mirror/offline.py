@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -132,9 +133,7 @@ def run_log(
     runs: dict[tuple[str, str], BoardRun] = {}
     reader = LogReader(path)
     belief = believe(model)
-    log = TwinLog(out) if out else None
-
-    try:
+    with TwinLog(out) if out else nullcontext() as log:
         for entry in entries(reader, topics=("state", "parameters", "twin/model"), board=board):
             run = runs.get((entry.site, entry.board))
             if run is None:
@@ -157,9 +156,6 @@ def run_log(
                     on_output(run, state, output)
                 if output is not None and log:
                     _write_output(log, entry, output)
-    finally:
-        if log:
-            log.__exit__()
     analysed = [run for run in runs.values() if run.samples]
     if not analysed:
         raise DataError(

@@ -64,6 +64,7 @@ class KnownParameters:
         history = self._history.get(session)
         if not history:
             return None
+        # Dropped once they are past: the ticks of a session only rise.
         while len(history) > 1 and history[1][0] <= tick:
             history.pop(0)
         return history[0][1] if history[0][0] <= tick else None
@@ -87,7 +88,6 @@ class Regime:
         probability = probability_per_window(settings.false_alarms_per_day, self.window * sample_time_s)
         self.nis_on = white_threshold(self.window, 2, probability)
         self.nis_off = white_threshold(self.window, 2, OFF_PROBABILITY)
-        self._travel_m = model.plant.travel_m
         self._expected: ExpectedError | None = None
         if parameters and self.law:
             self._expected = ExpectedError(

@@ -37,6 +37,7 @@ def read(state: pb.State, counters: Counter[str]) -> Sample:
     """The sample of a message; what is missing is counted in `counters`."""
     i, x, u, x_ref, mode = state.i_c_a, state.x_m, state.u_c_v, state.x_ref_m, state.mode
     whole = math.isfinite(i + x + u + x_ref)
+    # Presence is asked only where a 0 leaves it open: four questions take twice as long as reading the four numbers.
     if not whole or i == 0.0 or x == 0.0 or u == 0.0 or x_ref == 0.0:  # 0 is what an absent field reads as
         i = _finite("i_c", i if state.HasField("i_c_a") else math.nan, counters)
         x = _finite("x", x if state.HasField("x_m") else math.nan, counters)

@@ -47,6 +47,8 @@ def mark(parameters: Mapping[str, Parameter], plant: Plant, names: tuple[str, ..
 
 def rests_on_plant(cause: Cause) -> bool:
     """Return whether the size of a cause depends on mass or travel."""
+    # Whatever the family: a cause of the amplifier that follows the gap rests on the travel, too.
     if "of-the-gap" in cause.traits:
         return True
+    # u_c, i_c and the ticks are the board's own: what acts on them alone rests on no mass.
     return cause.family not in _FREE_OF_IT and "current sensor" not in cause.acts_on

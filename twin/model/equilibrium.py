@@ -117,6 +117,7 @@ def steady_current(p: Base, c: Vector, u_v: float) -> float:
     for _ in range(_SETTLING):
         before = float(y[I_C])
         y[X], y[V], y[WARMTH] = 0.0, 0.0, lasting_warmth(c, before)
+        # A step longer than `advance` is exact for: only where the current comes to rest counts, not how it gets there.
         advance(packed, c, y, u_v, 0.0, _SETTLING_STEP_S, True)
         if abs(y[I_C] - before) <= 1e-12:
             break

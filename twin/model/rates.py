@@ -56,6 +56,7 @@ def rates(p: Base, c: Vector, i: float, x: float, v: float, u: float) -> tuple[f
     """
     plane, gap_mid = air_gap_offset.gap_m(c, p.x_max_m), p.x_max_m - 0.5 * p.travel_m
     gap = max(plane - x, GAP_MIN_SHARE * p.travel_m)
+    # Cold: a model that warms has a state more, and never comes here (`without_equation`).
     target = drive(p, c, u, 0.0) - p.K_A * diode.lost_v(c, u, i, p.K_A)
     T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
     resisted = i

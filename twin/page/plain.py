@@ -28,6 +28,12 @@ def _plain(value: object, digits: int) -> object:
     return value
 
 
+def micrometres(value_m: float) -> str:
+    """Write a length in micrometres with three digits, never with an exponent."""
+    value = value_m * 1e6
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
 def columns(rows: Sequence[Sequence[str | Mark]]) -> list[str]:
     """Return a line of text for each row, its cells below one another."""
     cells = [[cell if isinstance(cell, str) else cell.text for cell in row] for row in rows]

@@ -72,12 +72,12 @@ def simulate_loop(
             memory[V] += noise[3, k]
 
 
-def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> tuple[list[LoopRun], list[str]]:
-    """Return (all flights that can be simulated, sentences on why the others cannot); `seed`: of the noise."""
+def closed_loops(runs_: Sequence[Filtered], model: Model) -> tuple[list[LoopRun], list[str]]:
+    """Return (all flights that can be simulated, sentences on why the others cannot)."""
     flights: list[LoopRun] = []
     why: dict[str, list[str]] = {}
-    for n, run in enumerate(runs_):
-        loops, reason = _flights(run, model, seed=seed + n)
+    for seed, run in enumerate(runs_, 1):
+        loops, reason = _flights(run, model, seed=seed)
         flights += loops
         if reason:
             why.setdefault(reason, []).append(run.source.record.name)

@@ -8,7 +8,7 @@ import numpy as np
 
 from protocol.errors import DataError
 from twin.control import LawNumbers, integral_behind
-from twin.estimation.record import FloatArray, runs
+from twin.estimation.record import FloatArray, Record, runs
 from twin.estimation.rollout import SETTLE_S
 from twin.model.parameters import Model
 from twin.validation.extended import system_of
@@ -30,15 +30,9 @@ class Flight:
     disturbed: Disturbances
 
     @property
-    def t_s(self) -> FloatArray:
-        """Return the time from the first sample on, s."""
-        t = self.source.record.t[self.part]
-        return np.asarray(t - t[0])
-
-    @property
-    def x_ref_m(self) -> FloatArray:
-        """Return the recorded reference, m."""
-        return self.source.record.x_ref[self.part]
+    def record(self) -> Record:
+        """Return what was recorded of it."""
+        return self.source.record.part(self.part)
 
 
 def longest_flight(source: Source) -> slice:

@@ -131,7 +131,7 @@ def forecast(
     """
     rng = np.random.default_rng(seed)
     flight = split(source, model)
-    recorded = flight.source.record.part(flight.part)
+    recorded = flight.record
     other = x_ref_m is not None
     x_ref = np.ascontiguousarray(recorded.x_ref if x_ref_m is None else x_ref_m)
     # The first draw has the parameters of the model itself, whose flight is split already.
@@ -142,7 +142,7 @@ def forecast(
     sigma_m = model.noise.sigma_x_m
     rows = [figures_of(x_ref, out[1], out[2], law, sigma_m) for out in flights]
     own = [] if other else figures_of(x_ref, recorded.x, recorded.u_c, law, sigma_m)
-    followed = None if then is None else _followed(then, model)
+    followed = None if then is None else split(then, model).record
     after = [] if followed is None else figures_of(followed.x_ref, followed.x, followed.u_c, law, sigma_m)
     return Forecast(
         recording=recorded.name,
@@ -161,11 +161,6 @@ def forecast(
         flown_x_m=none if followed is None else _beside(followed, followed.x, x_ref),
         flown_u_v=none if followed is None else _beside(followed, followed.u_c, x_ref),
     )
-
-
-def _followed(then: Source, model: Model) -> Record:
-    flight = split(then, model)
-    return flight.source.record.part(flight.part)
 
 
 def _beside(record: Record, values: FloatArray, x_ref: FloatArray) -> FloatArray:

@@ -77,8 +77,8 @@ def test_the_flown_law_gives_the_flown_flight(effect: str, strength: float) -> N
     """Whatever the model lacks is in the disturbances: the paper's model replays the flight of any rig."""
     model = true_model()
     split_flight = split(source(flight(FLOWN, 1, effect, strength), model), model)
-    n = len(split_flight.x_ref_m)
-    reference = Reference(np.ascontiguousarray(split_flight.x_ref_m), split_flight.step, np.arange(-1, n - 1))
+    n = len(split_flight.record.x_ref)
+    reference = Reference(np.ascontiguousarray(split_flight.record.x_ref), split_flight.step, np.arange(-1, n - 1))
     (_, x, u), lost = fly(split_flight, law_of(FLOWN), reference)
     recorded = split_flight.source.record.part(split_flight.part)
     assert lost == NEVER

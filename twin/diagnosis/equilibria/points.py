@@ -77,9 +77,8 @@ def points_of(records: Sequence[Record], plant: Plant, min_points: int = setting
     Raises:
         DataError: a row that cannot be a point of rest of this plant, or fewer than `min_points` rows.
     """
-    x = np.concatenate([record.x for record in records]) if records else np.empty(0)
-    i = np.concatenate([record.i_c for record in records]) if records else np.empty(0)
-    u = np.concatenate([record.u_c for record in records]) if records else np.empty(0)
+    channels = ("x", "i_c", "u_c")
+    x, i, u = (np.concatenate([np.empty(0), *(getattr(r, name) for r in records)]) for name in channels)
     names = [record.name for record in records for _ in range(len(record.x))]
     for row, name in enumerate(names):
         if np.isfinite(x[row]) and not -0.2 * plant.travel_m <= x[row] <= 1.2 * plant.travel_m:

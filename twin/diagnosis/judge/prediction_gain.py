@@ -25,7 +25,7 @@ from twin.estimation.record import FloatArray
 from twin.estimation.rollout import within_reach
 from twin.estimation.rollout_periodic import predict
 from twin.evidence.gather import Evidence
-from twin.identification.horizon import HORIZONS_S
+from twin.identification.horizon import horizons
 from twin.inference.budget import Budget, Spent
 from twin.inference.noise_floor import Floor
 from twin.inference.theta import Theta
@@ -62,9 +62,13 @@ class Gain:
     @property
     def removed(self) -> float:
         """Return the removed share of the mean square error above the floor, at most 1; NaN if there was none."""
-        excess = self.baseline_rmse_m**2 - self.floor_m**2
-        reduction = self.baseline_rmse_m**2 - self.extended_rmse_m**2
-        return min(reduction / excess, 1.0) if excess > 0.0 else math.nan
+        return removed_share(self.baseline_rmse_m, self.extended_rmse_m, self.floor_m)
+
+
+def removed_share(before_m: float, after_m: float, floor_m: float) -> float:
+    """Return the removed share of the mean square error above the floor, at most 1; NaN if there was none."""
+    excess = before_m**2 - floor_m**2
+    return min((before_m**2 - after_m**2) / excess, 1.0) if excess > 0.0 else math.nan
 
 
 def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, samples: int) -> FloatArray:
@@ -125,22 +129,21 @@ class Bench(Yardstick):
     def gains(self, before: Theta, after: Theta) -> list[Gain]:
         """The gains of `after` over `before`, shortest horizon first; empty if nothing can be predicted or paid for."""
         # The longest first, as it takes most time.
-        horizons = sorted({max(round(horizon / self.tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
-        horizons = self._affordable(horizons, (before, after))
+        affordable = self._affordable(horizons(self.tick_s)[::-1], (before, after))
         with ThreadPoolExecutor(max_workers=self.workers) as pool:
-            gains = pool.map(partial(self.gain, before, after), horizons)
+            gains = pool.map(partial(self.gain, before, after), affordable)
             return [result for result in gains if result is not None][::-1]
 
-    def _affordable(self, horizons: Sequence[int], thetas: Sequence[Theta]) -> list[int]:
+    def _affordable(self, lengths: Sequence[int], thetas: Sequence[Theta]) -> list[int]:
         """The horizons within the budget; that of the answer has priority."""
         pace, paid = pace_of(self.judge.series), set()
-        for samples in sorted(horizons, key=lambda samples: abs(samples * self.tick_s - settings.BENEFIT_HORIZON_S)):
+        for samples in sorted(lengths, key=lambda samples: abs(samples * self.tick_s - settings.BENEFIT_HORIZON_S)):
             with suppress(Spent), self.budget.question(f"the error of x {1e3 * samples * self.tick_s:.0f} ms ahead"):
                 self.budget.take(
                     sum(pace.steps_ahead(theta.base(self.plant), theta.vector(), samples) for theta in thetas)
                 )
                 paid.add(samples)
-        return [samples for samples in horizons if samples in paid]
+        return [samples for samples in lengths if samples in paid]
 
 
 def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> tuple[float, float]:

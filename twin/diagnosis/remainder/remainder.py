@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from twin.diagnosis.judge.flexible import flexible_errors
-from twin.diagnosis.judge.prediction_gain import bootstrap, predictions
+from twin.diagnosis.judge.prediction_gain import bootstrap, predictions, removed_share
 from twin.diagnosis.remainder.curve_fits import (
     CurveScore,
     band,
@@ -100,8 +100,7 @@ class Improvement:
     @property
     def removed(self) -> float:
         """Return the share of the squared error above the floor that the remainder removes; NaN if there was none."""
-        above = self.causes_rmse_m**2 - self.floor_m**2
-        return min((self.causes_rmse_m**2 - self.extended_rmse_m**2) / above, 1.0) if above > 0.0 else math.nan
+        return removed_share(self.causes_rmse_m, self.extended_rmse_m, self.floor_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

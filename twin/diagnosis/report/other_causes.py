@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from twin.diagnosis.report.sentences import bound_sentence
+from twin.diagnosis.report.trade_offs import symbol_of
 from twin.diagnosis.result import Excluded, MinorEffect, fit_parameters
 from twin.diagnosis.search.candidate_fits import within_range
 from twin.diagnosis.search.state import Selection
@@ -12,7 +13,6 @@ from twin.diagnosis.search.stated_values import Absorbed
 from twin.estimation.record import Record
 from twin.inference.fisher_scoring import spreads, with_covariance
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import parameter_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
@@ -46,14 +46,9 @@ def not_testable(selection: Selection, records: Sequence[Record]) -> list[Exclud
 
 def absorbed_suspect(suspect: Absorbed) -> Excluded:
     """A stated value whose error these recordings do not show, with what settles it."""
-    takers = " and ".join(_symbol(name) for name in suspect.by) or "the other parameters together"
+    takers = " and ".join(map(symbol_of, suspect.by)) or "the other parameters together"
     why = f"absorbed by {takers}" if suspect.shows else "these recordings do not depend on it"
     return Excluded(name=suspect.cause, why=f"{why}; {BY_NAME[suspect.cause].confirm}")
-
-
-def _symbol(coordinate: str) -> str:
-    cause = coordinate.partition(".")[0]
-    return f"{parameter_of(coordinate).symbol} of {cause}" if "." in coordinate else coordinate
 
 
 def ruled_out(selection: Selection, excluded: set[str]) -> list[Excluded]:

@@ -32,6 +32,7 @@ from twin.model.assumed import RESTING, assumption, assumption_warning
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
 from twin.page.figures import Picture, inline
+from twin.page.plain import micrometres
 from twin.page.render import render
 
 _MAX_NAMES = 3  # recordings by name
@@ -144,7 +145,7 @@ def _pictures(summary: Summary) -> list[Picture]:
 
 def _ahead_row(horizon: Ahead, unchanged: bool) -> list[str]:
     time_ms = f"{horizon.horizon_s * 1e3:.3g} ms"
-    baseline, floor = _with_interval(horizon.baseline), _micro(horizon.floor_m)
+    baseline, floor = _with_interval(horizon.baseline), micrometres(horizon.floor_m)
     if unchanged:
         return [time_ms, baseline, floor, f"{horizon.count}"]
     return [
@@ -158,14 +159,9 @@ def _ahead_row(horizon: Ahead, unchanged: bool) -> list[str]:
     ]
 
 
-def _micro(value_m: float) -> str:
-    """Format a length in micrometres, never with an exponent."""
-    micro = value_m * 1e6
-    return f"{micro:.0f}" if micro >= 1e3 else f"{micro:.3g}"
-
-
 def _with_interval(error: Estimate) -> str:
-    return f"{_micro(error.value)} ({_micro(error.low)}\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}{_micro(error.high)})"
+    value, low, high = map(micrometres, (error.value, error.low, error.high))
+    return f"{value} ({low}\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}{high})"
 
 
 def _price(count: int) -> str:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+from twin.page import plain
+
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _SCALED = ("m", "A", "s", "N", "V", "m/A")
 
@@ -52,8 +54,6 @@ def percent(share: float) -> str:
 
 
 def micrometres(value_m: float) -> str:
-    """Format a length with three digits, never with an exponent."""
+    """Format a length with three digits and its unit, never with an exponent."""
     micro = value_m * 1e6
-    if micro >= 1e3:
-        return f"{micro / 1e3:.3g} mm"
-    return f"{micro:.0f} µm" if micro >= 100.0 else f"{micro:.3g} µm"
+    return f"{micro / 1e3:.3g} mm" if micro >= 1e3 else f"{plain.micrometres(value_m)} µm"

@@ -186,34 +186,15 @@ def summary_sentence(diagnosis: Diagnosis) -> str:
         return _unfinished(diagnosis) + gain
     sure = [finding for finding in diagnosis.causes if diagnosis.holds(finding)]
     unsure = [finding for finding in diagnosis.causes if not diagnosis.holds(finding)]
-    if diagnosis.verdict == "causes-found":
-        return (
-            _causes_sentence(sure, whole=not unsure)
-            + _classes_sentence(sure)
-            + gain
-            + (f" In addition, as candidates: {_causes_sentence(unsure, whole=False)}" if unsure else "")
-            + _rivals_sentence(unsure)
-        )
-    if diagnosis.verdict == "partly-explained":
-        where = diagnosis.unexplained_where
-        if where.startswith(ON_JUDGES):
-            rest = f" But not everything is explained {where}."
-        else:
-            largest = f", most {where.removeprefix('most ')}" if where else ""
-            left = percent(diagnosis.account.unexplained)
-            rest = f" But not everything is explained: {left} of {LACKED} is left{largest}."
-        small = (
-            " These are smaller than the rest, and perhaps only due to another form of an equation: " if unsure else ""
-        )
-        return (
-            _causes_sentence(sure, whole=not unsure)
-            + _classes_sentence(sure)
-            + gain
-            + rest
-            + small
-            + (_causes_sentence(unsure, whole=False) if unsure else "")
-            + _rivals_sentence(unsure)
-        )
+    if diagnosis.verdict in ("causes-found", "partly-explained"):
+        text = _causes_sentence(sure, whole=not unsure) + _classes_sentence(sure) + gain
+        introduction = " In addition, as candidates: "
+        if diagnosis.verdict == "partly-explained":
+            text += _rest_clause(diagnosis)
+            introduction = " These are smaller than the rest, and perhaps only due to another form of an equation: "
+        if unsure:
+            text += introduction + _causes_sentence(unsure, whole=False)
+        return text + _rivals_sentence(unsure)
     where = diagnosis.unexplained_where.removeprefix("most ")
     rest = f" The remaining error is largest {where}." if where else ""
     if not diagnosis.causes:
@@ -238,6 +219,14 @@ def _unfinished(diagnosis: Diagnosis) -> str:
         f"No answer yet: the search used up its budget of {millions(budget.limit)}. Not examined: "
         f"{'; '.join(budget.unanswered)}. So far: {so_far}"
     )
+
+
+def _rest_clause(diagnosis: Diagnosis) -> str:
+    where = diagnosis.unexplained_where
+    if where.startswith(ON_JUDGES):
+        return f" But not everything is explained {where}."
+    largest = f", most {where.removeprefix('most ')}" if where else ""
+    return f" But not everything is explained: {percent(diagnosis.account.unexplained)} of {LACKED} is left{largest}."
 
 
 def _floor_clause(gain: Gain | None) -> str:

@@ -26,7 +26,7 @@ def trade_off_cards(pairs: tuple[TradeOff, ...]) -> list[dict[str, Any]]:
 
 def trade_off_sentences(pair: TradeOff) -> list[str]:
     """Say which change of both the recordings do not show, and which combination they determine."""
-    a, b = map(_symbol, pair.names)
+    a, b = map(symbol_of, pair.names)
     change_a, change_b = (_change(pair, k) for k in (0, 1))
     direction = "larger" if pair.correlation > 0.0 else "smaller"
     return [
@@ -61,7 +61,7 @@ def _figure(pair: TradeOff) -> Figure:
     for name, column in zip(pair.names, (0, 1), strict=True):
         factor, unit = _axis_scale(float(np.max(np.abs(pair.contour[:, column]))), _unit(name))
         axes.append(
-            (pair.contour[:, column] / factor, pair.values[column] / factor, f"{_symbol(name)} [{unit or '-'}]")
+            (pair.contour[:, column] / factor, pair.values[column] / factor, f"{symbol_of(name)} [{unit or '-'}]")
         )
     (y, y_best, y_label), (x, x_best, x_label) = axes
     ax.fill(x, y, color=EXTENDED, alpha=0.2, lw=0)
@@ -86,10 +86,9 @@ def _change(pair: TradeOff, k: int) -> str:
     return quantity(half, _unit(name)) if "." in name else f"{100.0 * half / pair.values[k]:.2g} %"
 
 
-def _symbol(name: str) -> str:
-    if "." not in name:
-        return name
-    return f"{parameter_of(name).symbol} of {name.partition('.')[0]}"
+def symbol_of(name: str) -> str:
+    """The symbol of a coordinate: K_c, or that of a parameter with its cause."""
+    return f"{parameter_of(name).symbol} of {name.partition('.')[0]}" if "." in name else name
 
 
 def _unit(name: str) -> str:

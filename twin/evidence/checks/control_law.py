@@ -45,9 +45,17 @@ class LawGap:
 
 
 def numbers_of(
-    controller: Controller, interval_s: float, *, u_low: float = -WIDE_V, u_high: float = WIDE_V
+    controller: Controller, interval_s: float, *, u_low: float = -WIDE_V, u_high: float = WIDE_V, x_lsb_m: float = 0.0
 ) -> LawNumbers | None:
-    """The law of a `[controller]` for a sampling interval in s and input limits in V; None if it is not known."""
+    """The law of a `[controller]` as the twin runs it; None if it is not known.
+
+    Args:
+        controller: of a campaign.
+        interval_s: T_s, s.
+        u_low: limits of u_c, V.
+        u_high: likewise.
+        x_lsb_m: one count of x, m, which limits the integral; 0: no limit.
+    """
     point = controller.operating_point
     return law_numbers(
         pb.Parameters(
@@ -59,6 +67,7 @@ def numbers_of(
             u_0_v=point.u_c_v,
             u_min_v=u_low,
             u_max_v=u_high,
+            x_lsb_m=x_lsb_m,
         )
     )
 

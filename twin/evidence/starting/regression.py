@@ -158,9 +158,9 @@ def _cut(flight: slice, width: int) -> list[slice]:
 
 def _regress(table: FloatArray) -> BallStart:
     left, force, drag = table.T
-    solution, *_ = np.linalg.lstsq(np.column_stack((force, drag)), left, rcond=None)
-    residual = left - force * solution[0] - drag * solution[1]
     columns = np.column_stack((force, drag))
+    solution, *_ = np.linalg.lstsq(columns, left, rcond=None)
+    residual = left - force * solution[0] - drag * solution[1]
     middle = newey_west(columns * residual[:, None], OVERLAP * 2)
     inverse = np.linalg.pinv(columns.T @ columns)
     spread = float(np.sqrt(np.mean(force**2))) * abs(float(solution[0]))

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import ClassVar
 
-from twin.export.translate.specialise import Function, Program
+from twin.export.translate.specialise import Function
 from twin.export.translate.values import MODEL
 from twin.export.translate.writer import Writer
 
@@ -88,9 +88,4 @@ static double larger(double a, double b) { return b > a ? b : a; }
         return self.expression(node) if is_power else super().bound(node)
 
 
-def functions(program: Program) -> str:
-    """The C text of all functions of a program, callees first."""
-    return _C(program).functions()
-
-
-number = _C.number
+functions, number = _C.functions, _C.number

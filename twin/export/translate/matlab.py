@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 from typing import ClassVar
 
-from twin.export.translate.specialise import Function, Program
+from twin.export.translate.specialise import Function
 from twin.export.translate.values import MODEL
 from twin.export.translate.writer import Writer
 
@@ -66,9 +66,4 @@ end
         return f"for {variable} = {start}:{stride}{stop} {'-' if step > 0 else '+'} 1"
 
 
-def functions(program: Program) -> str:
-    """The text of all functions of a program, callees first, each closed by `end`."""
-    return _Matlab(program).functions()
-
-
-number = _Matlab.number
+functions, number = _Matlab.functions, _Matlab.number

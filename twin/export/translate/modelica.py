@@ -8,7 +8,7 @@ from __future__ import annotations
 import ast
 from typing import ClassVar
 
-from twin.export.translate.specialise import Function, Program
+from twin.export.translate.specialise import Function
 from twin.export.translate.values import MODEL, unsupported
 from twin.export.translate.writer import Writer
 
@@ -69,9 +69,4 @@ end copysign;
         return super().call(called, arguments)
 
 
-def functions(program: Program) -> str:
-    """The text of all functions of a program, callees first."""
-    return _Modelica(program).functions()
-
-
-number = _Modelica.number
+functions, number = _Modelica.functions, _Modelica.number

@@ -49,9 +49,11 @@ class Writer(ABC):
     def __init__(self, program: Program) -> None:
         self.program = program
 
-    def functions(self) -> str:
-        """The text of all functions of the program, callees first."""
-        return "\n".join([self.prelude, *self.tables(), *map(self.function, self.program.functions.values())])
+    @classmethod
+    def functions(cls, program: Program) -> str:
+        """The text of all functions of a program, callees first."""
+        writer = cls(program)
+        return "\n".join([cls.prelude, *writer.tables(), *map(writer.function, program.functions.values())])
 
     def tables(self) -> list[str]:
         """The texts of the tables that stand before all functions."""

@@ -152,6 +152,7 @@ class TwinService:
         self.failure = error
 
     def _receive(self, sample: zenoh.Sample) -> None:
+        # Dropped, not waited for: this is zenoh's thread, and all boards' messages come through it.
         try:
             self._queue.put_nowait((str(sample.key_expr), sample.payload.to_bytes()))
         except queue.Full:

@@ -105,6 +105,7 @@ class ExpectedError:
         cell, _ = self._cell(x_ref)
         if not self._stable(cell):
             return None
+        # By the slowest pole on either side of the reference: the others have decayed before it.
         return math.ceil(math.log(share) / math.log(max(self._radius[cell : cell + 2])))
 
     def _stable(self, cell: int) -> bool:
@@ -179,6 +180,7 @@ def autocovariance(
     result[0] = np.diag(H @ P @ H.T + through @ Q @ through.T)
     carried = F @ P @ H.T + G @ Q @ through.T
     for lag in range(1, lags):
+        # Each output with itself alone: an alarm judges one signal.
         result[lag] = np.einsum("os,so->o", H, carried)
         carried = F @ carried
     return result

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -38,15 +39,14 @@ def draw_spans(columns: list[Column], out: Path, *, title: str) -> None:
         error, innovation = _column(axes[:, k], column, first=k == 0)
         errors.append(error)
         innovations.append(innovation)
+    # Of all spans together: on scales of their own, a bad span would look like a good one.
     _scale(axes[2, 0], np.concatenate(errors))
     _scale(axes[3, 0], np.concatenate(innovations))
-    handles, labels = [], []
+    handles: dict[str, Artist] = {}  # each label once
     for axis in axes.flat:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            if label not in labels:
-                handles.append(handle)
-                labels.append(label)
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+            handles.setdefault(label, handle)
+    figure.legend(handles.values(), handles, loc="outside lower center", ncols=len(handles), frameon=False)
     figure.savefig(out)
 
 

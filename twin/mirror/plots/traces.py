@@ -71,6 +71,7 @@ class Traces:
         if to_s is None:
             to_s = max(used) + AROUND_S if used else math.inf
         self.rows = [row for row in self.rows if from_s <= row[0] <= to_s]
+        # An alarm that was raised before the span is on where it begins.
         before = {name: active for t, name, active in self.alarms if t < from_s}
         changes = [alarm for alarm in self.alarms if from_s <= alarm[0] <= to_s]
         self.alarms = [(from_s, name, True) for name, active in before.items() if active] + changes

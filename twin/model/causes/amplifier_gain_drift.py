@@ -64,4 +64,5 @@ def warmth_rate(c: Vector, i: float, w: float) -> float:
 @inlined
 def load(c: Vector, i: float) -> float:
     """Return the warmth after a long time under the current i, A^2 (A^n where n is not 2)."""
+    # The noise of a reading may make a current negative, which has no power that is not whole: it counts as none.
     return i * i if c[POWER] == 2.0 or c[LOSS] == 0.0 else max(i, 0.0) ** c[POWER]

@@ -104,6 +104,7 @@ def with_trait(trait: Trait) -> frozenset[str]:
 
 def cause_of_detector(detector: Detector) -> Cause:
     """The cause that has a search of its own."""
+    # Unpacked: for a detector of several causes this fails, where a search for the first would take any of them.
     (cause,) = (cause for cause in CATALOGUE if cause.detector == detector)
     return cause
 
@@ -111,5 +112,6 @@ def cause_of_detector(detector: Detector) -> Cause:
 def measurement_for(name: str, confounder: str) -> str:
     """The measurement with other instruments that tells two causes apart; without one, how to confirm each by hand."""
     cause, other = BY_NAME[name], BY_NAME[confounder]
+    # Written down once, at either of the two.
     known = cause.deciding_measurements.get(confounder) or other.deciding_measurements.get(name)
     return known or f"for {name}: {cause.confirm}; for {confounder}: {other.confirm}"

@@ -50,6 +50,7 @@ def field(c: Vector, i: float) -> float:
     if math.isinf(c[I_S]):
         return i
     share = i / c[I_S]
+    # The usual form by a root: the general one takes three powers at each stage of a substep.
     if c[KNEE] == 2.0:
         return i / math.sqrt(1.0 + share * share)
     n = c[KNEE]

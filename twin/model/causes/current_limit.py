@@ -68,6 +68,7 @@ def aimed_at(c: Vector, target: float) -> float:
     """The current, A, that the amplifier tends to; `target`: the same without a limit, A, not negative."""
     if math.isinf(c[LIMIT]):
         return target
+    # The exponent would be above 200 there, and the power of a large input infinite.
     if c[SOFTNESS] < MIN_SOFTNESS:
         limited = min(target, c[LIMIT])
     else:

@@ -97,6 +97,7 @@ def lagged(c: Vector, f: float, i: float, i_next: float, w: float, w_next: float
     if c[TAU] <= 0.0:
         return i_next
     before, begin, end, a, tau = f * w, i * w, i_next * w_next, c[ORDER], quick(c)
+    # A negative current has no power that is not whole: it counts as none.
     if a != 1.0:
         before, begin, end = power(max(before, 0.0), a), power(max(begin, 0.0), a), power(max(end, 0.0), a)
     # Exact for a quantity that goes straight; held over the step, it would lag by half of it.

@@ -64,4 +64,5 @@ def per_speed(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid: flo
         return 0.0
     a = c[REACH] * gap_mid
     inverse_gap = 1.0 / max(gap + a, MIN_GAP_SHARE * gap_mid)
+    # The derivative of `time_constant` by x, which is dL/dx over the resistance.
     return c[VOLTAGE] * T_A * c[GROWTH] * inverse_gap * inverse_gap / (1.0 / (gap_mid + a) - 1.0 / (gap_bottom + a))

@@ -52,6 +52,7 @@ def bent(c: Vector, x: float, travel: float) -> float:
 @inlined
 def slope(c: Vector, x: float, travel: float) -> float:
     """Return the derivative of `bent` by x."""
+    # By hand: a difference would take two readings in each of Newton's four steps.
     w = 2.0 * x / travel - 1.0
     side = 1.0 - c[SKEW] * c[SKEW] + S_SHAPE * c[SKEW] * w
     arc = (1.0 - w * w) * (1.0 + c[FULLNESS] * w * w)

@@ -40,6 +40,7 @@ CAUSE = Cause(
 @inlined
 def drag_n(c: Vector, v: float) -> float:
     """The force against the motion, N."""
+    # At rest a power below 2 would be infinity times 0.
     if c[POWER] == 2.0 or v == 0.0:
         return c[C] * abs(v) * v
     return float(c[C] * abs(v) * v * (abs(v) / V_0_M_S) ** (c[POWER] - 2.0))

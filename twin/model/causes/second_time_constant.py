@@ -55,6 +55,7 @@ def driven(c: Vector, i: float, second: float, target: float, T_A: float, h: flo
     """Return (the current, i_2) after h s from i and `second`, A, under a constant `target`, A."""
     a = c[SHARE]
     after = settled(c, second, target, h)
+    # Each part alone is an exact exponential; i_c is their weighted sum.
     first = target + ((i - a * second) / (1.0 - a) - target) * math.exp(-h / T_A)
     return (1.0 - a) * first + a * after, after
 
