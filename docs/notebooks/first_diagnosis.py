@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Your first diagnosis
 #
-# `board51 demo` leaves a campaign: recordings of an emulated rig that is not quite what the paper's model says. We
-# identify that model, see where it is wrong, ask for the physical cause, and measure what the extended model gains.
+# `board51 demo` leaves a campaign: recordings of an emulated rig that differs a little from the paper's model. We
+# identify that model, see where it is wrong, ask for the physical cause, and measure what the extended model improves.
 #
 # Run it cell by cell (Jupyter, VS Code, Spyder) beside `demo-out`, or as it is: `python first_diagnosis.py CAMPAIGN`.
 # All quantities are in SI units; x is the height of the ball above the bottom stop.
@@ -44,7 +44,7 @@ for horizon_s, rmse_m, floor_m in zip(judged.horizon_s, judged.rmse_m, judged.fl
 # %% [markdown]
 # ## 3 What is the cause?
 #
-# `quick=True` takes a minute; leave it out when you want the confidence to mean what it says.
+# `quick=True` takes less than a minute, and its confidence is not calibrated. Leave it out for the final answer.
 
 # %%
 found = diagnose(campaign, quick=True)
@@ -52,7 +52,7 @@ print(found.summary())
 found.save("diagnosis")  # report.html, diagnosis.json, extended_model.json
 
 # %% [markdown]
-# ## 4 What does the extended model gain?
+# ## 4 How much better is the extended model?
 
 # %%
 flight = next(one for one in campaign.recordings if one.use == "judge" and one.kind == "closed-loop")

@@ -27,7 +27,7 @@ print(rig.parameters().firmware, f"{1e3 * rig.parameters().sample_time_s:g} ms")
 # %% [markdown]
 # ## 1 Subscribe
 #
-# One by one for a loop, or as arrays. The time base is the board's tick.
+# Samples come one by one in a loop, or as arrays. The time base is the board's tick.
 
 # %%
 for sample in rig.samples(0.01):
@@ -39,7 +39,8 @@ print(f"{len(noise)} samples at rest, position noise {1e6 * noise.x_m.std():.1f}
 # %% [markdown]
 # ## 2 Command
 #
-# A command returns when the board has accepted it, with the tick from which it is in force. What is refused says why.
+# A command returns when the board has accepted it, with the tick from which it is in force. A refused command raises an
+# error with the reason.
 
 # %%
 folder = Path(tempfile.mkdtemp(prefix="board51-"))

@@ -42,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     some.add_argument(
         "--part",
         metavar="PART",
-        help="diagnosis: causes, nulls, composites, outside or gateway (default: the first four);"
+        help="diagnosis: causes, nulls, composites, outside, forms, knock-out or gateway (default: all but gateway);"
         " gateway: steps (one frame, step by step) or a number of boards (default: both)",
     )
     some.add_argument("--results", type=Path, metavar="FILE", help="file of JSON lines; trials in it are not run again")
