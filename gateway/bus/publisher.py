@@ -75,6 +75,7 @@ class Publisher:
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
         self.held = False
+        self._was_held = False  # and what waited is not yet taken
         self._stopping = False
         self._failed = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
@@ -93,7 +94,8 @@ class Publisher:
             self._queue.append((channel, payloads, read_mono_ns))
             self.waiting += len(payloads)
             channel.waiting += len(payloads)
-            while self.waiting > self._capacity:
+            # The end of a pause reports what was dropped, so nothing more is dropped until the thread has woken.
+            while self.waiting > self._capacity * (2 if self._was_held else 1):
                 oldest, dropped, _ = self._queue.popleft()
                 oldest.dropped += len(dropped)
                 oldest.waiting -= len(dropped)
@@ -110,6 +112,7 @@ class Publisher:
     def hold(self, *, held: bool) -> None:
         """Pause publishing, or continue with the queued payloads."""
         with self._condition:
+            self._was_held = self.held and not held
             self.held = held
             self._condition.notify()
 
@@ -158,6 +161,7 @@ class Publisher:
             for channel, payloads, _ in entries:
                 self.waiting -= len(payloads)
                 channel.waiting -= len(payloads)
+            self._was_held = False
         if self._join is None:
             return entries
         gathered: dict[PublishQueue, list[bytes]] = {}

@@ -64,11 +64,11 @@ class RouterWatch:
             if not self._routers or back_s < SETTLE_S or not may_resume:
                 return None
             waiting = sum(publisher.waiting for publisher in self._publishers)
+            self._hold(held=False)
             dropped = sum(sink.dropped for sink in self._sinks) - self._dropped
             text = f"The router was away for {self._back_s - self._lost_s:.1f} s; {waiting} messages waited and follow"
             text += f", the {dropped} before them are only in the log." if dropped else "."
             self._lost_s = None
-            self._hold(held=False)
             return "bus-back", "warning" if dropped else "info", text
 
     def _changed(self, event: zenoh.TransportEvent) -> None:

@@ -86,6 +86,27 @@ def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
     target.gate.set()
 
 
+def test_after_a_pause_nothing_is_dropped_until_the_thread_has_taken_what_waited() -> None:
+    """The end of a pause reports what was dropped; a sample that came a moment later must not make it wrong."""
+    target, publisher = Gated(), Publisher("test", capacity=100)
+    target.gate.set()
+    channel = PublishQueue(target.put)
+    publisher.hold(held=True)
+    publisher.put(channel, payloads(0, 100))
+    publisher.put(channel, payloads(100, 110))
+    at_the_end = channel.dropped
+    publisher.hold(held=False)
+
+    publisher.put(channel, payloads(110, 120))  # the thread has not yet run
+    just_after = channel.dropped
+    publisher.start()
+    wait_for(lambda: target.taken[-1:] == payloads(119, 120), "what waited")
+    publisher.stop()
+
+    assert at_the_end == just_after == 100
+    assert target.taken == payloads(100, 120)
+
+
 def test_gathered_payloads_are_one_message_per_channel_in_order_and_of_bounded_length() -> None:
     first, second = Gated(), Gated()
     publisher = Publisher("test", capacity=1000, gather_s=0.001, join=b",".join)
