@@ -1,7 +1,7 @@
 """`kernel`: numba's njit where numba is at hand, the plain Python function where it is not.
 
 Rule 1: a kernel is readable scalar Python that gives the same numbers uncompiled.  With NUMBA_DISABLE_JIT=1 nothing is
-        compiled: tests/twin/model/test_simulate.py uses that as the oracle of the compiled code.
+        compiled: tests/harness/twin/plain_python.py uses that as the oracle of the compiled code.
 Rule 2: a kernel called once per sample takes its constants as a plain `Packed` tuple and names them inside.  numba
         reads a NamedTuple field by field through its names, 1.2 us a call; a plain tuple takes 0.2 us.
 Rule 3: a division by zero gives inf, as in numpy: testing each divisor for it makes a kernel up to six times as slow.

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -15,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.harness.twin.one_tick import numbers, tick
+from tests.harness.twin.plain_python import compiled_and_plain
 from twin.model.parameters import Model
 from twin.model.simulate import PlantNumbers, plant_numbers
 
@@ -176,18 +173,7 @@ print(json.dumps(out))
 @pytest.mark.slow
 def test_compiled_and_plain_python_give_the_same_flight() -> None:
     """The same file without numba is the oracle; exp and the order of operations may differ in the last digits."""
-    flights = [
-        json.loads(
-            subprocess.run(
-                [sys.executable, "-c", _TRAJECTORY],
-                env={**os.environ, "NUMBA_DISABLE_JIT": off},
-                capture_output=True,
-                text=True,
-                check=True,
-            ).stdout
-        )
-        for off in ("0", "1")
-    ]
+    flights = compiled_and_plain(_TRAJECTORY)
 
     assert np.allclose(flights[0], flights[1], rtol=1e-9, atol=1e-13)
     assert abs(flights[0][-1][2] - 2.85e-3) < 1e-4

@@ -96,7 +96,7 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
         measure_current(f, reading)
     else:
         _forget(f, 0)
-        f.y[I_C], f.P[0, 0] = f.base[0] * u, _CURRENT_VARIANCE
+        f.y[I_C], f.P[0, 0] = f.paper[0] * u, _CURRENT_VARIANCE
     # As after a long time at this current: the inputs before the first sample are not known.
     settle_current(f.c[:], f.y, f.y[I_C])
     for k in (f.second, f.core):

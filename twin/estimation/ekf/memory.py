@@ -72,7 +72,7 @@ _NAMED = {
 class Memory(Protocol):
     """A model, its noise, and the memory of the filter; m states are in the covariance."""
 
-    base: Floats  # tuple(Base), shape (8,)
+    paper: Floats  # tuple(Base), shape (8,); not "base", which each numpy record has
     c: Floats  # the causes' parameters with what has wandered so far (`wandered`), shape (PLACES,)
     closed_form: bool  # as in `System`
     moments: Floats  # of `transition.py`, shape (9,)
@@ -172,7 +172,7 @@ def _fields() -> np.dtype[np.void]:
     numbers = ("moments_s", "r_i", "r_x", "v_i", "v_x", "tau_i", "tau_x", "share_x", "q_i", "q_a", "low_m", "high_m")
     counts = ("m", *_NAMED, "lasting", "wandering", "coloured", "first", "readings", "lines", "lines_count")
     vectors = ("y", "previous", "moved", "back", "K", "h_i", "h_x", "h_line")
-    fields: list[Any] = [("base", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
+    fields: list[Any] = [("paper", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
     fields += [("places", np.int64, vector), ("offsets", np.int64, vector), ("q_w", float, vector)]
     fields += [("moments", float, (9,)), ("noise_i_c", float, (6,))]
@@ -192,7 +192,7 @@ def memory_for(system: System) -> Memory:
     lines = _lines(c)
     record["lines"], record["lines_count"] = len(places), len(lines)
     places += [state for first, _, _ in lines for state in (first, first + 1)]
-    record["base"], record["closed_form"] = system.base, system.closed_form
+    record["paper"], record["closed_form"] = system.base, system.closed_form
     record["c"] = record["usual"] = c
     record["noise_i_c"][:3] = _split(noise.sigma_i_c_a, noise.white_i_c, noise.tau_i_c_s)
     record["noise_i_c"][3:] = _split(noise.sigma_i_c_a, noise.white_i_c_captured, noise.tau_i_c_captured_s)
@@ -203,7 +203,7 @@ def memory_for(system: System) -> Memory:
         noise.process_i_c_a * noise.process_i_c_a / noise.tick_s,
         noise.process_a_m_s2 * noise.process_a_m_s2,
     )
-    record["low_m"], record["high_m"] = system.stops.low_m, record["base"][-1] + system.stops.high_m
+    record["low_m"], record["high_m"] = system.stops.low_m, record["paper"][-1] + system.stops.high_m
     record["m"] = len(places)
     record["places"][: len(places)] = places
     for name, state in _NAMED.items():
@@ -260,7 +260,7 @@ def scale_noise(f: Memory, fast: bool, r_x: float, ratio_i: float, ratio_x: floa
 @inlined
 def base_of(memory: Memory) -> Packed:
     """The paper's parameters, tuple(Base)."""
-    b = memory.base
+    b = memory.paper
     return b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
 
 

@@ -214,7 +214,7 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     The other arguments are those of `propagate`; `known` as in `filter.filtered`.
     """
     wandered(f, f.y)
-    y, held = f.y[:], min(max(reading, 0.0), f.base[-1])
+    y, held = f.y[:], min(max(reading, 0.0), f.paper[-1])
     y[X], y[V] = held, 0.0
     copy(f.previous, y)
     if known.after.shape[0] > 0:
@@ -243,8 +243,8 @@ def _has_single_current(f: Memory) -> bool:
 def _current_after(f: Memory, i: float, inputs: Floats, n: int, T_s: float) -> float:
     """The current at n of a held ball, A, from i at n - 1; the other arguments as `propagate`."""
     if f.closed_form:
-        target = f.base[0] * inputs[n - 1]
-        return float(target + (i - target) * math.exp(-T_s / f.base[1]))
+        target = f.paper[0] * inputs[n - 1]
+        return float(target + (i - target) * math.exp(-T_s / f.paper[1]))
     return float(current_held(base_of(f), f.c[:], i, inputs, n, f.first, T_s, f.previous[WARMTH], f.previous[X]))
 
 
@@ -273,7 +273,7 @@ def _advance_held(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: f
 @inlined
 def _differences_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
     """Fill F with the Jacobian of `_advance_held`; arguments as there."""
-    c, y, F, moved, base = f.c[:], f.y[:], f.F, f.moved[:], f.base
+    c, y, F, moved, base = f.c[:], f.y[:], f.F, f.moved[:], f.paper
     for row in range(f.m):
         for column in range(f.m):
             F[row, column] = 1.0 if row == column else 0.0
