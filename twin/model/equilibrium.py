@@ -139,7 +139,7 @@ def _surplus(u: float, base: Packed, c: Vector, i: float, w: float) -> float:
 
 
 def _root(rising: Callable[..., float], low: float, high: float, *rest: object) -> float:
-    # Not Newton: a dead zone or a limit makes the slope 0.  Not Brent's method: its import takes 24 MB in every twin.
+    # Not Newton: a dead zone or a limit makes the slope 0.  Not Brent's method: its import takes 18 MB in every twin.
     middle = 0.5 * (low + high)
     while low < middle < high:  # until the two are neighbouring numbers
         low, high = (low, middle) if rising(middle, *rest) > 0.0 else (middle, high)

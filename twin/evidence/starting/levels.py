@@ -186,7 +186,7 @@ def _level(u: float, i: FloatArray) -> Level | None:
 
 def find_shape(records: list[Record]) -> Shape | None:
     """Return the first-order fit to all steps, of captures if there are any; None without a usable step."""
-    from scipy.optimize import minimize_scalar  # here: it takes 24 MB, and the running twin fits no step
+    from scipy.optimize import minimize_scalar  # here: it takes 18 MB, and the running twin fits no step
 
     steps = [step for record in records for step in _captured_steps(record)]
     if not steps:

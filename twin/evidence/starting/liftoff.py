@@ -189,7 +189,7 @@ def _instant(
     tau: FloatArray, rise: FloatArray, slope: float, i_departure: float, step: float, gravity: float, gap: float
 ) -> float:
     """Fit t_0 of the rule, in s after the departure, to the first part of the flight."""
-    from scipy.optimize import minimize_scalar  # here: it takes 24 MB, and the running twin fits no lift-off
+    from scipy.optimize import minimize_scalar  # here: it takes 18 MB, and the running twin fits no lift-off
 
     w = float(np.sqrt(2.0 * gravity / gap))
 
