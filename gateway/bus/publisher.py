@@ -9,7 +9,7 @@ Rule 5: samples are published twice: each at once on `state`, if somebody subscr
         those of 20 ms together on `states`.  Each message wakes up each of its subscribers: who can wait 20 ms
         subscribes to `states`.
 Rule 6: without a router zenoh discards messages silently.  Publishing therefore pauses (`hold`): the queue keeps the
-        newest messages and counts the dropped ones.
+        newest messages and counts the dropped ones.  At the end of a pause up to twice as many wait for the thread.
 """
 
 from __future__ import annotations

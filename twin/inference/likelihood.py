@@ -202,7 +202,7 @@ class Criterion:
         change = np.empty((len(thetas), *at.innovations.shape))
 
         def fill_in(index: int) -> None:
-            # In the worker: a difference takes as long as a tenth of a run, and one thread would do it for all.
+            # In the worker: otherwise one thread would subtract for all while the others wait.
             outputs = self._outputs(thetas[index], steps[reuse[index]])
             np.subtract(outputs, at.innovations, out=change[index])
             change[index] /= scales[index]
