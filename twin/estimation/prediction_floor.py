@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from twin.compiled import kernel
 from twin.estimation.ekf.correct import position_slopes, variance
 from twin.estimation.ekf.filter import filtered
-from twin.estimation.ekf.memory import Memory, copy_square, memory_for, wandered
-from twin.estimation.ekf.predict import add_process_noise, carry
+from twin.estimation.ekf.memory import Memory, memory_for, wandered
+from twin.estimation.ekf.predict import add_process_noise, carry, take_slopes
 from twin.estimation.structures import Results, Samples, System
 
 TOLERANCE = 1.05  # error over floor of a right model, with rounding and parameters fitted to finite data
@@ -63,13 +63,17 @@ def _carry(
             continue
         # (S 7) from each estimate anew.  One covariance of a ball at rest would err by up to a factor of 2.8 under dry
         # friction.
-        copy_square(f.P, spread[n - ahead], f.m)
+        for row in range(f.m):
+            for k in range(f.m):
+                f.P[row, k] = spread[n - ahead, row, k]
         for k in range(n - ahead + 1, n + 1):
-            copy_square(f.F, steps.slopes[k], f.m)
+            take_slopes(f, steps, k)
             carry(f.F, f.P, f.G, f.m)
             add_process_noise(f, step[k])
-        wandered(f, steps.before[n])
+        for k in range(f.m):
+            f.y[f.places[k]] = steps.before[n, k]
+        wandered(f, f.y)
         ratio = noise_ratio[n, 1] if noise_ratio.shape[0] > 0 else 1.0
         f.share_x = math.sqrt(ratio)
-        position_slopes(f, steps.before[n], f.h_x[:])
+        position_slopes(f, f.y[:], f.h_x[:])
         variances[n] = variance(f, f.h_x[:], f.r_x * ratio)

@@ -7,12 +7,15 @@ Rule 2: the u_c of a lost sample is estimated from the next reading of i_c.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import actuation_delay, sampling_delay
-from twin.model.extended import Base, held_current, reading_of_current
+from twin.model.extended import Base, held_current, is_slow, reading_of_current
+from twin.model.flight import fly
 from twin.model.integration import over
 
 INPUT_DELTA_V = 1e-3
@@ -40,41 +43,53 @@ def see_delays(to: NDArray[np.float64], c: NDArray[np.float64], captured: bool) 
     to[sampling_delay.DELAY] = c[sampling_delay.DELAY] * (c[sampling_delay.IN_CAPTURES] if captured else 1.0)
 
 
+class HeldInput(NamedTuple):
+    """The u_c in force over one interval."""
+
+    before: float  # V, up to the change
+    change_s: float  # since the beginning of the interval, s
+    after: float  # V, from the change on
+
+
+@inlined
+def input_over(c: NDArray[np.float64], u: NDArray[np.float64], n: int, first: int, T_s: float) -> HeldInput:
+    """Return the u_c in force from sample n - 1 to n, after all delays.
+
+    Args:
+        c: the causes' parameters, shape (PLACES,).
+        u: u_c of each sample, V, shape (n_samples,).
+        n: the sample at the end of the interval.
+        first: sample of the first known input.
+        T_s: interval from n - 1 to n, s.
+    """
+    # The interval is split where the delayed input changes. With a delay of whole samples, the likelihood would be a
+    # staircase without a slope.
+    delay = delay_s(c)
+    whole = int(delay / T_s)
+    return HeldInput(u[max(n - 2 - whole, first)], delay - whole * T_s, u[max(n - 1 - whole, first)])
+
+
 @inlined
 def propagate(
-    base: Packed,
-    c: NDArray[np.float64],
-    y: NDArray[np.float64],
-    u: NDArray[np.float64],
-    n: int,
-    first: int,
-    t: float,
-    T_s: float,
-    stops: bool,
+    base: Packed, c: NDArray[np.float64], y: NDArray[np.float64], u: HeldInput, t: float, T_s: float, stops: bool
 ) -> None:
-    """Advance the state from sample n - 1 to n under the delayed inputs.
+    """Advance the state over one sampling interval.
 
     Args:
         base: tuple(Base).
         c: the causes' parameters, shape (PLACES,).
-        y: the state at n - 1, shape (STATES,), updated in place.
-        u: u_c of each sample, V, shape (n_samples,).
-        n: the sample to reach.
-        first: sample of the first known input.
-        t: time of n - 1, s.
-        T_s: interval from n - 1 to n, s.
+        y: the state, shape (STATES,), updated in place.
+        u: of `input_over`.
+        t: time at the beginning, s.
+        T_s: the interval, s.
         stops: as in `advance`.
     """
-    delay = delay_s(c)
-    if delay <= 0.0:
-        over(base, c, y, u[n - 1], t, T_s, stops)
+    if not stops and not is_slow(c):
+        fly(base, c, y, u.before, u.change_s, u.after, t, T_s)
         return
-    # The interval is split where the delayed input changes. With a delay of whole samples, the likelihood would be a
-    # staircase without a slope.
-    whole = int(delay / T_s)
-    part = delay - whole * T_s
-    over(base, c, y, u[max(n - 2 - whole, first)], t, part, stops)
-    over(base, c, y, u[max(n - 1 - whole, first)], t + part, T_s - part, stops)
+    if u.change_s > 0.0:
+        over(base, c, y, u.before, t, u.change_s, stops)
+    over(base, c, y, u.after, t + u.change_s, T_s - u.change_s, stops)
 
 
 @inlined
@@ -82,21 +97,16 @@ def current_held(
     base: Packed,
     c: NDArray[np.float64],
     i: float,
-    u: NDArray[np.float64],
-    n: int,
-    first: int,
+    u: HeldInput,
     T_s: float,
     w: float,
     x: float,
 ) -> float:
-    """The current at sample n with the ball held at x, A, from i at n - 1; w: the warmth; others as `propagate`."""
+    """The current after T_s with the ball held at x, A, from i; w: the warmth; others as `propagate`."""
     p = Base(*base)
-    delay = delay_s(c)
-    whole = int(delay / T_s)
-    part = delay - whole * T_s
-    if part > 0.0:
-        i = held_current(p, c, i, w, x, u[max(n - 2 - whole, first)], part)
-    return held_current(p, c, i, w, x, u[max(n - 1 - whole, first)], T_s - part)
+    if u.change_s > 0.0:
+        i = held_current(p, c, i, w, x, u.before, u.change_s)
+    return held_current(p, c, i, w, x, u.after, T_s - u.change_s)
 
 
 @kernel
@@ -115,17 +125,17 @@ def find_input(
 ) -> None:
     """Set u[lost] to the input that brings i_c from the state `before` at n - 1 to its `reading` at n, A.
 
-    The other arguments are those of `propagate`; `moved`, shape (STATES,), is a working array.
+    The other arguments are those of `input_over` and `propagate`; `moved`, shape (STATES,), is a working array.
     """
     # From the response of i_c, not from the control law: so the law of the board need not be known.
     held = u[lost]
     for _ in range(3):
         copy(moved, before)
-        propagate(base, c, moved, u, n, first, t, T_s, False)
+        propagate(base, c, moved, input_over(c, u, n, first, T_s), t, T_s, False)
         i_c = reading_of_current(c, moved)
         u[lost] += INPUT_DELTA_V
         copy(moved, before)
-        propagate(base, c, moved, u, n, first, t, T_s, False)
+        propagate(base, c, moved, input_over(c, u, n, first, T_s), t, T_s, False)
         u[lost] -= INPUT_DELTA_V
         answer = (reading_of_current(c, moved) - i_c) / INPUT_DELTA_V
         # Where i_c hardly responds within an interval, its noise would be divided by almost nothing: the last input

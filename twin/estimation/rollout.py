@@ -23,7 +23,7 @@ from twin.estimation.ekf.lines import lines_of_position
 from twin.estimation.ekf.memory import Memory, memory_for
 from twin.estimation.ekf.predict import advance
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
-from twin.estimation.propagate import copy
+from twin.estimation.propagate import copy, input_over
 from twin.estimation.structures import Samples, Stops, System
 from twin.model.extended import SENSOR, X_COLOUR, Base, position_reading
 
@@ -132,7 +132,7 @@ def _roll(
         # From each estimate anew, not in one free run: the ball is unstable, and an error grows by e every 13 ms.
         copy(y, state[begin])
         for k in range(begin + 1, n + 1):
-            advance(f, y, u, k, t[k - 1], step[k], stops)
+            advance(f, y, input_over(f.c[:], u, k, f.first, step[k]), t[k - 1], step[k], stops)
         if np.isfinite(y[SENSOR]):
             x_hat[n] = y[SENSOR]
             if f.x_colour >= 0:
@@ -149,5 +149,6 @@ def _roll_once(
     x_hat[0] = y[SENSOR] + lines_of_position(f, y, f.h_x[:])
     for k in range(1, len(x_hat)):
         n = begin + k
-        advance(f, y, samples.u, n, samples.t[n - 1], samples.step[n], True)
+        T_s = samples.step[n]
+        advance(f, y, input_over(f.c[:], samples.u, n, first, T_s), samples.t[n - 1], T_s, True)
         x_hat[k] = y[SENSOR] + lines_of_position(f, y, f.h_x[:])

@@ -86,8 +86,8 @@ class Steps(NamedTuple):
     """The linearised steps of a run in flight, for runs of nearby models; m active states."""
 
     slopes: NDArray[np.float64]  # Jacobian d state / d previous state, shape (n, m, m)
-    before: NDArray[np.float64]  # states before the correction, shape (n, STATES)
-    after: NDArray[np.float64]  # states after the correction, shape (n, STATES)
+    before: NDArray[np.float64]  # active states before the correction, shape (n, m)
+    after: NDArray[np.float64]  # active states after the correction, shape (n, m)
 
     def part(self, piece: slice) -> Steps:
         """Return the part that belongs to some samples, as views."""
@@ -122,5 +122,5 @@ def room_for(n: int, m: int, *, state: bool = False, spread: bool = False, steps
         innovations=np.empty((n, OUT_COLUMNS)),
         state=np.empty((n, STATES)) if state else _NO_STATE,
         spread=np.empty((n, m, m)) if spread else _NO_MATRIX,
-        steps=Steps(np.zeros((n, m, m)), np.zeros((n, STATES)), np.zeros((n, STATES))) if steps else NO_STEPS,
+        steps=Steps(np.zeros((n, m, m)), np.zeros((n, m)), np.zeros((n, m))) if steps else NO_STEPS,
     )

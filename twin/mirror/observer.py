@@ -29,7 +29,7 @@ from twin.estimation.ekf.lines import doubt_lines, turn_covariance, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, memory_for
 from twin.estimation.ekf.predict import add_process_noise, advance, carry, differences
 from twin.estimation.prepare import CONTACT_SHARE
-from twin.estimation.propagate import copy
+from twin.estimation.propagate import copy, input_over
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
 from twin.model.causes import amplifier_gain_drift, eddy_current_lag, magnetic_hysteresis, second_time_constant
@@ -55,7 +55,7 @@ class Observer(NamedTuple):
 
     f: Memory
     inputs: Floats  # V, newest last, as many as a delay asks for; the last NaN: nothing to predict from
-    out: Floats  # room: nu_i, nu_x, S_ii, S_ix, S_xx
+    out: Floats  # room: nu_i, nu_x, S_ii, S_ix, S_xx, shape (1, 5)
     ticks: Floats  # shape (1,): predicted in a row away from the stops
     since_cut: Floats  # shape (1,): samples since the one that showed the coil switched off; inf: long ago
     sample_time_s: float
@@ -88,7 +88,7 @@ def observer_of(plant: PlantNumbers, noise: Noise, *, i_lsb_a: float = 0.0, x_ls
     return Observer(
         f=memory_for(System(plant.base, plant.c, levels, AT_THE_ENDS, closed_form=plant.closed_form)),
         inputs=inputs,
-        out=np.empty(5),
+        out=np.empty((1, 5)),
         ticks=np.zeros(1),
         since_cut=np.full(1, math.inf),
         sample_time_s=T_s,
@@ -125,18 +125,20 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     """Predict one tick, correct by its readings, write innovations and covariance into `out`, return the NIS."""
     f, n, T_s, out = o.f, len(o.inputs), o.sample_time_s, o.out
     copy(f.previous, f.y)
-    advance(f, f.y[:], o.inputs, n, 0.0, T_s, False)
-    differences(f, o.inputs, n, 0.0, T_s)
+    held = input_over(f.c[:], o.inputs, n, f.first, T_s)
+    advance(f, f.y[:], held, 0.0, T_s, False)
+    differences(f, held, 0.0, T_s)
     carry(f.F, f.P, f.G, f.m)
     add_process_noise(f, T_s)
     cut = n - 1 - int(o.since_cut[0]) if o.since_cut[0] < n - 1 else -1
     # Only where a cut or a stop may lie within the tick: each case is one more run of the model over it.
     if cut >= 0 or not 0.0 <= f.y[X] <= Base(*base_of(f)).travel_m:
         spread_over_cases(f, o.inputs, n, T_s, cut)
-    take_readings(f, out, i, x, True, True)
+    take_readings(f, out, 0, i, x, True, True)
     # nu' inv(S) nu by elimination: i_c first, then x given i_c.
-    left, spread = out[1] - out[3] / out[2] * out[0], out[4] - out[3] * out[3] / out[2]  # of x given i_c
-    return float(out[0] * out[0] / out[2] + left * left / spread)
+    n_i, n_x, s_ii, s_ix, s_xx = out[0, 0], out[0, 1], out[0, 2], out[0, 3], out[0, 4]
+    left, spread = n_x - s_ix / s_ii * n_i, s_xx - s_ix * s_ix / s_ii  # of x given i_c
+    return float(n_i * n_i / s_ii + left * left / spread)
 
 
 @kernel
@@ -178,7 +180,7 @@ def observe(
         _begin(o, i, x, u, first)
     else:
         nis = _predict_and_correct(o, i, x)
-        n_i, n_x = o.out[0], o.out[1]
+        n_i, n_x = o.out[0, 0], o.out[0, 1]
         o.ticks[0] += 1.0
         if not (math.isfinite(nis) and o.low_m <= f.y[X] <= o.high_m):  # the filter, not the ball, is at a stop
             _begin(o, i, x, u, not math.isfinite(nis))

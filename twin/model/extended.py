@@ -94,31 +94,53 @@ def mid_current(p: Base) -> float:
 
 
 @inlined
-def magnetic_force(p: Base, c: Vector, field: float, x: float, bent: bool = True) -> float:
-    """Return F_m of (3), N; `bent`: whether some cause of `is_bent` acts."""
+def square_of_current(c: Vector, field: float, bent: bool = True) -> float:
+    """Return the factor of F_m that depends on the current alone, A^2: i_c^2 of (3) and its causes.
+
+    `bent`: whether some cause of `is_bent` acts.
+    """
     i = residual_magnetism.field(c, field)
-    if bent:
-        i = core_saturation.field(c, i)
-    # (3) is singular at the coil: nearer than that the gap is held, or one substep could give any speed.
-    gap = max(air_gap_offset.gap_m(c, p.x_max_m - x), GAP_MIN_SHARE * p.travel_m)
-    force = p.K_c * i * i / (gap * gap)
     if not bent:
-        return force
-    factor = force_exponent.factor(c, gap, p.x_max_m - 0.5 * p.travel_m)
-    return (
-        force * factor * (1.0 + curve.value(c, curve.PULL_OVER_X, x)) * (1.0 + curve.value(c, curve.PULL_OVER_I, field))
-    )
+        return i * i
+    i = core_saturation.field(c, i)
+    return i * i * (1.0 + curve.value(c, curve.PULL_OVER_I, field))
 
 
 @inlined
-def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float, bent: bool = True) -> float:
-    """Return x'' of (6) away from the stops and from a guide that rubs, m/s^2; `bent` as in `magnetic_force`."""
-    force, weights = magnetic_force(p, c, field, x, bent) - p.b * v + constant_force.force_n(c), -1.0
+def pull_per_square(p: Base, c: Vector, x: float, bent: bool = True) -> float:
+    """Return F_m over mass and `square_of_current`, m/(s^2 A^2), which depends on the position alone."""
+    # (3) is singular at the coil: nearer than that the gap is held, or one substep could give any speed.
+    gap = max(air_gap_offset.gap_m(c, p.x_max_m - x), GAP_MIN_SHARE * p.travel_m)
+    pull = p.K_c / (p.mass_kg * gap * gap)
+    if not bent:
+        return pull
+    factor = force_exponent.factor(c, gap, p.x_max_m - 0.5 * p.travel_m)
+    return pull * factor * (1.0 + curve.value(c, curve.PULL_OVER_X, x))
+
+
+@inlined
+def magnetic_force(p: Base, c: Vector, field: float, x: float, bent: bool = True) -> float:
+    """Return F_m of (3), N; `bent`: whether some cause of `is_bent` acts."""
+    return square_of_current(c, field, bent) * pull_per_square(p, c, x, bent) * p.mass_kg
+
+
+@inlined
+def rest_of_acceleration(p: Base, c: Vector, x: float, v: float, t: float, bent: bool = True) -> float:
+    """Return x'' of (6) without magnetic force and dry friction, m/s^2; `bent` as in `magnetic_force`."""
+    force, weights = constant_force.force_n(c) - p.b * v, -1.0
     if bent:
         force += periodic_disturbance.force_n(c, t) - quadratic_drag.drag_n(c, v)
         weights += curve.value(c, curve.FORCE_OVER_X, x) + curve.value(c, curve.FORCE_OVER_V, v)
     # (6) over the mass; the curves of the remainder are shares of the weight.
     return force * (1.0 / p.mass_kg) + p.gravity_m_s2 * weights
+
+
+@inlined
+def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float, bent: bool = True) -> float:
+    """Return x'' of (6) away from the stops and from a guide that rubs, m/s^2; `bent` as in `magnetic_force`."""
+    return square_of_current(c, field, bent) * pull_per_square(p, c, x, bent) + rest_of_acceleration(
+        p, c, x, v, t, bent
+    )
 
 
 @inlined

@@ -210,12 +210,15 @@ def short(p: Base, c: Vector, duration: float) -> bool:
 
 
 @inlined
+def steps_in(duration: float) -> int:
+    """Return the number of steps of at most LONGEST_STEP_S; equal ones, as the longest sets the error."""
+    # The 0.01 forgives a rounding error.
+    return max(math.ceil(duration / LONGEST_STEP_S - 0.01), 1)
+
+
+@inlined
 def over(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
     """Run `advance` for any duration, in steps of at most LONGEST_STEP_S; the arguments are the same."""
-    if duration <= 1.01 * LONGEST_STEP_S:
-        advance(base, c, y, u, t, duration, stops)
-        return
-    # Equal steps, not whole ones and a rest: the longest sets the error.  The 0.01 forgives a rounding error.
-    steps = math.ceil(duration / LONGEST_STEP_S - 0.01)
+    steps = steps_in(duration)
     for k in range(steps):
         advance(base, c, y, u, t + k * (duration / steps), duration / steps, stops)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.estimation.propagate import propagate, see_delays
+from twin.estimation.propagate import input_over, propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
 from twin.model.extended import SENSOR, STATES, V, X, current_of_reading, reading_of_current, settle_current
@@ -62,6 +62,7 @@ def current(
     for k in range(1, len(u)):
         # The recorded position, not the model's: an error of (6) must not count against (1).
         y[X], y[V] = x[k - 1], 0.0
-        propagate(p, c, y, u, k, 0, 0.0, float(step[k]), False)
+        T_s = float(step[k])
+        propagate(p, c, y, input_over(c, u, k, 0, T_s), 0.0, T_s, False)
         readings[k] = reading_of_current(c, y)
     return readings

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law, rounded
-from twin.estimation.propagate import copy, propagate
+from twin.estimation.propagate import copy, input_over, propagate
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import System
 from twin.model.extended import SENSOR, STATES, Base, X, reading_of_current
@@ -76,7 +76,7 @@ def _split(
     for k in range(1, len(u)):
         # From the corrected state each time: d is what one step missed, not what has added up.
         copy(y, state[k - 1])
-        propagate(base, c, y, u, k, 0, 0.0, step[k], True)
+        propagate(base, c, y, input_over(c, u, k, 0, step[k]), 0.0, step[k], True)
         predicted = (reading_of_current(c, y), y[SENSOR])
         for n in range(2):
             if np.isfinite(readings[k, n]):
@@ -123,7 +123,8 @@ def replay(
     i, x, x_before, s = memory[0], memory[1], memory[2], memory[3]
     for k in range(n):
         if k > 0:
-            propagate(base, c, y, acting, k, 0, 0.0, reference.step[k], True)
+            T_s = reference.step[k]
+            propagate(base, c, y, input_over(c, acting, k, 0, T_s), 0.0, T_s, True)
             if y[X] <= 0.0 or y[X] >= travel:
                 out[:, k:] = np.nan
                 return k

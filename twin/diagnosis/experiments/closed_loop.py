@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from protocol.campaign import Controller, Plant
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law, rounded
-from twin.estimation.propagate import propagate, see_delays
+from twin.estimation.propagate import input_over, propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.inference.theta import Theta
 from twin.model.causes.sensor_line import harmonics
@@ -179,7 +179,7 @@ def play(
     for n in range(len(t)):
         if n > 0:
             held_x, sensed, rate = y[X], y[SENSOR], y[RATE]
-            propagate(base, c, y, u, n, 0, t[n - 1], step[n], True)
+            propagate(base, c, y, input_over(c, u, n, 0, step[n]), t[n - 1], step[n], True)
             if clamped:
                 y[X], y[V] = held_x, 0.0
             else:

@@ -187,12 +187,13 @@ def start_flight(f: Memory, reading: float) -> None:
 
 
 @inlined
-def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x: bool) -> None:
+def take_readings(f: Memory, out: Floats, n: int, i: float, x: float, use_i: bool, use_x: bool) -> None:
     """Compute the innovations of the readings and correct the state, first by i_c.
 
     Args:
         f: the filter.
-        out: receives nu_i, nu_x, S_ii, S_ix, S_xx, shape (5,).
+        out: receives nu_i, nu_x, S_ii, S_ix, S_xx in a row, shape (n_samples, 5).
+        n: of this row.
         i: reading of i_c, A.
         x: reading of x, m.
         use_i: whether i is used.
@@ -208,16 +209,16 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
         # The first readings of a flight determine the initial speed and the state of the sensor, so they are not
         # counted as predicted: a model with a smaller initial variance (friction, a settled field) would seem better.
         if f.readings >= TELLING_READINGS:
-            out[1], out[4] = n_x, variance(f, f.h_x[:], f.r_x)
+            out[n, 1], out[n, 4] = n_x, variance(f, f.h_x[:], f.r_x)
             if use_i:
                 s_ix = 0.0
                 for a in range(m):
                     for k in range(m):
                         s_ix += f.h_i[k] * P[k, a] * f.h_x[a]
-                out[3] = s_ix
+                out[n, 3] = s_ix
         f.readings += 1
     if use_i:
-        out[0], out[2] = n_i, correct(f, f.h_i[:], f.r_i, n_i)
+        out[n, 0], out[n, 2] = n_i, correct(f, f.h_i[:], f.r_i, n_i)
         if use_x:
             for a in range(m):
                 n_x -= f.h_x[a] * f.K[a] * n_i
@@ -229,19 +230,19 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
         f.y[SENSOR] = position_reading(Base(*base_of(f)), f.c[:], f.y[X], f.y[I_C])
 
 
-@kernel
-def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool) -> None:
+@inlined
+def compare_at_stop(f: Memory, out: Floats, n: int, x: float, stop_m: float, use_i: bool) -> None:
     """Compute the position sensor's innovation for a ball at rest at `stop_m`; arguments as in `take_readings`."""
-    out[1], out[4] = x - position_reading(Base(*base_of(f)), f.c[:], stop_m, f.y[I_C]), f.r_x
+    out[n, 1], out[n, 4] = x - position_reading(Base(*base_of(f)), f.c[:], stop_m, f.y[I_C]), f.r_x
     if use_i:
-        out[3] = 0.0
+        out[n, 3] = 0.0
     if f.x_colour >= 0 or f.lines_count > 0:
         for a in range(f.m):
             f.h_x[a] = f.share_x if a == f.x_colour else 0.0
-        out[1] -= lines_of_position(f, f.y[:], f.h_x[:])
+        out[n, 1] -= lines_of_position(f, f.y[:], f.h_x[:])
         if f.x_colour >= 0:
-            out[1] -= f.share_x * f.y[X_COLOUR]
-        out[4] = correct(f, f.h_x[:], f.r_x, out[1])
+            out[n, 1] -= f.share_x * f.y[X_COLOUR]
+        out[n, 4] = correct(f, f.h_x[:], f.r_x, out[n, 1])
 
 
 @inlined

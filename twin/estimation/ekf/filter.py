@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from twin.compiled import kernel
+from twin.compiled import inlined, kernel
 from twin.estimation.ekf.correct import (
     compare_at_stop,
     correct,
@@ -37,7 +37,6 @@ from twin.estimation.ekf.correct import (
 from twin.estimation.ekf.memory import (
     Memory,
     base_of,
-    copy_square,
     memory_for,
     scale_noise,
     see_instrument,
@@ -53,9 +52,10 @@ from twin.estimation.ekf.predict import (
     predict_held,
     slopes_of_colour,
     step_linearised,
+    take_slopes,
 )
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
-from twin.estimation.propagate import copy, delay_s, find_input, see_delays
+from twin.estimation.propagate import copy, delay_s, find_input, input_over, see_delays
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
 from twin.model.extended import I_C, V, X, reading_of_current
 from twin.model.integration import SHORT_S
@@ -93,6 +93,16 @@ def fill(system: System, samples: Samples, known: Steps, results: Results) -> No
     _run(memory_for(system), samples, known, results)
 
 
+@inlined
+def _write_step(f: Memory, written: Steps, n: int) -> None:
+    """Write the step to n, where steps are requested."""
+    if written.slopes.shape[0] > 0:
+        for row in range(f.m):
+            written.before[n, row] = f.y[f.places[row]]
+            for k in range(f.m):
+                written.slopes[n, row, k] = f.F[row, k]
+
+
 @kernel
 def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
     t, step, u, y_i, y_x, flags, noise_ratio = samples
@@ -126,27 +136,25 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 )
             # With known steps the prediction is linear around them, which suffices for a model that differs only in
             # its noise. A step across a lost input depends on the model itself, so it is always integrated.
+            held = input_over(f.c[:], inputs, n, f.first, T_s)
             if known.after.shape[0] > 0 and not unknown:
-                step_linearised(f, known.slopes[n], known.before[n], known.after[n - 1], T_s)
+                step_linearised(f, known, n, T_s)
             else:
-                advance(f, f.y[:], inputs, n, t[n - 1], T_s, False)
+                advance(f, f.y[:], held, t[n - 1], T_s, False)
             if known.slopes.shape[0] > 0:
-                copy_square(f.F, known.slopes[n], f.m)
+                take_slopes(f, known, n)
                 slopes_of_colour(f, T_s)
             else:
-                differences(f, inputs, n, t[n - 1], T_s)
-            if written.slopes.shape[0] > 0:
-                copy_square(written.slopes[n], f.F, f.m)
-                copy(written.before[n], f.y[:])
+                differences(f, held, t[n - 1], T_s)
+            _write_step(f, written, n)
             carry(f.F, f.P, f.G, f.m)
             if unknown:
                 doubt_input(f, inputs, lost, n, t[n - 1], T_s)
             add_process_noise(f, T_s)
         elif follows:
-            predict_held(f, inputs, n, t[n - 1], step[n], y_x[n - 1], known)
-            if written.slopes.shape[0] > 0:
-                copy_square(written.slopes[n], f.F, f.m)
-                copy(written.before[n], f.y[:])
+            held = input_over(f.c[:], inputs, n, f.first, step[n])
+            predict_held(f, held, n, t[n - 1], step[n], y_x[n - 1], known)
+            _write_step(f, written, n)
         if not follows:
             f.first = n
             see_delays(f.c[:], f.usual[:], flags[n] & CAPTURED != 0)
@@ -168,12 +176,14 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             correct(f, f.h_i[:], f.r_i, y_i[n] - expected_current_reading(f))
             use_i = False
         if use_x and not f.in_flight and flags[n] & (RESTS_LOW | RESTS_HIGH) != 0:
-            compare_at_stop(f, out[n], y_x[n], f.low_m if flags[n] & RESTS_LOW != 0 else f.high_m, use_i)
-        take_readings(f, out[n], y_i[n], y_x[n], use_i, use_x and f.in_flight)
-        if written.after.shape[0] > 0:
-            copy(written.after[n], f.y[:])
+            compare_at_stop(f, out, n, y_x[n], f.low_m if flags[n] & RESTS_LOW != 0 else f.high_m, use_i)
+        take_readings(f, out, n, y_i[n], y_x[n], use_i, use_x and f.in_flight)
+        for k in range(written.after.shape[1] if written.after.shape[0] > 0 else 0):
+            written.after[n, k] = f.y[f.places[k]]
         if spread.shape[0] > 0:
-            copy_square(spread[n], f.P, f.m)
+            for row in range(f.m):
+                for k in range(f.m):
+                    spread[n, row, k] = f.P[row, k]
         if state.shape[0] > 0:
             for k in range(state.shape[1]):
                 state[n, k] = f.y[k] if f.in_flight else np.nan

@@ -262,11 +262,3 @@ def base_of(memory: Memory) -> Packed:
     """The paper's parameters, tuple(Base)."""
     b = memory.paper
     return b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
-
-
-@inlined
-def copy_square(to: Floats, of: Floats, m: int) -> None:
-    """Fill the first m rows and columns of `to` from `of`."""
-    for row in range(m):
-        for column in range(m):
-            to[row, column] = of[row, column]

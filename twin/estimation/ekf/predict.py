@@ -8,9 +8,17 @@ import numpy as np
 
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_state
-from twin.estimation.ekf.memory import Floats, Memory, base_of, copy_square, wandered
+from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.ekf.transition import moments, transit
-from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
+from twin.estimation.propagate import (
+    INPUT_DELTA_V,
+    UNKNOWN_INPUT_V,
+    HeldInput,
+    copy,
+    current_held,
+    input_over,
+    propagate,
+)
 from twin.estimation.structures import Steps
 from twin.model.causes import amplifier_gain_drift, coulomb_friction, magnetic_hysteresis
 from twin.model.causes.catalogue import OFFSETS
@@ -34,18 +42,18 @@ _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5, 1e-4, 1e-5, 1e-5, 1
 
 
 @inlined
-def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, stops: bool) -> None:
-    """Advance the state y from n - 1 to n in place, in closed form if the model has one; arguments as `propagate`."""
+def advance(f: Memory, y: Floats, u: HeldInput, t: float, T_s: float, stops: bool) -> None:
+    """Advance the state y over T_s in place, in closed form if the model has one; arguments as `propagate`."""
     fade(f, y, T_s)
     if not f.closed_form:
         wandered(f, y)
-        propagate(base_of(f), f.c[:], y, inputs, n, f.first, t, T_s, stops)
+        propagate(base_of(f), f.c[:], y, u, t, T_s, stops)
         return
     p = Base(*base_of(f))
     if T_s != f.moments_s:
         moments(T_s, p.T_A, f.moments[:])
         f.moments_s = T_s
-    i, x, v = transit(p, f.moments[:], T_s, y[I_C], y[X], y[V], inputs[n - 1])
+    i, x, v = transit(p, f.moments[:], T_s, y[I_C], y[X], y[V], u.after)
     if stops and not 0.0 <= x <= p.travel_m:
         x, v = min(max(x, 0.0), p.travel_m), 0.0
     y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[RATE] = i, x, v, i, x, v
@@ -80,29 +88,29 @@ def slopes_of_colour(f: Memory, T_s: float) -> None:
 
 
 @inlined
-def step_linearised(f: Memory, slopes: Floats, before: Floats, after: Floats, T_s: float) -> None:
-    """The state at n by the step of a nearby model, to first order.
-
-    Args:
-        f: with the state at n - 1 in `previous`.
-        slopes: Jacobian of that step, shape (m, m).
-        before: the state at which that step ended, before the correction, shape (STATES,).
-        after: the state at which that step began, after the correction, shape (STATES,).
-        T_s: interval from n - 1 to n, s.
-    """
+def step_linearised(f: Memory, known: Steps, n: int, T_s: float) -> None:
+    """The state at n by the step of a nearby model, to first order; `previous` of f has the state at n - 1."""
     fade(f, f.y, T_s)
     for row in range(f.coloured):
-        total = before[f.places[row]]
+        total = known.before[n, row]
         for k in range(f.coloured):
-            total += slopes[row, k] * (f.previous[f.places[k]] - after[f.places[k]])
+            total += known.slopes[n, row, k] * (f.previous[f.places[k]] - known.after[n - 1, k])
         f.y[f.places[row]] = total
     if f.field < 0:
         f.y[FIELD] = f.y[I_C]
 
 
+@inlined
+def take_slopes(f: Memory, known: Steps, n: int) -> None:
+    """Set F to the Jacobian of the step to n of a nearby model."""
+    for row in range(f.m):
+        for column in range(f.m):
+            f.F[row, column] = known.slopes[n, row, column]
+
+
 @kernel
-def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
-    """Fill F with the Jacobian d state(n) / d state(n - 1); the other arguments as `propagate`."""
+def differences(f: Memory, u: HeldInput, t: float, T_s: float) -> None:
+    """Fill F with the Jacobian of `advance`, at the state in `previous`; the other arguments as there."""
     # Differences of the step, not a variational equation: that would be a second copy of the physics, which each new
     # cause would have to extend.
     moved, back = f.moved[:], f.back[:]
@@ -117,14 +125,14 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
         moved[a] += delta
         if a == I_C and f.field < 0:
             moved[FIELD] = moved[I_C]
-        advance(f, moved, inputs, n, t, T_s, False)
+        advance(f, moved, u, t, T_s, False)
         # To both sides, so that a ball that may or may not be held has half of the effect.
         if wide:
             copy(back, f.previous[:])
             back[a] -= delta
             if a == I_C and f.field < 0:
                 back[FIELD] = back[I_C]
-            advance(f, back, inputs, n, t, T_s, False)
+            advance(f, back, u, t, T_s, False)
             for row in range(f.coloured):
                 f.F[row, column] = (moved[f.places[row]] - back[f.places[row]]) / (2.0 * delta)
         else:
@@ -193,12 +201,12 @@ def wander_on(f: Memory, T_s: float) -> None:
 
 @kernel
 def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
-    """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `propagate`."""
+    """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `input_over`."""
     wandered(f, f.previous)
     moved, K = f.moved[:], f.K
     inputs[lost] += INPUT_DELTA_V
     copy(moved, f.previous[:])
-    propagate(base_of(f), f.c[:], moved, inputs, n, f.first, t, T_s, False)
+    propagate(base_of(f), f.c[:], moved, input_over(f.c[:], inputs, n, f.first, T_s), t, T_s, False)
     inputs[lost] -= INPUT_DELTA_V
     for row in range(f.coloured):
         K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
@@ -207,9 +215,9 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
             f.P[row, column] += K[row] * K[column]
 
 
-@kernel
-def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float, known: Steps) -> None:
-    """Predict current, warmth and loop with the ball held at its last `reading`, m.
+@inlined
+def predict_held(f: Memory, u: HeldInput, n: int, t: float, T_s: float, reading: float, known: Steps) -> None:
+    """Predict current, warmth and loop at sample n with the ball held at its last `reading`, m.
 
     The other arguments are those of `propagate`; `known` as in `filter.filtered`.
     """
@@ -218,15 +226,15 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     y[X], y[V] = held, 0.0
     copy(f.previous, y)
     if known.after.shape[0] > 0:
-        step_linearised(f, known.slopes[n], known.before[n], known.after[n - 1], T_s)
+        step_linearised(f, known, n, T_s)
         y[X], y[V] = held, 0.0
     else:
-        _advance_held(f, y, inputs, n, t, T_s)
+        _advance_held(f, y, u, t, T_s)
         fade(f, y, T_s)
     if known.slopes.shape[0] > 0:
-        copy_square(f.F, known.slopes[n], f.m)
+        take_slopes(f, known, n)
     else:
-        _differences_held(f, inputs, n, t, T_s)
+        _differences_held(f, u, t, T_s)
     slopes_of_colour(f, T_s)
     carry(f.F, f.P, f.G, f.m)
     f.P[0, 0] += f.q_i * T_s
@@ -240,22 +248,22 @@ def _has_single_current(f: Memory) -> bool:
 
 
 @inlined
-def _current_after(f: Memory, i: float, inputs: Floats, n: int, T_s: float) -> float:
-    """The current at n of a held ball, A, from i at n - 1; the other arguments as `propagate`."""
+def _current_after(f: Memory, i: float, u: HeldInput, T_s: float) -> float:
+    """The current of a held ball after T_s, A, from i; the other arguments as `propagate`."""
     if f.closed_form:
-        target = f.paper[0] * inputs[n - 1]
+        target = f.paper[0] * u.after
         return float(target + (i - target) * math.exp(-T_s / f.paper[1]))
-    return float(current_held(base_of(f), f.c[:], i, inputs, n, f.first, T_s, f.previous[WARMTH], f.previous[X]))
+    return float(current_held(base_of(f), f.c[:], i, u, T_s, f.previous[WARMTH], f.previous[X]))
 
 
 @inlined
-def _advance_held(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float) -> None:
-    """Advance the state y of a held ball from n - 1 to n in place; arguments as `propagate`."""
+def _advance_held(f: Memory, y: Floats, u: HeldInput, t: float, T_s: float) -> None:
+    """Advance the state y of a held ball in place; arguments as `propagate`."""
     p, c = Base(*base_of(f)), f.c[:]
     # Without another lagging current, that of the coil has a closed form, at a tenth of the cost of the whole state.
     if _has_single_current(f):
         i, w = y[I_C], y[WARMTH]
-        y[I_C] = _current_after(f, i, inputs, n, T_s)
+        y[I_C] = _current_after(f, i, u, T_s)
         if f.warmth >= 0:
             rates = amplifier_gain_drift.warmth_rate(c, i, w) + amplifier_gain_drift.warmth_rate(c, y[I_C], w)
             y[WARMTH] += 0.5 * T_s * rates
@@ -266,12 +274,12 @@ def _advance_held(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: f
     held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
     rubs = c[coulomb_friction.FORCE]
     c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
-    propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
+    propagate(held_base, c, y, u, t, T_s, False)
     c[coulomb_friction.FORCE] = rubs
 
 
 @inlined
-def _differences_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
+def _differences_held(f: Memory, u: HeldInput, t: float, T_s: float) -> None:
     """Fill F with the Jacobian of `_advance_held`; arguments as there."""
     c, y, F, moved, base = f.c[:], f.y[:], f.F, f.moved[:], f.paper
     for row in range(f.m):
@@ -282,7 +290,7 @@ def _differences_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -
             F[0, 0] = math.exp(-T_s / base[1])
         else:
             i = f.previous[I_C]
-            F[0, 0] = (_current_after(f, i + _DELTA[I_C], inputs, n, T_s) - y[I_C]) / _DELTA[I_C]
+            F[0, 0] = (_current_after(f, i + _DELTA[I_C], u, T_s) - y[I_C]) / _DELTA[I_C]
     else:
         lagging = (0, f.second, f.core, f.i_sensor)
         for column in lagging:
@@ -290,14 +298,14 @@ def _differences_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -
                 a = f.places[column]
                 copy(moved, f.previous[:])
                 moved[a] += _DELTA[a]
-                _advance_held(f, moved, inputs, n, t, T_s)
+                _advance_held(f, moved, u, t, T_s)
                 for row in lagging:
                     if row >= 0:
                         F[row, column] = (moved[f.places[row]] - y[f.places[row]]) / _DELTA[a]
     if f.warmth >= 0:
         F[f.warmth, f.warmth] = math.exp(-T_s / c[amplifier_gain_drift.TAU])
         # The steady current falls with the warmth, and the coil's goes the share 1 - F_00 of the way to it.
-        F[0, f.warmth] = -base[0] * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - F[0, 0])
+        F[0, f.warmth] = -base[0] * c[amplifier_gain_drift.LOSS] * u.after * (1.0 - F[0, 0])
     if f.loop >= 0:
         i, z = f.previous[I_C], f.previous[LOOP]
         moved_loop = magnetic_hysteresis.turned(c, z + _DELTA[LOOP], i, y[I_C])
