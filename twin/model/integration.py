@@ -54,7 +54,7 @@ from twin.model.extended import (
 
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
 SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
-SLOW_SHARE = 1.0 / 16.0  # of T_A: within a shorter interval the current hardly bends, and it is one substep, too
+SLOW_SHARE = 0.25  # of T_A: a shorter interval is one substep, too; the error of x is below 30 nm for all causes
 LONGEST_STEP_S = 2e-3  # longest interval of one `advance`; the error bounds of rule 2 hold for it
 
 
@@ -205,8 +205,11 @@ def _substeps(
 
 @inlined
 def short(p: Base, c: Vector, duration: float) -> bool:
-    """Return whether an interval is one substep; never for a ball that may stick, whose stop must be seen."""
-    return duration < SHORT_S or (duration < SLOW_SHARE * p.T_A and c[coulomb_friction.FORCE] == 0.0)
+    """Return whether an interval is one substep."""
+    # Not where the instant of a standstill matters, nor where a reading or T_A would go straight through the interval.
+    whole = c[coulomb_friction.FORCE] == 0.0 and c[position_sensor_lag.TAU] <= 0.0
+    whole = whole and c[position_dependent_inductance.GROWTH] == 0.0
+    return duration < SHORT_S or (whole and duration < SLOW_SHARE * p.T_A)
 
 
 @inlined
