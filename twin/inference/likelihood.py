@@ -25,7 +25,7 @@ from twin.estimation.ekf.memory import states_in
 from twin.estimation.innovations import Series, information, whiten
 from twin.estimation.pace import Reuse, pace_of
 from twin.estimation.record import FloatArray
-from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
+from twin.estimation.structures import NO_STEPS, OUT_COLUMNS, Results, Steps, room_for
 from twin.evidence.dead_time import dead_time
 from twin.evidence.gather import Evidence
 from twin.evidence.thinned import thinned
@@ -149,12 +149,16 @@ class Criterion:
         """Return the innovations and their covariance, shape (n, 5)."""
         return self._halved(theta).innovations
 
-    def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
-        """Run the filter; `known` as in `filtered`."""
-        results = room_for(len(self.evidence.series), self._states(theta))
-        self._fill(theta, slice(0, len(results.innovations)), results, known)
+    def _outputs(self, theta: Theta) -> FloatArray:
+        """Run the filter in this thread."""
+        out = np.empty((len(self.evidence.series), OUT_COLUMNS))
+        self._fill_all(theta, out)
+        return out
+
+    def _fill_all(self, theta: Theta, out: FloatArray, known: Steps = NO_STEPS) -> None:
+        """Write the `outputs` to `out`, shape (n, 5); `known` as in `filtered`."""
+        self._fill(theta, slice(0, len(out)), room_for(0, 0)._replace(innovations=out), known)
         self.evaluations += 1
-        return results.innovations
 
     def _states(self, theta: Theta) -> int:
         return states_in(theta.vector(), theta.noise(self.tick_s))
@@ -203,8 +207,8 @@ class Criterion:
 
         def fill_in(index: int) -> None:
             # In the worker: otherwise one thread would subtract for all while the others wait.
-            outputs = self._outputs(thetas[index], steps[reuse[index]])
-            np.subtract(outputs, at.innovations, out=change[index])
+            self._fill_all(thetas[index], change[index], steps[reuse[index]])
+            change[index] -= at.innovations
             change[index] /= scales[index]
 
         list(self._pool.map(fill_in, range(len(thetas))))
@@ -219,9 +223,6 @@ class Criterion:
         """Return the log-likelihood with the priors; -inf for impossible parameters."""
         return self.loglik(theta, self.outputs(theta))
 
-    def _value(self, theta: Theta) -> float:
-        return self.loglik(theta, self._outputs(theta))
-
     def loglik(self, theta: Theta, out: FloatArray) -> float:
         """Return the log-likelihood of a model and its innovations, shape (n, 5), with the priors."""
         return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2)))) + self.outside.loglik(theta)
@@ -229,7 +230,8 @@ class Criterion:
     def values(self, thetas: Sequence[Theta]) -> list[float]:
         """Return `value` of each point, -inf if it is not finite."""
         self.pay(*thetas)
-        return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self._value, thetas)]
+        values = self._pool.map(lambda theta: self.loglik(theta, self._outputs(theta)), thetas)
+        return [value if math.isfinite(value) else -math.inf for value in values]
 
     def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
         """Return (log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""

@@ -10,6 +10,7 @@ import pytest
 
 from tests.harness.twin.independent_plant import Ball, wandering
 from tests.harness.twin.true_theta import TRUE
+from twin.diagnosis.checks.change_point import Switched
 from twin.diagnosis.judge.prediction_gain import bootstrap
 from twin.diagnosis.search.candidate_starts import start_of
 from twin.diagnosis.search.score_test import screen
@@ -189,3 +190,17 @@ def test_the_bootstrap_is_the_same_for_a_seed() -> None:
 
     assert bootstrap(first, second, 250, 4) == bootstrap(first, second, 250, 4)
     assert bootstrap(first, second, 250, 4) != bootstrap(first, second, 250, 5)
+
+
+def test_a_cause_that_holds_in_one_recording_is_absent_from_the_other(flown: Criterion) -> None:
+    bent = TRUE.having("force-exponent.n", 1.8)
+    switched = Switched(flown, [False, True], workers=1)
+    later = flown.evidence.series.recording == 1
+
+    outputs = switched.outputs(bent)
+    (change,) = switched.changes([bent], [2.0], flown.run_without_steps(TRUE))
+
+    absent, present = flown.outputs(TRUE), flown.outputs(bent)
+    assert np.array_equal(outputs, np.where(later[:, None], present, absent), equal_nan=True)
+    assert np.array_equal(change, (outputs - absent) / 2.0, equal_nan=True)
+    switched.close()

@@ -34,7 +34,7 @@ from twin.inference.theta import BASE, Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.settings import diagnosis as settings
 
-SHORT = 2.0 * MILLION  # the rounds of the small foreign campaign take more
+SHORT = 3.0 * MILLION  # the rounds of the small foreign campaign take more
 LAG, FORCE = "position-sensor-lag", "constant-force"
 
 
@@ -98,7 +98,7 @@ def test_a_foreign_campaign_ends_by_its_budget_and_says_what_was_not_examined(un
     assert found.budget.spent <= SHORT
     assert found.budget.unanswered
     assert found.ruled_out == ()
-    assert "budget of 2 million filter steps" in found.sentence
+    assert "budget of 3 million filter steps" in found.sentence
     for question in found.budget.unanswered:
         assert question in found.sentence
 
@@ -129,7 +129,7 @@ def without_budget(data: dict[str, Any]) -> str:
 def test_the_command_line_says_that_the_search_ended_by_its_budget(
     foreign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = main(["diagnose", str(foreign), "--quick", "--budget", "2", "--out", str(tmp_path)])
+    code = main(["diagnose", str(foreign), "--quick", "--budget", "3", "--out", str(tmp_path)])
 
     told = capsys.readouterr()
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
@@ -141,7 +141,7 @@ def test_the_command_line_says_that_the_search_ended_by_its_budget(
     assert "3 candidates" in told.out
     assert " %  " in told.err  # progress
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "The budget of 2 million filter steps ended first" in report
+    assert "The budget of 3 million filter steps ended first" in report
 
 
 @pytest.mark.parametrize(("supplied", "said"), [("0.3", "does not fit even the paper's model"), ("0", "--budget is 0")])

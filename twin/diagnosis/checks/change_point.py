@@ -77,15 +77,12 @@ class Switched(Criterion):
         cuts = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
         self._pieces = [(slice(a, b), bool(held[a])) for a, b in itertools.pairwise(cuts) if b > a]
 
-    def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
-        """Return the outputs like `Criterion._outputs`; the filter restarts at each recording, so pieces do not mix."""
-        if not theta.causes:
-            return super()._outputs(theta)
-        results, absent = room_for(len(self.evidence.series), 3), replace(theta, causes=())
+    def _fill_all(self, theta: Theta, out: FloatArray, known: Steps = NO_STEPS) -> None:
+        """Write the outputs of both models; the filter restarts at each recording, so pieces do not mix."""
+        results, absent = room_for(0, 0)._replace(innovations=out), replace(theta, causes=())
         for piece, holds in self._pieces:
             self._fill(theta if holds else absent, piece, results)
         self.evaluations += 1
-        return results.innovations
 
     def outputs(self, theta: Theta) -> FloatArray:
         """Return the outputs of both models, each where it holds."""
