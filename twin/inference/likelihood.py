@@ -275,8 +275,7 @@ class Criterion:
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
         """Return (log-likelihood, score, Fisher information) in the coordinates `names`."""
-        base, change = self.derivatives(theta, names)
-        return self.slopes(theta, names, base, change)
+        return self.slopes(theta, names, *self.derivatives(theta, names))
 
     def slopes(
         self, theta: Theta, names: Sequence[str], base: FloatArray, change: FloatArray
