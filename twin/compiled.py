@@ -10,8 +10,8 @@ Rule 5: machine code on disk is kept under a hash of all files with kernels.  nu
         changed code in another file that it calls would go on running as it was.  The emulator, which shares nothing
         with the twin, has a cache of its own.
 Rule 6: a loop over samples takes no slice of an array, and passes none to a kernel that is not inlined.  Each would
-        count a reference with an atomic instruction: a seventh of a run that reuses its steps.  Pass the array with the
-        index of the sample to an inlined function, and numbers to others.  Fields of a record are free.
+        count a reference with an atomic instruction; these were a seventh of a run that reuses its steps.  Pass the
+        array with the index of the sample to an inlined function, and numbers to others.  Fields of a record are free.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ depend on the ball, so s is known beforehand.  It may change within a fraction o
 are summed over short parts.  p and r change little within 2 ms: they are parabolas through start, middle and end.
 
 Runge-Kutta (`integration.py`) evaluates all three in each of 16 stages, one after the other.  Here s has 9 values and p
-and r have 5.  The errors are the same (tests/twin/model/test_flight.py).  Runge-Kutta remains for currents that depend
-on the ball, for dry friction and for the stops.
+and r have 5.  The errors are about the same (tests/twin/model/test_flight.py).  Runge-Kutta remains for currents that
+depend on the ball, for dry friction and for the stops.
 """
 
 from __future__ import annotations

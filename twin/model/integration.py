@@ -54,7 +54,7 @@ from twin.model.extended import (
 
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
 SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
-SLOW_SHARE = 0.25  # of T_A: a shorter interval is one substep, too; the error of x is below 30 nm for all causes
+SLOW_SHARE = 0.25  # of T_A: a shorter interval is one substep, too; the error of x is below 60 nm for each cause
 LONGEST_STEP_S = 2e-3  # longest interval of one `advance`; the error bounds of rule 1 hold for it
 
 
