@@ -81,7 +81,7 @@ def pytest_collection() -> Generator[None, object, object]:
 
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests that need POSIX, and put the slow ones first.
+    """Mark tests that need POSIX, and put the slow ones first, of all folders in turn.
 
     Tests that share a fixture or a cached function of their module run in one process: four would make it four times.
     """
@@ -98,7 +98,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     # The short ones fill up the end of a run, where a process would otherwise wait for the last long test.  A group
     # keeps its order: its fixtures are made once.
     slow = {_group(item) for item in items if any(item.iter_markers("slow"))}
-    items.sort(key=lambda item: _group(item) not in slow)
+    folders: dict[str, dict[str, None]] = {}
+    for item in items:
+        if _group(item) in slow:
+            folders.setdefault(item.path.relative_to(Path(__file__).parent).parts[0], {})[_group(item)] = None
+    # The folders take turns.  A running rig costs processor time as long as it runs: four at once, each with a browser,
+    # wait for each other, while those of the twin only compute.
+    turn = {group: n / len(groups) for groups in folders.values() for n, group in enumerate(groups)}
+    items.sort(key=lambda item: turn.get(_group(item), 1.0))
 
 
 @cache
