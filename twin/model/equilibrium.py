@@ -10,7 +10,6 @@ Rule 3: dry friction is left out: with it every position near an equilibrium wou
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,7 @@ from twin.model.parameters import Model
 
 # The upper limits are beyond any amplifier.
 _MIN_A, _MAX_A, _MIN_V, _MAX_V = 1e-3, 1e3, 1e-2, 1e5
-_INPUTS = 300  # inputs on a grid from _LEAST_V to _MOST_V, 5 % apart
+_INPUT_STEP = 1.055  # ratio of inputs that are tried from _MIN_V on
 _SETTLING, _SETTLING_STEP_S = 2000, 5e-3
 
 
@@ -52,16 +51,7 @@ def holding_current(p: Base, c: Vector, x_m: float, *, as_reading: bool = False)
         x_m: position of the ball, m.
         as_reading: whether `x_m` is the sensor's reading.
     """
-    packed = tuple(p)
-    if _lift(0.0, packed, c, x_m, as_reading) > 0.0:
-        return math.nan
-    low, high = 0.0, _MIN_A
-    # Doubled from below, not bracketed by _MAX_A: far above the root, readings with crosstalk are meaningless.
-    while not _lift(high, packed, c, x_m, as_reading) > 0.0:
-        low, high = high, 2.0 * high
-        if high > _MAX_A:
-            return math.nan
-    return _root(_lift, low, high, packed, c, x_m, as_reading)
+    return _holding_current(tuple(p), c, x_m, as_reading)
 
 
 def holding_input(p: Base, c: Vector, i_a: float) -> float:
@@ -72,16 +62,7 @@ def holding_input(p: Base, c: Vector, i_a: float) -> float:
         c: the causes' parameters, shape (PLACES,).
         i_a: the coil current, A, which has warmed the amplifier.
     """
-    packed, w = tuple(p), lasting_warmth(c, i_a)
-    if _surplus(0.0, packed, c, i_a, w) > 0.0:
-        return math.nan
-    high = _MAX_V
-    if not _surplus(high, packed, c, i_a, w) > 0.0:  # with foldback the current falls again far above
-        inputs = np.geomspace(_MIN_V, _MAX_V, _INPUTS).tolist()
-        high = next((u for u in inputs if _surplus(u, packed, c, i_a, w) > 0.0), math.nan)
-        if math.isnan(high):
-            return math.nan
-    return _root(_surplus, 0.0, high, packed, c, i_a, w)
+    return _holding_input(tuple(p), c, i_a, lasting_warmth(c, i_a))
 
 
 def at_rest(p: Base, c: Vector, x_m: float, *, as_reading: bool = False) -> tuple[NDArray[np.float64], float]:
@@ -125,6 +106,28 @@ def steady_current(p: Base, c: Vector, u_v: float) -> float:
 
 
 @kernel
+def _holding_current(base: Packed, c: Vector, x_m: float, as_reading: bool) -> float:
+    # Bisection until low and high are neighbouring numbers.  Not Newton: a dead zone or a limit makes the slope 0.  Not
+    # Brent's method: its import takes 18 MB in every twin.
+    if _lift(0.0, base, c, x_m, as_reading) > 0.0:
+        return math.nan
+    low, high = 0.0, _MIN_A
+    # Doubled from below, not bracketed by _MAX_A: far above the root, readings with crosstalk are meaningless.
+    while not _lift(high, base, c, x_m, as_reading) > 0.0:
+        low, high = high, 2.0 * high
+        if high > _MAX_A:
+            return math.nan
+    middle = 0.5 * (low + high)
+    while low < middle < high:
+        if _lift(middle, base, c, x_m, as_reading) > 0.0:
+            high = middle
+        else:
+            low = middle
+        middle = 0.5 * (low + high)
+    return middle
+
+
+@kernel
 def _lift(i: float, base: Packed, c: Vector, x_m: float, as_reading: bool) -> float:
     """Return the acceleration of a ball at rest at x under the current i, m/s^2."""
     p = Base(*base)
@@ -133,15 +136,27 @@ def _lift(i: float, base: Packed, c: Vector, x_m: float, as_reading: bool) -> fl
 
 
 @kernel
+def _holding_input(base: Packed, c: Vector, i: float, w: float) -> float:
+    if _surplus(0.0, base, c, i, w) > 0.0:
+        return math.nan
+    low, high = 0.0, _MAX_V
+    if not _surplus(high, base, c, i, w) > 0.0:  # with foldback the current falls again far above
+        high = _MIN_V
+        while not _surplus(high, base, c, i, w) > 0.0:
+            low, high = high, _INPUT_STEP * high
+            if high > _MAX_V:
+                return math.nan
+    middle = 0.5 * (low + high)
+    while low < middle < high:
+        if _surplus(middle, base, c, i, w) > 0.0:
+            high = middle
+        else:
+            low = middle
+        middle = 0.5 * (low + high)
+    return middle
+
+
+@kernel
 def _surplus(u: float, base: Packed, c: Vector, i: float, w: float) -> float:
     """Return the steady-state current under u minus i, A."""
     return drive(Base(*base), c, u, w) - i
-
-
-def _root(rising: Callable[..., float], low: float, high: float, *rest: object) -> float:
-    # Not Newton: a dead zone or a limit makes the slope 0.  Not Brent's method: its import takes 18 MB in every twin.
-    middle = 0.5 * (low + high)
-    while low < middle < high:  # until the two are neighbouring numbers
-        low, high = (low, middle) if rising(middle, *rest) > 0.0 else (middle, high)
-        middle = 0.5 * (low + high)
-    return middle
