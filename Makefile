@@ -44,12 +44,14 @@ demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
 # What guards a change, about six minutes on two cores.  Four processes: some of these tests wait for a board or a bus.
+# Each emulated rig costs processor time as long as it runs: more processes make the slow tests slower.
 # test-slow, the rest, 25 minutes: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
 # browsers.  WHICH="not sample" runs both, the slow ones first, so that no process waits for another at the end.
 WHICH ?= not slow and not sample
+PROCESSES ?= 4
 test-slow: WHICH = slow and not sample
 test test-slow: setup
-	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup --no-loadscope-reorder $(PYTEST_ARGS) -m "$(WHICH)"
+	$(ALONE) $(BIN)/pytest -n $(PROCESSES) --dist loadgroup --no-loadscope-reorder $(PYTEST_ARGS) -m "$(WHICH)"
 
 # Before a release and after a change of the twin: coverage of intervals, rates of false alarms, more hidden
 # campaigns of each kind.
