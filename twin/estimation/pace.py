@@ -1,6 +1,6 @@
 """The cost of a run of the filter, in substeps of the extended model, which take three quarters of a diagnosis.
 
-A substep takes 40 to 60 ns, and 130 ns with `force-exponent`.
+A substep takes 0.08 to 0.2 us (`twin/diagnosis/matrix.md`).
 """
 
 from __future__ import annotations
