@@ -45,6 +45,19 @@ def test_what_the_amplifier_cannot_give_is_no_rest() -> None:
     assert math.isnan(u) == (y[0] > 0.5)
 
 
+def test_of_two_inputs_under_a_limit_that_folds_back_the_lower_one_holds() -> None:
+    p, c = kernels(strong("current-limit", 1.0).having("current-limit.fold", 0.3))
+
+    assert holding_input(p, c, 0.5) == pytest.approx(0.5 / THETA.K_A, rel=1e-12)
+
+
+def test_a_current_below_that_of_no_input_has_no_input() -> None:
+    p, c = kernels(strong("amplifier-offset", 0.5))  # A
+
+    assert math.isnan(holding_input(p, c, 0.4))
+    assert holding_input(p, c, 0.6) == pytest.approx(0.1 / THETA.K_A, rel=1e-12)
+
+
 def test_what_is_shown_is_what_the_sensor_shows() -> None:
     p, c = kernels(strong("sensor-crosstalk", 1e-4))
 
