@@ -119,10 +119,7 @@ def _holding_current(base: Packed, c: Vector, x_m: float, as_reading: bool) -> f
             return math.nan
     middle = 0.5 * (low + high)
     while low < middle < high:
-        if _lift(middle, base, c, x_m, as_reading) > 0.0:
-            high = middle
-        else:
-            low = middle
+        low, high = (low, middle) if _lift(middle, base, c, x_m, as_reading) > 0.0 else (middle, high)
         middle = 0.5 * (low + high)
     return middle
 
@@ -148,10 +145,7 @@ def _holding_input(base: Packed, c: Vector, i: float, w: float) -> float:
                 return math.nan
     middle = 0.5 * (low + high)
     while low < middle < high:
-        if _surplus(middle, base, c, i, w) > 0.0:
-            high = middle
-        else:
-            low = middle
+        low, high = (low, middle) if _surplus(middle, base, c, i, w) > 0.0 else (middle, high)
         middle = 0.5 * (low + high)
     return middle
 
