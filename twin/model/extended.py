@@ -173,7 +173,7 @@ def sensor_lag_s(c: Vector) -> float:
 @inlined
 def lagging_reading(c: Vector, s: float, rate: float, steady: float, h: float) -> tuple[float, float]:
     """Return (sensor output in m, its rate in m/s) after h s from s and rate, with the steady state `steady`, m."""
-    return position_sensor_lag.lagged(c, s, rate, steady, steady, h)
+    return position_sensor_lag.lagged(c, s, rate, steady, steady, steady, h)
 
 
 @inlined

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from twin.compiled import inlined
+from twin.model.causes import parabola
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import OSCILLOSCOPE
 
@@ -39,7 +40,7 @@ def lagged(c: Vector, s: float, i: float, i_half: float, i_next: float, h: float
     tau = c[TAU]
     if tau <= 0.0:
         return i_next
-    slope, bend = (4.0 * i_half - 3.0 * i - i_next) / h, 4.0 * (i - 2.0 * i_half + i_next) / (h * h)
+    slope, bend = parabola.through(i, i_half, i_next, h)
     # The parabola that the output tends to, at both ends.
     begin, end = i - tau * slope + tau * tau * bend, i_next - tau * (slope + bend * h) + tau * tau * bend
     return end + (s - begin) * math.exp(-h / tau)

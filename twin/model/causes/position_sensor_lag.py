@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from twin.compiled import inlined
+from twin.model.causes import parabola
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 TAU, SECOND = 22, 44
@@ -44,25 +45,31 @@ CAUSE = Cause(
 
 
 @inlined
-def lagged(c: Vector, s: float, rate: float, reading: float, reading_next: float, h: float) -> tuple[float, float]:
-    """Return (the sensor's output in m, its rate in m/s) after h s while its input goes from one reading to the next.
+def lagged(
+    c: Vector, s: float, rate: float, reading: float, reading_half: float, reading_next: float, h: float
+) -> tuple[float, float]:
+    """Return (the sensor's output in m, its rate in m/s) after h s while its input follows a parabola.
 
     Args:
         c: the causes' parameters.
         s: output, m.
         rate: of the output, m/s; of a first order not looked at.
         reading: what the output would tend to at the beginning, m.
+        reading_half: in the middle.
         reading_next: at the end.
         h: s.
     """
     tau, r = c[TAU], c[SECOND]
     if tau <= 0.0:
         return reading_next, 0.0
-    slope = (reading_next - reading) / h
-    behind = s - reading + slope * tau  # the line that the output tends to
+    # Not a straight line: that is wrong by a h^2 / 8 in the middle, 1 um for an acceleration a of 10 m/s^2 in 1 ms.
+    slope, bend = parabola.through(reading, reading_half, reading_next, h)
+    # The parabola that the output tends to: its slope at the beginning, its distance from the input at both ends.
+    begin_rate, lead = slope - tau * bend, (1.0 - r) * tau * tau * bend
+    behind, end = s - reading + tau * slope - lead, reading_next - tau * (slope + bend * h) + lead
     if r <= 0.0:
-        return reading_next - slope * tau + behind * math.exp(-h / tau), 0.0
-    drift, mean = rate - slope, -0.5 / (r * tau)
+        return end + behind * math.exp(-h / tau), 0.0
+    drift, mean = rate - begin_rate, -0.5 / (r * tau)
     square = mean * mean - 1.0 / (r * tau * tau)
     root = math.sqrt(abs(square))
     # Both poles are one, nearly: sinh and sine over the root are h, where the others would divide 0 by 0.
@@ -77,4 +84,4 @@ def lagged(c: Vector, s: float, rate: float, reading: float, reading_next: float
         even, uneven = decay * math.cos(root * h), decay * math.sin(root * h) / root
     after = even * behind + uneven * (drift - mean * behind)
     turned = even * drift + uneven * (mean * drift - behind / (r * tau * tau))
-    return reading_next - slope * tau + after, slope + turned
+    return end + after, begin_rate + bend * h + turned
