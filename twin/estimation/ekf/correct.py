@@ -6,7 +6,7 @@ from twin.compiled import inlined, kernel
 from twin.estimation.ekf.lines import lines_of_current, lines_of_position, share_of_lines, variance_of_lines
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.innovations import SPEED_STD_M_S
-from twin.model.causes import current_sensor_lag, position_sensor_lag
+from twin.model.causes import current_sensor_lag, eddy_current_lag, position_sensor_lag
 from twin.model.causes.wander import MINUTE_S
 from twin.model.extended import (
     FIELD,
@@ -32,7 +32,7 @@ TELLING_READINGS = 5  # after the first of a flight; later ones do not depend on
 _ACCELERATION_M_S2 = 15.0  # standard deviation at the beginning of a flight
 _WARMTH = (0.25, 0.3)  # A^2: mean and standard deviation at the beginning of a recording
 _LAGGING_STD_A = 0.1  # current of a second loop or a core at the beginning of a recording, about that of the coil
-_RATE_A_S = 50.0  # standard deviation of the rate of the current where a slow sensor began to be read
+_RATE_A_S = 50.0  # standard deviation of the rate of the current where a slow sensor or a lagging field begins
 _LOOP_STD = 0.7  # place of the iron on its loop at the beginning of a recording, of a range of -1 to 1
 _CURRENT_VARIANCE = 1e2  # A^2, initial variance without a reading of i_c
 
@@ -135,7 +135,8 @@ def start_flight(f: Memory, reading: float) -> None:
     slope = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
     P[1, 1], P[2, 2] = r_x + slope * slope * P[0, 0], SPEED_STD_M_S**2
     if f.field >= 0:
-        P[f.field, f.field] = P[0, 0]
+        # A field that lags is that of a time constant ago.  Were it known here, each flight would favour this cause.
+        P[f.field, f.field] = P[0, 0] + (c[eddy_current_lag.TAU] * _RATE_A_S) ** 2
         P[0, f.field] = P[0, 0]
         P[f.field, 0] = P[0, 0]
         for k in range(f.lasting, f.m):
