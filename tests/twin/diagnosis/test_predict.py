@@ -229,7 +229,7 @@ def test_lost_samples_and_contacts_are_left_out_and_counted(tmp_path: Path, gap_
     x = gap_flight.x.copy()
     x[600:700] = 0.0
     keep = np.ones(len(x), np.bool_)
-    keep[1200:1203] = False
+    keep[1200:1204] = False  # a row more than is bridged
     record = replace(gap_flight, **{name: getattr(gap_flight, name)[keep] for name in NAMES if name != "x"}, x=x[keep])
 
     found = predict(true_model(effects={"air-gap-offset": 8e-4}), record, AHEAD)

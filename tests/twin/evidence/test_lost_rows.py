@@ -1,4 +1,4 @@
-"""Single lost samples: nothing is made out of them, nothing is forgotten behind them."""
+"""Lost samples: nothing is made out of them, nothing is forgotten behind them."""
 
 from __future__ import annotations
 
@@ -97,23 +97,26 @@ def test_behind_a_lost_sample_x_surprises_the_right_model_no_more_than_elsewhere
     criterion.close()
 
 
-def test_a_single_lost_sample_gets_a_row_and_more_in_a_row_stay_a_gap() -> None:
+def test_up_to_three_lost_samples_in_a_row_get_rows_and_more_stay_a_gap() -> None:
     record = flight(NOISY, seed=7, seconds=2.0)
     gone = np.zeros(len(record.t), np.bool_)
-    gone[[300, 500, 501, 700]] = True
+    gone[[300, 500, 501, 502, 600, 601, 602, 603, 700, 701]] = True
+    rows = [300, 500, 501, 502, 696, 697]  # without the four
 
     whole, lost = bridged(less(record, gone))
 
-    assert np.flatnonzero(lost).tolist() == [300, 698]
-    assert np.delete(whole.t, np.flatnonzero(lost)).tolist() == less(record, gone).t.tolist()
-    assert whole.t[300] == pytest.approx(record.t[300])
+    assert np.flatnonzero(lost).tolist() == rows
+    assert np.delete(whole.t, rows).tolist() == less(record, gone).t.tolist()
+    assert whole.t[500:503] == pytest.approx(record.t[500:503])
+    assert whole.u_c[500:503] == pytest.approx(record.u_c[499])
     assert np.isnan(whole.x[lost]).all()
     assert np.isnan(whole.i_c[lost]).all()
     series = gather([less(record, gone)], PLANT).series
-    assert np.flatnonzero(series.flags & LOST != 0).tolist() == [300, 698]
-    assert (series.flags[[300, 301]] & FOLLOWS != 0).all()
-    assert series.flags[300] & (USE_I | USE_X) == 0
-    assert series.flags[500] & FOLLOWS == 0  # behind the two
+    assert np.flatnonzero(series.flags & LOST != 0).tolist() == rows
+    assert (series.flags[[300, 301, 500, 501, 502, 503]] & FOLLOWS != 0).all()
+    assert (series.flags[rows] & (USE_I | USE_X) == 0).all()
+    assert series.flags[600] & FOLLOWS == 0  # behind the four
+    assert series.x[500:502] == pytest.approx(series.x[499] + (series.x[503] - series.x[499]) * np.array([0.25, 0.5]))
 
 
 def test_what_is_sampled_at_varying_times_has_lost_nothing() -> None:
