@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from twin.compiled import Packed
 from twin.estimation.ekf import filter as ekf
@@ -10,7 +11,7 @@ from twin.estimation.ekf.memory import memory_for
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import AT_THE_ENDS, NO_STEPS, NoiseLevels, Results, Samples, System, room_for
-from twin.model.causes import actuation_delay
+from twin.model.causes import actuation_delay, current_sensor_lag, eddy_current_lag
 from twin.model.causes.catalogue import neutral
 from twin.model.extended import I_C, V, X
 
@@ -65,6 +66,21 @@ def test_the_closed_form_is_the_step_of_the_model_without_causes() -> None:
     np.testing.assert_allclose(closed.state[3:, I_C], stepped.state[3:, I_C], atol=1e-3)
     np.testing.assert_allclose(closed.state[8:, X], stepped.state[8:, X], atol=1e-7)
     np.testing.assert_allclose(closed.state[8:, V], stepped.state[8:, V], atol=1e-4)
+
+
+@pytest.mark.parametrize("tau_s", [2e-4, 2e-3])
+def test_a_lagging_field_begins_as_uncertain_as_a_current_behind_a_slow_sensor(tau_s: float) -> None:
+    """Were it known, each start would favour eddy currents."""
+
+    def variance(place: int, row: int) -> float:
+        c = neutral()
+        c[place] = tau_s
+        spread = ekf.filtered(System(BASE, c, NOISE, AT_THE_ENDS), readings(40), spread=True).spread
+        return float(spread[0, row, row])
+
+    field, current = variance(eddy_current_lag.TAU, 3), variance(current_sensor_lag.TAU, 0)
+
+    assert field == pytest.approx(current, rel=0.1)
 
 
 def test_a_capture_shows_its_share_of_a_delay_and_the_loop_all_of_it() -> None:

@@ -28,7 +28,8 @@ from twin.model.extended import (
     settle_current,
 )
 
-TELLING_READINGS = 5  # after the first of a flight; later ones do not depend on the start, even with a lag of 2 ms
+# After the first of a flight.  With a lag of 1 ms later ones hardly depend on the start, with one of 1.6 ms a little.
+TELLING_READINGS = 5
 _ACCELERATION_M_S2 = 15.0  # standard deviation at the beginning of a flight
 _WARMTH = (0.25, 0.3)  # A^2: mean and standard deviation at the beginning of a recording
 _LAGGING_STD_A = 0.1  # current of a second loop or a core at the beginning of a recording, about that of the coil
