@@ -119,6 +119,19 @@ def test_up_to_three_lost_samples_in_a_row_get_rows_and_more_stay_a_gap() -> Non
     assert series.x[500:502] == pytest.approx(series.x[499] + (series.x[503] - series.x[499]) * np.array([0.25, 0.5]))
 
 
+def test_where_u_c_jumps_only_a_single_lost_sample_gets_a_row() -> None:
+    record = flight(NOISY, seed=7, seconds=2.0)
+    jumps = replace(
+        record, u_c=record.u_c + 3.0 * (np.arange(len(record.t)) >= 502) - 3.0 * (record.t >= record.t[701])
+    )
+    gone = np.zeros(len(record.t), np.bool_)
+    gone[[500, 501, 502, 701, 800, 801]] = True
+
+    _, lost = bridged(less(jumps, gone))
+
+    assert np.flatnonzero(lost).tolist() == [698, 797, 798]  # without the three
+
+
 def test_what_is_sampled_at_varying_times_has_lost_nothing() -> None:
     record = flight(NOISY, seed=7, seconds=1.0)
     uneven = replace(record, t=np.cumsum(np.tile([1.6e-3, 2e-3, 2e-3, 4e-3, 2.4e-3], len(record.t) // 5)))
