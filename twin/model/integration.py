@@ -105,6 +105,7 @@ def _substeps(
     shaped = slow and shapes_current(c)
     rubs = slow and c[coulomb_friction.FORCE] != 0.0
     shared = slow and c[second_time_constant.SHARE] != 0.0
+    lags = slow and c[position_sensor_lag.TAU] > 0.0
     coarse = short(p, c, duration)
     first_decay = math.exp(-0.5 * duration * (1.0 if coarse else PARTS[0]) / p.T_A)  # of the current in half a substep
     half_decay = first_decay
@@ -191,19 +192,22 @@ def _substeps(
         elif stops and x_next >= p.travel_m:
             x_next, v_next = p.travel_m, min(v_next, 0.0)
         if slow:
-            # The middle of the cubic through both ends (C. Hermite).
-            x_half = 0.5 * (x + x_next) + 0.125 * h * (v - v_next)
-            reading, reading_half = position_reading(p, c, x, i), position_reading(p, c, x_half, i_half)
-            reading_next = position_reading(p, c, x_next, i_next)
-            y[SENSOR], y[RATE] = position_sensor_lag.lagged(c, s, y[RATE], reading, reading_half, reading_next, h)
+            if lags:
+                # The middle of the cubic through both ends (C. Hermite).
+                x_half = 0.5 * (x + x_next) + 0.125 * h * (v - v_next)
+                reading, reading_half = position_reading(p, c, x, i), position_reading(p, c, x_half, i_half)
+                reading_next = position_reading(p, c, x_next, i_next)
+                y[SENSOR], y[RATE] = position_sensor_lag.lagged(c, s, y[RATE], reading, reading_half, reading_next, h)
             y[SECOND], y[CORE] = second, core
             y[I_SENSOR] = current_sensor_lag.lagged(c, y[I_SENSOR], i, i_half, i_next, h)
         # Euler's rule is enough: the warmth changes over half a second or more.
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD], y[LOOP] = i_next, x_next, v_next, f_next, z
         t += h
+    if not lags:
+        y[SENSOR], y[RATE] = position_reading(p, c, y[X], y[I_C]), 0.0
     if not slow:
-        y[SENSOR], y[RATE], y[I_SENSOR] = position_reading(p, c, y[X], y[I_C]), 0.0, y[I_C]
+        y[I_SENSOR] = y[I_C]
 
 
 @inlined
