@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.compiled import Packed, inlined, kernel
+from twin.compiled import Packed, inlined, merged
 from twin.model.causes import actuation_delay, sampling_delay
 from twin.model.extended import Base, held_current, is_slow, reading_of_current
 from twin.model.flight import fly
-from twin.model.integration import over
+from twin.model.integration import FREE, over
 
 INPUT_DELTA_V = 1e-3
 UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the previous one
@@ -109,7 +109,7 @@ def current_held(
     return held_current(p, c, i, w, x, u.after, T_s - u.change_s)
 
 
-@kernel
+@merged
 def find_input(
     base: Packed,
     c: NDArray[np.float64],
@@ -131,11 +131,11 @@ def find_input(
     held = u[lost]
     for _ in range(3):
         copy(moved, before)
-        propagate(base, c, moved, input_over(c, u, n, first, T_s), t, T_s, False)
+        propagate(base, c, moved, input_over(c, u, n, first, T_s), t, T_s, FREE)
         i_c = reading_of_current(c, moved)
         u[lost] += INPUT_DELTA_V
         copy(moved, before)
-        propagate(base, c, moved, input_over(c, u, n, first, T_s), t, T_s, False)
+        propagate(base, c, moved, input_over(c, u, n, first, T_s), t, T_s, FREE)
         u[lost] -= INPUT_DELTA_V
         answer = (reading_of_current(c, moved) - i_c) / INPUT_DELTA_V
         # Where i_c hardly responds within an interval, its noise would be divided by almost nothing: the last input

@@ -26,6 +26,7 @@ from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
 from twin.estimation.propagate import copy, input_over
 from twin.estimation.structures import Samples, Stops, System
 from twin.model.extended import SENSOR, X_COLOUR, Base, position_reading
+from twin.model.integration import STOPS
 
 _INPUT_SAMPLES = 3  # samples after a lost one whose readings determine its input
 SETTLE_S = 0.1  # eight times 1 / (unstable pole) = 12 ms, within which an estimate forgets its start
@@ -150,5 +151,5 @@ def _roll_once(
     for k in range(1, len(x_hat)):
         n = begin + k
         T_s = samples.step[n]
-        advance(f, y, input_over(f.c[:], samples.u, n, first, T_s), samples.t[n - 1], T_s, True)
+        advance(f, y, input_over(f.c[:], samples.u, n, first, T_s), samples.t[n - 1], T_s, STOPS)
         x_hat[k] = y[SENSOR] + lines_of_position(f, y, f.h_x[:])

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.compiled import Packed, inlined, kernel
+from twin.compiled import Packed, inlined, merged
 from twin.estimation.ekf.branches import spread_over_cases
 from twin.estimation.ekf.correct import (
     TELLING_READINGS,
@@ -46,6 +46,7 @@ from twin.model.extended import (
     lasting_warmth,
     position_of_reading,
 )
+from twin.model.integration import FREE
 from twin.model.parameters import Noise
 from twin.model.simulate import PlantNumbers
 
@@ -120,13 +121,13 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
     o.ticks[0] = 0.0
 
 
-@inlined
+@merged
 def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     """Predict one tick, correct by its readings, write innovations and covariance into `out`, return the NIS."""
     f, n, T_s, out = o.f, len(o.inputs), o.sample_time_s, o.out
     copy(f.previous, f.y)
     held = input_over(f.c[:], o.inputs, n, f.first, T_s)
-    advance(f, f.y[:], held, 0.0, T_s, False)
+    advance(f, f.y[:], held, 0.0, T_s, FREE)
     differences(f, held, 0.0, T_s)
     carry(f.F, f.P, f.G, f.m)
     add_process_noise(f, T_s)
@@ -141,7 +142,7 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     return float(n_i * n_i / s_ii + left * left / spread)
 
 
-@kernel
+@merged
 def observe(
     observer: Packed, follows: bool, usable: bool, switched_off: bool, i: float, x: float, u: float
 ) -> tuple[float, float, float, bool]:

@@ -33,7 +33,7 @@ from twin.model.extended import (
     settle_current,
 )
 from twin.model.extension import base, vector
-from twin.model.integration import advance
+from twin.model.integration import STOPS, advance
 from twin.model.parameters import Model
 
 # The upper limits are beyond any amplifier.
@@ -99,7 +99,7 @@ def steady_current(p: Base, c: Vector, u_v: float) -> float:
         before = float(y[I_C])
         y[X], y[V], y[WARMTH] = 0.0, 0.0, lasting_warmth(c, before)
         # A step longer than `advance` is exact for: only where the current comes to rest counts, not how it gets there.
-        advance(packed, c, y, u_v, 0.0, _SETTLING_STEP_S, True)
+        advance(packed, c, y, u_v, 0.0, _SETTLING_STEP_S, STOPS)
         if abs(y[I_C] - before) <= 1e-12:
             break
     return float(y[I_C])

@@ -12,6 +12,7 @@ Rule 3: stops are inelastic, as in `simulate.py`, and apply only if the caller a
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,8 @@ from twin.model.extended import (
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
 SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
 SLOW_SHARE = 0.25  # of T_A: a shorter interval is one substep, too; the error of x is below 60 nm for each cause
+# numpy's, not Python's: numba compiles a function once more for each constant of Python's, and all that it calls.
+STOPS, FREE = cast("bool", np.True_), cast("bool", np.False_)
 LONGEST_STEP_S = 2e-3  # longest interval of one `advance`; the error bounds of rule 1 hold for it
 
 
@@ -70,7 +73,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         u: input after all delays, V.
         t: time at the beginning, s, for periodic causes.
         duration: s, at most LONGEST_STEP_S.
-        stops: whether x is limited to 0 .. travel.
+        stops: whether x is limited to 0 .. travel: `STOPS` or `FREE`.
     """
     if duration < INSTANT_S:  # what a delay of whole intervals leaves of its first part
         return

@@ -49,7 +49,7 @@ from twin.model.extended import (
     position_reading,
 )
 from twin.model.extension import base, vector
-from twin.model.integration import advance
+from twin.model.integration import FREE, advance
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
@@ -100,7 +100,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
             y[state] += delta
             if state == I_C and eddy <= 0.0:
                 y[FIELD] = y[I_C]
-        advance(tuple(p), c, y, u, 0.0, h, False)
+        advance(tuple(p), c, y, u, 0.0, h, FREE)
         return y[places]
 
     block = np.eye(n + 1)

@@ -39,7 +39,7 @@ from twin.model.extended import (
     settle_current,
 )
 from twin.model.extension import base, vector
-from twin.model.integration import over
+from twin.model.integration import STOPS, over
 from twin.model.parameters import Model
 
 I_READ, X_READ, INTEGRAL, X_BEFORE = range(STATES, STATES + 4)
@@ -148,7 +148,7 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
     T_s = p.sample_time_s
     # Most models have no delay: nothing has to be moved then.
     if p.act_whole == 0 and p.act_part_s == 0.0 and p.sense_whole == 0 and p.sense_part_s == 0.0:
-        over(p.base, p.c, memory, u, 0.0, T_s, True)
+        over(p.base, p.c, memory, u, 0.0, T_s, STOPS)
         memory[I_READ], memory[X_READ] = reading_of_current(p.c, memory), memory[SENSOR]
         return
     last_u = LINES + p.act_whole + 1
@@ -163,7 +163,7 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
     # The tick is cut where the input changes and where the sensors look, so nothing is interpolated.
     for end in (min(change, look), max(change, look), T_s):
         if end > at:
-            over(p.base, p.c, memory, memory[last_u] if at < change else memory[last_u - 1], 0.0, end - at, True)
+            over(p.base, p.c, memory, memory[last_u] if at < change else memory[last_u - 1], 0.0, end - at, STOPS)
             at = end
         # Exactly equal: `at` was set to one of the three ends.
         if at == look:

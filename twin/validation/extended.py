@@ -12,6 +12,7 @@ from twin.estimation.record import FloatArray, Record
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
 from twin.model.extended import SENSOR, STATES, V, X, current_of_reading, reading_of_current, settle_current
 from twin.model.extension import base
+from twin.model.integration import FREE
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
 
@@ -63,6 +64,6 @@ def current(
         # The recorded position, not the model's: an error of (6) must not count against (1).
         y[X], y[V] = x[k - 1], 0.0
         T_s = float(step[k])
-        propagate(p, c, y, input_over(c, u, k, 0, T_s), 0.0, T_s, False)
+        propagate(p, c, y, input_over(c, u, k, 0, T_s), 0.0, T_s, FREE)
         readings[k] = reading_of_current(c, y)
     return readings

@@ -24,6 +24,7 @@ from twin.estimation.propagate import copy, input_over, propagate
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import System
 from twin.model.extended import SENSOR, STATES, Base, X, reading_of_current
+from twin.model.integration import STOPS
 
 NEVER = -1
 
@@ -76,7 +77,7 @@ def _split(
     for k in range(1, len(u)):
         # From the corrected state each time: d is what one step missed, not what has added up.
         copy(y, state[k - 1])
-        propagate(base, c, y, input_over(c, u, k, 0, step[k]), 0.0, step[k], True)
+        propagate(base, c, y, input_over(c, u, k, 0, step[k]), 0.0, step[k], STOPS)
         predicted = (reading_of_current(c, y), y[SENSOR])
         for n in range(2):
             if np.isfinite(readings[k, n]):
@@ -124,7 +125,7 @@ def replay(
     for k in range(n):
         if k > 0:
             T_s = reference.step[k]
-            propagate(base, c, y, input_over(c, acting, k, 0, T_s), 0.0, T_s, True)
+            propagate(base, c, y, input_over(c, acting, k, 0, T_s), 0.0, T_s, STOPS)
             if y[X] <= 0.0 or y[X] >= travel:
                 out[:, k:] = np.nan
                 return k

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from twin.model import integration
 from twin.model.causes import position_sensor_lag
 from twin.model.causes.catalogue import CATALOGUE, neutral
 from twin.model.causes.cause import NO_PLACE, Cause, Vector
@@ -14,6 +17,7 @@ from twin.model.extended import CORE, FIELD, I_C, I_SENSOR, RATE, SECOND, SENSOR
 from twin.model.integration import SLOW_SHARE, advance
 
 T_S, PIECES = 2e-3, 64
+TWIN = Path(integration.__file__).parents[1]
 POSITION_M = 6e-8
 CURRENT_A = 1e-3  # the parts of an interval leave this much of a T_A that grows near the coil
 
@@ -37,6 +41,20 @@ def test_a_slow_sensor_shows_what_an_accelerated_ball_does(tau_s: float, second:
     c[position_sensor_lag.TAU], c[position_sensor_lag.SECOND] = tau_s, second
 
     assert_exact(c, T_A=3e-4)
+
+
+def test_no_constant_of_python_says_whether_there_are_stops() -> None:
+    """numba would compile the model once more for it, and whatever calls the model."""
+    calls = [
+        f"{path.relative_to(TWIN)}:{node.lineno}"
+        for path in TWIN.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        if node.func.id in ("advance", "over", "propagate")
+        if isinstance(node.args[-1], ast.Constant)
+    ]
+
+    assert calls == []
 
 
 def assert_exact(c: Vector, T_A: float) -> None:

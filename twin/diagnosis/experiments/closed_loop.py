@@ -36,6 +36,7 @@ from twin.model.extended import (
     reading_of_current,
     sensor_lag_s,
 )
+from twin.model.integration import STOPS
 
 TICK_S = 2e-3  # of the board (15)
 _NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
@@ -179,7 +180,7 @@ def play(
     for n in range(len(t)):
         if n > 0:
             held_x, sensed, rate = y[X], y[SENSOR], y[RATE]
-            propagate(base, c, y, input_over(c, u, n, 0, step[n]), t[n - 1], step[n], True)
+            propagate(base, c, y, input_over(c, u, n, 0, step[n]), t[n - 1], step[n], STOPS)
             if clamped:
                 y[X], y[V] = held_x, 0.0
             else:

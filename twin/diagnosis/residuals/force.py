@@ -42,7 +42,7 @@ from twin.evidence.gather import Evidence
 from twin.inference.theta import Theta
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.extended import I_C, STATES, Base, V, X, position_of_reading, sensor_lag_s
-from twin.model.integration import advance
+from twin.model.integration import FREE, advance
 
 WINDOW_S = 0.03
 MIN_READINGS = 7  # readings in a window
@@ -168,7 +168,7 @@ def _fill_acceleration(
         # The input that takes the current to its next value, in place of u_c: no error of the amplifier then acts on
         # the force.
         target = (state[n + 1, I_C] - state[n, I_C] * left) / (1.0 - left)
-        advance(base, c, y, target / p.K_A, t[n], T_s, False)
+        advance(base, c, y, target / p.K_A, t[n], T_s, FREE)
         further = y[X] - x[n] - T_s * state[n, V]
         if not np.isnan(gained):
             modelled[n] = (T_s * gained + further - moved) / (T_s * T_s)

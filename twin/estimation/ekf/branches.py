@@ -16,17 +16,17 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel
+from twin.compiled import kernel, merged
 from twin.estimation.ekf.memory import Floats, Memory, base_of
 from twin.estimation.propagate import copy, delay_s
 from twin.model.extended import I_COLOUR, Base, V, X
-from twin.model.integration import over
+from twin.model.integration import FREE, STOPS, over
 
 CASES = 8
 _MIXED = 3  # has no divisor in common with CASES: the order of the restitutions, independent of that of the instants
 
 
-@kernel
+@merged
 def spread_over_cases(f: Memory, inputs: Floats, n: int, T_s: float, cut: int) -> None:
     """Replace the prediction of sample n in `f.y` by the mean over the cases, and add their covariance to `f.P`.
 
@@ -58,7 +58,7 @@ def spread_over_cases(f: Memory, inputs: Floats, n: int, T_s: float, cut: int) -
             f.P[a, b] += total / CASES
 
 
-@kernel
+@merged
 def _run(f: Memory, y: Floats, inputs: Floats, n: int, T_s: float, cut: int, cut_s: float, restitution: float) -> None:
     """Run one case in place of y: the input `cut` became 0 `cut_s` after its sample; delays as in `propagate`."""
     delay = delay_s(f.c[:])
@@ -81,7 +81,7 @@ def _fly(f: Memory, y: Floats, u: float, duration: float, restitution: float) ->
     base, c, before = base_of(f), f.c[:], f.back[:]
     travel_m = Base(*base).travel_m
     copy(before, y)
-    over(base, c, y, u, 0.0, duration, False)
+    over(base, c, y, u, 0.0, duration, FREE)
     if 0.0 <= y[X] <= travel_m:
         return
     stop_m = 0.0 if y[X] < 0.0 else travel_m
@@ -91,6 +91,6 @@ def _fly(f: Memory, y: Floats, u: float, duration: float, restitution: float) ->
     closing = v + (at_contact if stop_m > 0.0 else -at_contact)
     until = min(max(-2.0 * away_m / closing, 0.0), duration) if closing != 0.0 else 0.0
     copy(y, before)
-    over(base, c, y, u, 0.0, until, False)
+    over(base, c, y, u, 0.0, until, FREE)
     y[X], y[V] = stop_m, -restitution * y[V]
-    over(base, c, y, u, 0.0, duration - until, True)
+    over(base, c, y, u, 0.0, duration - until, STOPS)

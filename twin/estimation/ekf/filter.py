@@ -58,7 +58,7 @@ from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, LOST, RESTS_HI
 from twin.estimation.propagate import copy, delay_s, find_input, input_over, see_delays
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
 from twin.model.extended import I_C, V, X, reading_of_current
-from twin.model.integration import SHORT_S
+from twin.model.integration import FREE, SHORT_S
 
 UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet, the same for all models
 
@@ -140,7 +140,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             if known.after.shape[0] > 0 and not unknown:
                 step_linearised(f, known, n, T_s)
             else:
-                advance(f, f.y[:], held, t[n - 1], T_s, False)
+                advance(f, f.y[:], held, t[n - 1], T_s, FREE)
             if known.slopes.shape[0] > 0:
                 take_slopes(f, known, n)
                 slopes_of_colour(f, T_s)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from twin.compiled import inlined, kernel
+from twin.compiled import inlined, merged
 from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.ekf.transition import moments, transit
@@ -36,6 +36,7 @@ from twin.model.extended import (
     X,
     has_first_order_current,
 )
+from twin.model.integration import FREE
 
 # For the Jacobian; coloured noise needs none.
 _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5, 1e-4, 1e-5, 1e-5, 1e-5] + [1e-6] * len(OFFSETS))
@@ -108,7 +109,7 @@ def take_slopes(f: Memory, known: Steps, n: int) -> None:
             f.F[row, column] = known.slopes[n, row, column]
 
 
-@kernel
+@merged
 def differences(f: Memory, u: HeldInput, t: float, T_s: float) -> None:
     """Fill F with the Jacobian of `advance`, at the state in `previous`; the other arguments as there."""
     # Differences of the step, not a variational equation: that would be a second copy of the physics, which each new
@@ -125,14 +126,14 @@ def differences(f: Memory, u: HeldInput, t: float, T_s: float) -> None:
         moved[a] += delta
         if a == I_C and f.field < 0:
             moved[FIELD] = moved[I_C]
-        advance(f, moved, u, t, T_s, False)
+        advance(f, moved, u, t, T_s, FREE)
         # To both sides, so that a ball that may or may not be held has half of the effect.
         if wide:
             copy(back, f.previous[:])
             back[a] -= delta
             if a == I_C and f.field < 0:
                 back[FIELD] = back[I_C]
-            advance(f, back, u, t, T_s, False)
+            advance(f, back, u, t, T_s, FREE)
             for row in range(f.coloured):
                 f.F[row, column] = (moved[f.places[row]] - back[f.places[row]]) / (2.0 * delta)
         else:
@@ -199,14 +200,14 @@ def wander_on(f: Memory, T_s: float) -> None:
         doubt_lines(f, T_s)
 
 
-@kernel
+@merged
 def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
     """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `input_over`."""
     wandered(f, f.previous)
     moved, K = f.moved[:], f.K
     inputs[lost] += INPUT_DELTA_V
     copy(moved, f.previous[:])
-    propagate(base_of(f), f.c[:], moved, input_over(f.c[:], inputs, n, f.first, T_s), t, T_s, False)
+    propagate(base_of(f), f.c[:], moved, input_over(f.c[:], inputs, n, f.first, T_s), t, T_s, FREE)
     inputs[lost] -= INPUT_DELTA_V
     for row in range(f.coloured):
         K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
@@ -215,7 +216,7 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
             f.P[row, column] += K[row] * K[column]
 
 
-@inlined
+@merged
 def predict_held(f: Memory, u: HeldInput, n: int, t: float, T_s: float, reading: float, known: Steps) -> None:
     """Predict current, warmth and loop at sample n with the ball held at its last `reading`, m.
 
@@ -274,11 +275,11 @@ def _advance_held(f: Memory, y: Floats, u: HeldInput, t: float, T_s: float) -> N
     held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
     rubs = c[coulomb_friction.FORCE]
     c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
-    propagate(held_base, c, y, u, t, T_s, False)
+    propagate(held_base, c, y, u, t, T_s, FREE)
     c[coulomb_friction.FORCE] = rubs
 
 
-@inlined
+@merged
 def _differences_held(f: Memory, u: HeldInput, t: float, T_s: float) -> None:
     """Fill F with the Jacobian of `_advance_held`; arguments as there."""
     c, y, F, moved, base = f.c[:], f.y[:], f.F, f.moved[:], f.paper
