@@ -137,6 +137,7 @@ def run_log(
         for entry in entries(reader, topics=("state", "parameters", "twin/model"), board=board):
             run = runs.get((entry.site, entry.board))
             if run is None:
+                # One for each board: sessions, ticks and control laws of two boards have nothing in common.
                 run = BoardRun(site=entry.site, board=entry.board, mirror=Mirror(model, settings))
                 runs[entry.site, entry.board] = run
             if entry.topic == "twin/model":

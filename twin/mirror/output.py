@@ -26,6 +26,7 @@ class Output:
     alarms: tuple[pb.Alarm, ...]  # that change state with it
     nis_on: float  # threshold of the alarm on the mean NIS; 0 where there is none
 
+    # On first use: a summary of a log only counts its samples, and a message costs about as much as a tick.
     @cached_property
     def state(self) -> pb.TwinState | None:
         """The free twin at the sample's tick; None where there is none."""

@@ -79,6 +79,7 @@ def step(twin: Packed, yardstick: Packed, tick: Packed) -> Answer:
     nis_mean, of_innovation = judge_innovation(w, n_i, n_x, nis, valid, scale.on_nis, scale.off_nis)
     flight = (math.nan, math.nan, math.nan, math.nan)
     of_x = of_i = of_u = (math.nan, math.nan, math.nan, math.nan, math.nan, False)
+    # The observer first: it judges every sample, also where there is no free twin.
     if now.flying:
         flight = advance(t.plant, t.law, t.free, now.closed_loop, now.x_ref, now.u)
         of_x = figures(w, X, now.x, flight[1], scale.std_x, now.in_step)

@@ -138,6 +138,7 @@ def _holding_input(base: Packed, c: Vector, i: float, w: float) -> float:
         return math.nan
     low, high = 0.0, _MAX_V
     if not _surplus(high, base, c, i, w) > 0.0:  # with foldback the current falls again far above
+        # From below, in small steps: the range of inputs that give this current may be narrow, and ends.
         high = _MIN_V
         while not _surplus(high, base, c, i, w) > 0.0:
             low, high = high, _INPUT_STEP * high

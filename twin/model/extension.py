@@ -17,6 +17,7 @@ from twin.model.parameters import Model, ModelCause
 
 def vector(causes: Sequence[ModelCause]) -> NDArray[np.float64]:
     """The vector c of these causes, shape (PLACES,); all other causes are neutral."""
+    # One vector for all causes, not a list of functions: compiled once, the kernels fly any combination.
     c = neutral()
     for cause in causes:
         for parameter in BY_NAME[cause.name].parameters:

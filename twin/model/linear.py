@@ -53,6 +53,7 @@ from twin.model.integration import FREE, advance
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
+# Steps of central differences.  The curvature of (3) makes errors of (delta / gap)^2, 1e-9 of a slope; rounding less.
 _DELTA = dict.fromkeys((I_C, V, FIELD, RATE, SECOND, CORE, I_SENSOR), 1e-5) | {X: 1e-7, SENSOR: 1e-7}  # SI units
 _DELTA_U = 1e-4  # V
 
@@ -89,7 +90,7 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     n = len(places)
     if not math.isfinite(u0):
         return np.full((n, n), np.nan), np.full((n, 1), np.nan)
-    c[amplifier_gain_drift.TAU] = math.inf
+    c[amplifier_gain_drift.TAU] = math.inf  # warmth stands still
     h = min([LONGEST_S, p.T_A, *(tau for tau in lags.values() if tau > 0.0)])
 
     def after(state: int, delta: float) -> NDArray[np.float64]:

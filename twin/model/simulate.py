@@ -80,6 +80,7 @@ def plant_numbers(model: Model, sample_time_s: float) -> PlantNumbers:
 
 def delay_in_ticks(delay_s: float, sample_time_s: float) -> tuple[int, float]:
     """Return (whole ticks, the rest in s) of a delay."""
+    # Two ticks may come out as 1.9999...: rounding must not make of them one tick and a part.
     whole = math.floor(delay_s / sample_time_s + _SLIVER)
     part = delay_s - whole * sample_time_s
     return whole, part if part > _SLIVER * sample_time_s else 0.0
@@ -131,6 +132,7 @@ def begin(
     settle_current(c, memory, current)
     memory[X], memory[V] = position, v
     memory[SENSOR], memory[RATE] = position_reading(p, c, position, current), v
+    # A sign, not None: the exported languages have numbers only.
     if warmth >= 0.0:
         memory[WARMTH] = warmth
     memory[I_READ], memory[X_READ] = current_reading(c, current), memory[SENSOR]
@@ -152,6 +154,7 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
         memory[I_READ], memory[X_READ] = reading_of_current(p.c, memory), memory[SENSOR]
         return
     last_u = LINES + p.act_whole + 1
+    # Moved, not a ring with an index: the index would be one more state of each exported model.
     for k in range(last_u, LINES, -1):
         memory[k] = memory[k - 1]
     memory[LINES] = u

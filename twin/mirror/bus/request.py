@@ -63,6 +63,7 @@ class DiagnosisRequest:
         if lasted_s < self._after_s:
             return None
         self.active = True
+        # The way to the remedy belongs into the alarm: who reads it in a DCS has no page of ours open.
         text = (
             f"{', '.join(self._alarms)} for {lasted_s:.0f} s: the model is wrong. On the page of the rig's model press"
             f" Diagnose the last 2 minutes of flight, or use {self._command}"

@@ -141,6 +141,7 @@ class Watched:
             log.warning("board %s: model %s refused: %s", self.board, belief.title, error)
             text = f"No twin can be made of this model with this board's gains and T_s ({error})."
             return refusal("not-runnable", text, command_id=belief.command_id)
+        # Only now: a model that was refused must leave the one before it in force.
         was, self.belief = self.belief, belief
         log.info("board %s: model %s instead of %s, from %r", self.board, belief.title, was.title, belief.who)
         for alarm in alarms:

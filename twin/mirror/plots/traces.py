@@ -120,6 +120,7 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     pair(axes[1], t, i, twin_i)
     pair(axes[2], t, u, twin_u)
 
+    # Logarithmic: an error in step and a hundred times that after a change must both be readable.
     axes[3].semilogy(t, np.maximum(error * 1e6, FLOOR_UM), color="#bbbbbb", lw=0.6, label="|error|")
     axes[3].semilogy(t, rmse * 1e6, color=MODEL, lw=1.6, label="rolling RMSE")
     axes[3].semilogy(t, std * np.sqrt(error_on) * 1e6, color=ALARM, lw=1.4, ls="-.", label="alarm line")

@@ -122,6 +122,7 @@ def value(c: Vector, curve: int, at: float) -> float:
     if high <= low:
         return 0.0
     s = (at - low) / (high - low) * (COEFFICIENTS - 3)
+    # Beyond its last knots a curve is 0, not its last value: nothing is known there (rule 2).
     if s <= -3.0 or s >= COEFFICIENTS:
         return 0.0
     first = math.floor(s)

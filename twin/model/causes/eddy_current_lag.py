@@ -81,6 +81,7 @@ def weight(c: Vector, gap: float, gap_mid: float) -> float:
     """Return the quantity that lags, per current at this gap; 1 in the middle of the travel."""
     if c[FLUX] == 0.0 or c[TAU] <= 0.0:
         return 1.0
+    # Limited near the coil: with an infinite weight the current behind it would be no number.
     return power(gap_mid / max(gap, MIN_GAP_SHARE * gap_mid), c[FLUX])
 
 

@@ -63,6 +63,7 @@ def driven(c: Vector, i: float, second: float, target: float, T_A: float, h: flo
 @inlined
 def settled(c: Vector, second: float, target: float, h: float) -> float:
     """Return i_2 after h s under a constant target, A."""
+    # Exactly: its time may be shorter than a substep, over which Euler's rule would overshoot.
     return target + (second - target) * math.exp(-h / c[TAU])
 
 
