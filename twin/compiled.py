@@ -28,7 +28,7 @@ from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 P = ParamSpec("P")
 R = TypeVar("R")
 Packed: TypeAlias = tuple[Any, ...]  # tuple(of a NamedTuple of numbers)
-_IN_MACHINE_CODE = b"@kernel", b"@inlined", b"@merged", b"(NamedTuple)"
+_IN_MACHINE_CODE = b"@kernel", b"@inlined", b"(NamedTuple)"
 OLD_S = 7 * 86400.0  # machine code of former sources is removed after this time without use
 
 
@@ -45,17 +45,12 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function, forceinline=True)
 
 
-def merged(function: Callable[P, R]) -> Callable[P, R]:
-    """A kernel with one caller, compiled as a part of it alone: LLVM would optimise whatever it calls once more."""
-    return _compiled(function, inline="always")
-
-
-def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
+def _compiled(function: Callable[P, R], *, forceinline: bool = False) -> Callable[P, R]:
     try:
         import numba
     except ImportError:
         return function
-    compile_it: Any = partial(numba.njit, nogil=True, error_model="numpy", **options)
+    compile_it: Any = partial(numba.njit, nogil=True, error_model="numpy", forceinline=forceinline)
     # numba reads CACHE_DIR while it decorates; what is decorated elsewhere keeps its own place.
     config: Any = numba.config
     default_dir, config.CACHE_DIR = config.CACHE_DIR, cache_folder()

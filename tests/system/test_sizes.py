@@ -17,7 +17,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 Definition = Function | ast.ClassDef
 
 # A kernel is one loop over numbers, and its calls cannot pass an object: it may be longer, and take more.
-KERNELS = frozenset(["kernel", "inlined", "merged", "_compiled"])  # decorators
+KERNELS = frozenset(["kernel", "inlined", "_compiled"])  # decorators
 
 MANY_PARAMETERS = {
     "gateway/client/commands.py excite": "the numbers of a signal, by keyword",

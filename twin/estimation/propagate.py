@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.compiled import Packed, inlined, merged
+from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import actuation_delay, sampling_delay
 from twin.model.extended import Base, held_current, is_slow, reading_of_current
 from twin.model.flight import fly
@@ -109,7 +109,7 @@ def current_held(
     return held_current(p, c, i, w, x, u.after, T_s - u.change_s)
 
 
-@merged
+@kernel
 def find_input(
     base: Packed,
     c: NDArray[np.float64],

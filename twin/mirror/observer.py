@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.compiled import Packed, inlined, merged
+from twin.compiled import Packed, inlined, kernel
 from twin.estimation.ekf.branches import spread_over_cases
 from twin.estimation.ekf.correct import (
     TELLING_READINGS,
@@ -121,7 +121,7 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
     o.ticks[0] = 0.0
 
 
-@merged
+@inlined
 def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     """Predict one tick, correct by its readings, write innovations and covariance into `out`, return the NIS."""
     f, n, T_s, out = o.f, len(o.inputs), o.sample_time_s, o.out
@@ -142,7 +142,7 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     return float(n_i * n_i / s_ii + left * left / spread)
 
 
-@merged
+@kernel
 def observe(
     observer: Packed, follows: bool, usable: bool, switched_off: bool, i: float, x: float, u: float
 ) -> tuple[float, float, float, bool]:

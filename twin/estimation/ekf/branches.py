@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from twin.compiled import kernel, merged
+from twin.compiled import kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of
 from twin.estimation.propagate import copy, delay_s
 from twin.model.extended import I_COLOUR, Base, V, X
@@ -26,7 +26,7 @@ CASES = 8
 _MIXED = 3  # has no divisor in common with CASES: the order of the restitutions, independent of that of the instants
 
 
-@merged
+@kernel
 def spread_over_cases(f: Memory, inputs: Floats, n: int, T_s: float, cut: int) -> None:
     """Replace the prediction of sample n in `f.y` by the mean over the cases, and add their covariance to `f.P`.
 
@@ -58,7 +58,7 @@ def spread_over_cases(f: Memory, inputs: Floats, n: int, T_s: float, cut: int) -
             f.P[a, b] += total / CASES
 
 
-@merged
+@kernel
 def _run(f: Memory, y: Floats, inputs: Floats, n: int, T_s: float, cut: int, cut_s: float, restitution: float) -> None:
     """Run one case in place of y: the input `cut` became 0 `cut_s` after its sample; delays as in `propagate`."""
     delay = delay_s(f.c[:])

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from twin.compiled import inlined, merged
+from twin.compiled import inlined, kernel
 from twin.estimation.ekf.lines import doubt_lines, slopes_of_lines, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.ekf.transition import moments, transit
@@ -109,7 +109,7 @@ def take_slopes(f: Memory, known: Steps, n: int) -> None:
             f.F[row, column] = known.slopes[n, row, column]
 
 
-@merged
+@kernel
 def differences(f: Memory, u: HeldInput, t: float, T_s: float) -> None:
     """Fill F with the Jacobian of `advance`, at the state in `previous`; the other arguments as there."""
     # Differences of the step, not a variational equation: that would be a second copy of the physics, which each new
@@ -200,7 +200,7 @@ def wander_on(f: Memory, T_s: float) -> None:
         doubt_lines(f, T_s)
 
 
-@merged
+@kernel
 def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
     """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `input_over`."""
     wandered(f, f.previous)
@@ -216,7 +216,7 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
             f.P[row, column] += K[row] * K[column]
 
 
-@merged
+@inlined
 def predict_held(f: Memory, u: HeldInput, n: int, t: float, T_s: float, reading: float, known: Steps) -> None:
     """Predict current, warmth and loop at sample n with the ball held at its last `reading`, m.
 
@@ -279,7 +279,7 @@ def _advance_held(f: Memory, y: Floats, u: HeldInput, t: float, T_s: float) -> N
     c[coulomb_friction.FORCE] = rubs
 
 
-@merged
+@inlined
 def _differences_held(f: Memory, u: HeldInput, t: float, T_s: float) -> None:
     """Fill F with the Jacobian of `_advance_held`; arguments as there."""
     c, y, F, moved, base = f.c[:], f.y[:], f.F, f.moved[:], f.paper
