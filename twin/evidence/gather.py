@@ -30,7 +30,7 @@ from twin.estimation.innovations import FLIES, FOLLOWS, RESTS_HIGH, RESTS_LOW, R
 from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
 from twin.estimation.structures import EQUAL_NOISE, Samples
-from twin.evidence.lost_rows import between, bridged, mark
+from twin.evidence.lost_rows import bridged, mark
 from twin.evidence.noise_levels import Noise
 from twin.evidence.starting.liftoff import LiftOff, equilibria, lift_offs
 from twin.settings import diagnosis as settings
@@ -149,7 +149,7 @@ def _prepared(
     # readings go into the series: a scale must stay for the causes to explain.
     series, (usage,) = prepare([rescaled], plant)
     usage.kind = record.kind
-    flags, i, x, t = series.flags.copy(), series.i.copy(), series.x.copy(), np.zeros(len(series))
+    flags, x, t = series.flags.copy(), series.x.copy(), np.zeros(len(series))
     n = len(record.t) if len(series) and record.has("u_c", "i_c") and len(record.t) > 1 else 0
     if n:
         x[:n] = np.where(np.isfinite(record.x), record.x, 0.0)
@@ -164,12 +164,10 @@ def _prepared(
         if rescaled.kind in OPEN_LOOP:
             # Between bounces the speed is unknown, and so is its effect on the current.
             row_flags[row_flags & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint16(~USE_I & 0xFFFF)
-        mark(row_flags, lost)
-        for values in (x, i):
-            between(values[:n], lost)
+        mark(row_flags, record.u_c, lost)
     if record.kind == "amplifier-step" and common.lifts_at_a is not None:
         _until_lifted(flags, series, common.lifts_at_a)
-    return replace(series, flags=flags, i=i, x=x), t, usage
+    return replace(series, flags=flags, x=x), t, usage
 
 
 def _flag(

@@ -32,7 +32,7 @@ from twin.distributions import chi2_above, normal_exceeded
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X, Series
 from twin.estimation.low_pass import low_pass
 from twin.estimation.prediction_floor import TOLERANCE
-from twin.estimation.record import BoolArray, FloatArray, runs
+from twin.estimation.record import BoolArray, FloatArray
 from twin.estimation.structures import EQUAL_NOISE
 from twin.evidence.colour import colours_of, expected_gain, is_fast
 from twin.evidence.gather import Evidence
@@ -92,15 +92,15 @@ def _windows(
             colour = colours[2 if column == 0 and captured[part.start] else column]
             if colour is not None:  # scale to the level of white noise of the same variance
                 rough /= math.sqrt(expected_gain(colour, float(np.median(series.step[part][1:])), _DIFFERENCE))
-            squares, windows = [], []
-            for piece in runs(np.isfinite(rough), length):
-                for start in range(piece.start, piece.stop - length + 1, length):
-                    window = slice(part.start + start, part.start + start + length)
-                    if flies[window].all() or not flies[window].any():
-                        squares.append(float(np.mean(rough[start : start + length] ** 2)) / _GAIN)
-                        windows.append(window)
+            windows = [
+                window
+                for window in _windows_of(np.isfinite(rough), series.part(part).flags & FOLLOWS == 0, length)
+                if flies[part][window].all() or not flies[part][window].any()
+            ]
+            squares = [float(np.mean(rough[window] ** 2)) / _GAIN for window in windows]
+            windows = [part.start + window for window in windows]
             for kind in (True, False):
-                usual = [index for index, window in enumerate(windows) if flies[window.start] == kind]
+                usual = [index for index, window in enumerate(windows) if flies[window[0]] == kind]
                 max_square = settings.RESTLESS * float(np.median([squares[index] for index in usual])) if usual else 0.0
                 rows += [
                     (
@@ -124,6 +124,17 @@ def _windows(
     )
 
 
+def _windows_of(present: BoolArray, begins: BoolArray, length: int) -> list[IntArray]:
+    """Return windows of `length` samples that are `present`, within the chains that begin at `begins`."""
+    windows = []
+    for chain in np.split(np.arange(len(present)), np.flatnonzero(begins)):
+        rows = chain[present[chain]]
+        candidates = [rows[start : start + length] for start in range(0, len(rows) - length + 1, length)]
+        # A lost sample leaves out the differences over it.  With more left out, the ball would move on too far.
+        windows += [window for window in candidates if window[-1] - window[0] < 2 * length]
+    return windows
+
+
 def differences(series: Series, column: int) -> FloatArray:
     """Return the fifth differences of i_c (column 0) or x of one recording, shape (n,); NaN if a reading is missing."""
     values, whole = smooth(series, column, before=ORDER)
@@ -145,7 +156,8 @@ def smooth(series: Series, column: int, *, before: int = 0, around: int = 0) -> 
     chain = np.cumsum(series.flags & FOLLOWS == 0)
     # For some samples i_c depends on the unknown u_c of a lost sample, or on that before the first sample of a chain.
     input_known = np.ones(len(used), np.bool_)
-    for at in np.flatnonzero((series.flags & LOST != 0) | (np.diff(chain, prepend=1) != 0)):
+    unknown = series.flags & (LOST | FLIES) == LOST | FLIES  # at rest u_c was the same before and after
+    for at in np.flatnonzero(unknown | (np.diff(chain, prepend=1) != 0)):
         input_known[at : at + settings.INPUT_SHOWS] = False
     known = used & input_known if column == 0 else used
     if np.count_nonzero(known) < settings.INSTRUMENT_WINDOWS * settings.INSTRUMENT_WINDOW:

@@ -6,9 +6,10 @@ constant force of six standard errors from nothing.  Each start also favours the
 
 Rule 1: up to `LONGEST` lost samples in a row get rows, within a flight.  More remain a gap, and so do several over
         which u_c jumps.
-Rule 2: the row holds no reading.  The filter (`twin/estimation/ekf`) estimates its u_c from the current of the next
-        sample.  Under a delay longer than an interval it takes the sample after that.  If that is lost, too, the
-        previous u_c remains, with the uncertainty of an unknown one.
+Rule 2: the row holds no reading: i_c and x are interpolated for the search for contact, for figures and quantiles, and
+        not used.  In flight the filter (`twin/estimation/ekf`) estimates its u_c from the current of the next sample.
+        Under a delay longer than an interval it takes the sample after that.  If that is lost, too, the previous u_c
+        remains, with the uncertainty of an unknown one.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation.innovations import FLIES, FOLLOWS, LOST
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X
 from twin.estimation.propagate import UNKNOWN_INPUT_V
 from twin.estimation.record import REGULAR_SHARE, BoolArray, FloatArray, Record, runs
+from twin.evidence.noise_levels import RESTS
 
 LONGEST = 3  # lost samples in a row; with one sample in ten lost, more follow one in ten thousand
 
@@ -41,38 +43,41 @@ def bridged(record: Record) -> tuple[Record, BoolArray]:
     lost = np.zeros(len(record.t) + len(before), np.bool_)
     lost[before + 1 + np.arange(len(before))] = True
     order = np.arange(1, len(before) + 1) - np.searchsorted(before, before)  # of each within its gap, from 1
-    times, unread = record.t[before] + order * steps[before] / (rows[before] + 1), np.full(len(before), np.nan)
     return replace(
         record,
-        t=_with(record.t, lost, times),
-        u_c=_with(record.u_c, lost, record.u_c[before]),
-        i_c=_with(record.i_c, lost, unread),
-        x=_with(record.x, lost, unread),
-        x_ref=_with(record.x_ref, lost, record.x_ref[before]),
+        t=np.insert(record.t, before + 1, record.t[before] + order * steps[before] / (rows[before] + 1)),
+        u_c=np.insert(record.u_c, before + 1, record.u_c[before]),
+        i_c=_between(record.i_c, lost),
+        x=_between(record.x, lost),
+        x_ref=np.insert(record.x_ref, before + 1, record.x_ref[before]),
     ), lost
 
 
-def _with(values: FloatArray, lost: BoolArray, inserted: FloatArray) -> FloatArray:
-    result = np.empty(len(lost))
-    result[~lost], result[lost] = values, inserted
+def _between(values: FloatArray, lost: BoolArray) -> FloatArray:
+    """Return the values with interpolated ones in the rows that are `lost`, shape (n,)."""
+    result = np.full(len(lost), np.nan)
+    result[~lost] = values
+    known = np.flatnonzero(np.isfinite(result))
+    if len(known) > 1:
+        from scipy.interpolate import Akima1DInterpolator  # slow to import
+
+        # H. Akima, J. ACM 17, 1970: as exact as a cubic, and a jump makes no waves.  Straight lines would be outliers
+        # of a ball in fast motion.
+        result[lost] = Akima1DInterpolator(known, result[known])(np.flatnonzero(lost))
     return result
 
 
-def mark(flags: NDArray[np.uint16], lost: BoolArray) -> None:
-    """Flag the rows of lost samples within flights; the other rows become gaps.
+def mark(flags: NDArray[np.uint16], u_c: FloatArray, lost: BoolArray) -> None:
+    """Flag the rows of lost samples within flights, and at rest if u_c did not change over them.
 
-    `flags`, shape (n,), are changed in place.  The first and the last row are not `lost`, shape (n,).
+    The other rows become gaps.  `flags`, shape (n,), are changed in place.  The first and the last row are not `lost`,
+    shape (n,).
     """
+    flags[lost] = flags[lost] & (0xFFFF - USE_I - USE_X) | LOST
     for gap in runs(lost):
         around = flags[gap.start - 1 : gap.stop + 1]
-        if (around & FLIES != 0).all() and (around[1:] & FOLLOWS != 0).all():
-            flags[gap] |= LOST
-        else:
-            flags[gap] = 0
-            flags[gap.stop] &= np.uint16(~FOLLOWS & 0xFFFF)
-
-
-def between(values: FloatArray, lost: BoolArray) -> None:
-    """Interpolate the values of lost samples between their neighbours, in place, for figures and quantiles."""
-    rows = np.arange(len(values))
-    values[lost] = np.interp(rows[lost], rows[~lost], values[~lost])
+        flies = (around & FLIES != 0).all()
+        rests = np.bitwise_and.reduce(around) & RESTS != 0 and u_c[gap.start - 1] == u_c[gap.stop]
+        if not (flies or rests) or not (around[1:] & FOLLOWS != 0).all():
+            flags[gap] = LOST
+            flags[gap.stop] &= 0xFFFF - FOLLOWS

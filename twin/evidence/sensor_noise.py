@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from twin.estimation.contact import HELD_SAMPLES
-from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, USE_I, USE_X
+from twin.estimation.innovations import LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
 from twin.estimation.record import runs
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import RESTS, uncut
@@ -55,25 +55,27 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
         (series.flags & use != 0) & uncut(series, values, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0)
         for values, use in ((series.i, USE_I), (series.x, USE_X))
     ]
-    rest = series.flags & RESTS != 0
-    squares: tuple[list[float], list[float]] = ([], [])
+    rest, lost = series.flags & RESTS != 0, series.flags & LOST != 0
+    windows: tuple[list[tuple[float, int]], list[tuple[float, int]]] = ([], [])
     for piece in runs(rest, 2 * HELD_SAMPLES):
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
             window = slice(start, start + HELD_SAMPLES)
-            usable = whole[0][window].all() and np.ptp(series.u[window]) == 0.0, whole[1][window].all()
-            for column, values in ((0, series.i[window]), (1, series.x[window])):
-                if not usable[column]:
+            for column, values in enumerate((series.i[window], series.x[window])):
+                read = ~lost[window]
+                freedom = int(np.count_nonzero(read)) - 2
+                steady = column == 1 or np.ptp(series.u[window]) == 0.0
+                if not whole[column][window][read].all() or freedom < HELD_SAMPLES // 2 or not steady:
                     continue
                 # About a line, not about the mean: a coil that warms up moves i_c by more than its noise within
                 # seconds.
-                line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
-                residual = values - np.polynomial.polynomial.polyval(_LINE, line)
+                line = np.polynomial.polynomial.polyfit(_LINE[read], values[read], 1)
+                residual = values[read] - np.polynomial.polynomial.polyval(_LINE[read], line)
                 if len(evidence.noise_ratio):  # scaled to the reference instrument
-                    residual = residual / np.sqrt(evidence.noise_ratio[window, column])
-                squares[column].append(float(residual @ residual))
+                    residual = residual / np.sqrt(evidence.noise_ratio[window, column][read])
+                windows[column].append((float(residual @ residual), freedom))
     result = []
-    for channel in squares:
-        middle = float(np.median(channel)) if channel else 0.0
-        usual = [square for square in channel if square <= settings.RESTLESS * middle] if middle > 0.0 else channel
-        result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
+    for channel in windows:
+        middle = float(np.median([square / freedom for square, freedom in channel])) if channel else 0.0
+        usual = [window for window in channel if not window[0] > settings.RESTLESS * middle * window[1] > 0.0]
+        result.append((sum(square for square, _ in usual), sum(freedom for _, freedom in usual)))
     return result

@@ -28,6 +28,7 @@ from twin.estimation.record import BoolArray, Record
 from twin.estimation.rollout import SETTLE_S, predict_ahead
 from twin.evidence.gather import gather
 from twin.evidence.lost_rows import bridged
+from twin.evidence.sensor_noise import noise_errors, sensor_noise
 from twin.inference.theta import Theta
 from twin.model.causes.catalogue import BY_NAME
 from twin.prediction import predict
@@ -109,14 +110,12 @@ def test_up_to_three_lost_samples_in_a_row_get_rows_and_more_stay_a_gap() -> Non
     assert np.delete(whole.t, rows).tolist() == less(record, gone).t.tolist()
     assert whole.t[500:503] == pytest.approx(record.t[500:503])
     assert whole.u_c[500:503] == pytest.approx(record.u_c[499])
-    assert np.isnan(whole.x[lost]).all()
-    assert np.isnan(whole.i_c[lost]).all()
+    assert whole.x[lost] == pytest.approx(record.x[[300, 500, 501, 502, 700, 701]], abs=5.0 * NOISY.sigma_x_m)
     series = gather([less(record, gone)], PLANT).series
     assert np.flatnonzero(series.flags & LOST != 0).tolist() == rows
     assert (series.flags[[300, 301, 500, 501, 502, 503]] & FOLLOWS != 0).all()
     assert (series.flags[rows] & (USE_I | USE_X) == 0).all()
     assert series.flags[600] & FOLLOWS == 0  # behind the four
-    assert series.x[500:502] == pytest.approx(series.x[499] + (series.x[503] - series.x[499]) * np.array([0.25, 0.5]))
 
 
 def test_where_u_c_jumps_only_a_single_lost_sample_gets_a_row() -> None:
@@ -142,18 +141,43 @@ def test_what_is_sampled_at_varying_times_has_lost_nothing() -> None:
     assert not lost.any()
 
 
-def test_a_sample_lost_at_rest_is_a_gap() -> None:
-    record = flight(NOISY, seed=7, seconds=2.0)
-    n = len(record.t)
-    rests = replace(record, kind="free", x=np.full(n, 1e-6) * (np.arange(n) % 2), x_ref=np.full(n, np.nan))
-    gone = np.zeros(n, np.bool_)
-    gone[400] = True
+def at_rest(seconds: float) -> Record:
+    """A ball on its lower stop, under constant u_c."""
+    n = round(seconds / TICK_S)
+    noise = np.random.default_rng(1).standard_normal((2, n))
+    x, i_c = NOISY.sigma_x_m * noise[0], 0.2 + NOISY.sigma_i_c_a * noise[1]
+    record = flight(NOISY, seed=7, seconds=seconds)
+    return replace(record, kind="free", x=x, i_c=i_c, u_c=np.full(n, 0.7), x_ref=np.full(n, np.nan))
 
-    flags = gather([less(rests, gone)], PLANT).series.flags
 
-    assert (flags & LOST == 0).all()
-    assert flags[400] == 0
-    assert flags[401] & FOLLOWS == 0
+def test_a_sample_lost_at_rest_is_a_gap_only_where_u_c_changes() -> None:
+    rests = at_rest(2.0)
+    gone = np.zeros(len(rests.t), np.bool_)
+    gone[[400, 600, 601]] = True
+    changed = replace(rests, u_c=rests.u_c + 0.1 * (np.arange(len(gone)) >= 500))
+
+    flags = gather([less(changed, gone)], PLANT).series.flags
+    split = gather([less(replace(changed, u_c=np.roll(changed.u_c, -100)), gone)], PLANT).series.flags
+
+    assert np.flatnonzero(flags & LOST != 0).tolist() == np.flatnonzero(split & LOST != 0).tolist() == [400, 600, 601]
+    assert (flags[[400, 401, 600, 601, 602]] & FOLLOWS != 0).all()
+    assert (flags[[400, 600, 601]] & (USE_I | USE_X) == 0).all()
+    assert split[401] & FOLLOWS == 0
+    assert (split[[600, 601, 602]] & FOLLOWS != 0).all()
+
+
+def test_lost_samples_hide_no_ball_at_rest_from_the_measurement_of_noise() -> None:
+    rests = at_rest(60.0)
+
+    shares = (0.0, 0.1)
+    evidences = [gather([less(rests, drawn(rests, share, 3))], PLANT) for share in shares]
+
+    for evidence, (error_i, error_x) in zip(evidences, map(noise_errors, evidences), strict=True):
+        sigma_i, sigma_x = sensor_noise(evidence)
+        assert sigma_i == pytest.approx(NOISY.sigma_i_c_a, rel=4.0 * error_i)
+        assert sigma_x == pytest.approx(NOISY.sigma_x_m, rel=4.0 * error_x)
+    assert noise_errors(evidences[1])[1] < 1.2 * noise_errors(evidences[0])[1]
+    assert noise_errors(evidences[1])[0] < 1.2 * noise_errors(evidences[0])[0]
 
 
 def test_nothing_is_predicted_across_a_lost_input() -> None:
