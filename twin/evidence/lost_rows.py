@@ -63,7 +63,9 @@ def _between(values: FloatArray, lost: BoolArray) -> FloatArray:
 
         # H. Akima, J. ACM 17, 1970: as exact as a cubic, and a jump makes no waves.  Straight lines would be outliers
         # of a ball in fast motion.
-        result[lost] = Akima1DInterpolator(known, result[known])(np.flatnonzero(lost))
+        between = Akima1DInterpolator(known, result[known])(np.flatnonzero(lost))
+        # Not beyond the readings: else those at the end of the converter's range would not be its end any more.
+        result[lost] = np.clip(between, np.nanmin(values), np.nanmax(values))
     return result
 
 

@@ -180,6 +180,17 @@ def test_lost_samples_hide_no_ball_at_rest_from_the_measurement_of_noise() -> No
     assert noise_errors(evidences[1])[0] < 1.2 * noise_errors(evidences[0])[0]
 
 
+def test_an_interpolated_reading_is_not_beyond_the_converter_s_range() -> None:
+    record = flight(NOISY, seed=7, seconds=2.0)
+    cut_off = replace(record, i_c=np.maximum(record.i_c, np.quantile(record.i_c, 0.3)))
+
+    whole, lost = bridged(less(cut_off, drawn(record, 0.1, 1)))
+
+    assert lost.any()
+    assert np.min(whole.i_c) == np.min(cut_off.i_c)
+    assert np.max(whole.x) <= np.max(record.x)
+
+
 def test_nothing_is_predicted_across_a_lost_input() -> None:
     record = flight(NOISY, seed=7, seconds=2.0)
     gone = np.zeros(len(record.t), np.bool_)
