@@ -4,8 +4,8 @@ A filter that starts again after a gap treats u_c as a number without history.  
 readings, so it contains the noise of the first reading after the gap.  With one sample in ten lost, this produced a
 constant force of six standard errors from nothing.  Each start also favours the model with fewer unknowns there.
 
-Rule 1: up to `LONGEST` lost samples in a row get rows, within a flight.  More remain a gap, and so do several over
-        which u_c jumps.
+Rule 1: up to `LONGEST` lost samples in a row get rows, within a flight, and at rest where u_c is the same before and
+        after.  More remain a gap, and so do several over which u_c jumps.
 Rule 2: the row holds no reading: i_c and x are interpolated for the search for contact, for figures and quantiles, and
         not used.  In flight the filter (`twin/estimation/ekf`) estimates its u_c from the current of the next sample.
         Under a delay longer than an interval it takes the sample after that.  If that is lost, too, the previous u_c
